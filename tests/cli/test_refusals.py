@@ -204,7 +204,7 @@ def test_no_solution_writes_no_field(run: Run, files: Path, output: Path) -> Non
     assert answer.status == 2
     told = json.loads(answer.out)
     assert told["status"] != "solved" and told["output"] is None
-    assert answer.errors[-1].startswith("error: osqp on eq10: ")
+    assert answer.errors[-1].startswith("error: osqp on depth_map: ")
     assert empty(output)
 
 

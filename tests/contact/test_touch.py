@@ -201,7 +201,7 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
     assert beyond[0] == 0
     assert beyond[-1] > 50
     field = PotentialField(voxmap, p.reshape(voxmap.grid.shape), sampling)
-    renderer = Renderer(field, shell())
+    renderer = Renderer(field, shell(), force_limit=np.inf, torque_limit=np.inf)
     for t in range(0, len(centre), 40):
         wrench = renderer.render(press.rotation[0], centre[t])
         assert wrench.beyond_inner == beyond[t]

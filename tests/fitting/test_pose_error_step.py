@@ -52,7 +52,7 @@ def latest(of: PoseErrorProblem) -> State:
 def dense_prior(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the field, of all voxels."""
     mean = voxel_profile(scene, MAP.profile)
-    lengths = MAP.surface_length, MAP.depth_length, MAP.length_ratio
+    lengths = MAP.surface_length, MAP.depth_length
     covariance = SeparableCovariance.over(scene.voxmap, MAP.deviation * mean, *lengths)
     rows = covariance.rows.toarray()
     dense = np.linalg.inv(rows.T @ rows)

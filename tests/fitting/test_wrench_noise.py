@@ -168,10 +168,11 @@ def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
     """Rows by term, one of them missing, and their dense covariance."""
     given = recorded(6, 2)
     scale = np.array([3.0, 3.0, 3.0, 40.0, 40.0, 40.0])
+    mixed = np.broadcast_to(np.diag(scale), (6, 6, 6))
     at = np.arange(36).reshape(2, 6, 3).transpose(1, 0, 2).reshape(6, 6).copy()
     gone = at == 35
     at[gone] = -1
-    errors = given.errors(0.5, NOISE, scale, at)
+    errors = given.errors(0.5, NOISE, mixed, at)
     told = ~gone.reshape(-1)
     whole = dense(NOISE, given.wrench, given.place) * np.outer(*2 * [np.tile(scale, 6)])
     order = at.reshape(-1)[told]

@@ -135,7 +135,7 @@ def test_real_files(file):
     third = [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z]
     third = np.stack(third, axis=1) / (w * w + x * x + y * y + z * z)[:, None]
     np.testing.assert_allclose(trajectory.rotation[:, :, 2], third, atol=1e-12)
-    assert np.abs(trajectory.velocity()).max() < 1.0
+    assert np.abs(trajectory.velocity()).max() < 1.5  # from one place to the next
 
 
 EYE = np.tile(np.eye(3), (3, 1, 1))

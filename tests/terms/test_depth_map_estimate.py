@@ -12,16 +12,19 @@ from scipy.spatial.distance import cdist
 from scipy.stats import multivariate_normal
 
 from tests.conftest import small_scene
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.scene import Scene
 from ttus_opt.terms import depth_map_estimate
-from ttus_opt.terms.depth_map_estimate import _Chosen, _Problem, estimate_depth_map
-from ttus_opt.terms.depth_profile import EXPONENTS as POWERS
+from ttus_opt.terms.depth_map_estimate import (
+    _Chosen,
+    _coarser,
+    _Problem,
+    estimate_depth_map,
+    least_squares_profile,
+)
 from ttus_opt.terms.depth_profile import voxel_depths
+from ttus_opt.terms.part_noise import contact_directions
 from ttus_opt.terms.posterior_mode import PosteriorMode
-
-EXPONENTS = (1.0, 2.0)
 
 
 def with_forces(scene: Scene, force: np.ndarray) -> Scene:
@@ -57,49 +60,73 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-def dense(scene: Scene, chosen: _Chosen, varied: np.ndarray, c: np.ndarray) -> float:
-    """Log density of the forces of frames in contact, voxel by voxel.
+CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05)
 
-    Args:
-        scene: With measured forces.
-        chosen: Hyperparameters.
-        varied: Coefficients of the profile that varies.
-        c: Of the mean.
-    """
-    size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
-    frames = np.flatnonzero((scene.rows.contact_points > 0) & (size > 0.1))
-    rows = np.ravel(3 * frames[:, None] + np.arange(3))
-    grid, N = scene.voxmap.grid, scene.N.toarray()[rows]
-    depth = voxel_depths(scene.voxmap)
-    _, j, k = np.unravel_index(np.arange(scene.n_voxels), grid.shape)
-    radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
-    place = radius[:, None] * np.stack([np.cos(grid.theta[j]), np.sin(grid.theta[j])]).T
+
+def dense(scene: Scene, chosen: _Chosen) -> float:
+    """Log density of the normal forces of frames in contact, voxel by voxel."""
+    frames = np.flatnonzero(scene.rows.contact_points > 0)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    lever = (scene.N @ depth).reshape(-1, 3)[frames]
+    u = lever / np.linalg.norm(lever, axis=1, keepdims=True)
+    N = scene.N.toarray().reshape(-1, 3, scene.n_voxels)[frames]
+    N = np.einsum("ti,tiv->tv", u, N)
+    f = np.einsum("ti,ti->t", u, scene.f.reshape(-1, 3)[frames])
+    grid = scene.voxmap.grid
     touched = np.flatnonzero(N.any(axis=0))
-    place, z, d = place[touched], grid.z[k[touched], None], depth[touched, None]
-    root = np.sqrt(chosen.length_ratio)
-    apart = np.hypot(cdist(place, place) / root, root * cdist(z, z))
-    prior = matern(apart, chosen.surface_length) * matern(cdist(d, d), 0.015)
-    powers = np.maximum(d / 0.01, 0.0) ** np.array(EXPONENTS)
-    G = N[:, touched] * (powers @ varied)
-    noise = chosen.noise**2 + (chosen.relative_noise * size[frames]) ** 2
-    cov = chosen.deviation**2 * G @ prior @ G.T + np.diag(np.repeat(noise, 3))
-    mean = N[:, touched] @ powers @ c
-    density = multivariate_normal(mean, cov).logpdf(scene.f[rows])
-    return float(density) + 0.5 * len(rows) * np.log(2.0 * np.pi)
+    _, j, k = np.unravel_index(touched, grid.shape)
+    radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    place = np.stack(
+        [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
+    )
+    d = depth[touched, None]
+    prior = matern(cdist(place, place), chosen.surface_length)
+    prior *= matern(cdist(d, d), chosen.depth_length)
+    N = N[:, touched] * (d[:, 0] / 0.01) ** chosen.exponent
+    G = N.sum(axis=1)
+    mean = (G @ f) / (G @ G) * G
+    scale = chosen.deviation * (G @ f) / (G @ G)
+    at = scene.trajectory.position[frames]
+    same = (np.diff(frames) == 1) & (np.diff(scene.trajectory.segment[frames]) == 0)
+    press = np.concatenate([[0], np.cumsum(~same)])
+    shared = matern(cdist(at, at), 0.005) * (press[:, None] == press)
+    cov = scale**2 * N @ prior @ N.T + 0.03**2 * shared * np.outer(mean, mean)
+    cov += np.diag(chosen.noise**2 + (chosen.relative_noise * mean) ** 2)
+    density = multivariate_normal(mean, cov).logpdf(f)
+    return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
 
 
-def test_evidence_is_the_log_density_of_the_forces() -> None:
+def test_evidence_is_the_log_density_of_the_normal_forces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scene = drawn(0, 40)
-    problem = _Problem.of(scene, scene.N, EXPONENTS, 0.015)
-    chosen = _Chosen(0.03, 0.3, 0.1, 0.05, 4.0)
-    varied = np.array([1.5, 0.5])
-    evidence, c = problem.evidence(chosen, varied)
-    assert evidence == pytest.approx(dense(scene, chosen, varied, c), abs=1e-6)
-    # no other profile without negative coefficients makes them likelier
-    rng = np.random.default_rng(6)
-    for other in np.maximum(c * (1.0 + 0.01 * rng.normal(size=(9, 2))), 0.0):
-        assert problem.evidence(chosen, varied, other)[0] < evidence
-    assert problem.evidence(chosen, varied, c)[0] == pytest.approx(evidence)
+    exact = dense(scene, CHOSEN)
+    assert _Problem.of(scene, scene.N).evidence(CHOSEN) == pytest.approx(exact, abs=0.2)
+    monkeypatch.setattr(depth_map_estimate, "LEAST_EIGENVALUE", 1e-9)
+    monkeypatch.setattr(depth_map_estimate, "DEPTHS", 400)
+    found = _Problem.of(scene, scene.N).evidence(CHOSEN)
+    assert found == pytest.approx(exact, abs=2e-3)
+
+
+def test_fewer_nodes_tell_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bilinear interpolation, whose weights are 1 and which leaves planes alone."""
+    scene, smooth = drawn(0, 40), CHOSEN._replace(surface_length=0.15, noise=1.0)
+    exact = dense(scene, smooth)
+    monkeypatch.setattr(depth_map_estimate, "MOST_NODES", 60)
+    problem = _Problem.of(scene, scene.N)
+    assert problem.nodes.shape[1] <= 60 < problem.nodes.shape[0]
+    assert problem.evidence(smooth) == pytest.approx(exact, abs=0.5)
+    grid = scene.voxmap.grid
+    n_theta, n_z = grid.shape[1:]
+    spokes = np.arange(n_theta * n_z)
+    nodes, weights = _coarser(spokes, grid)
+    assert len(nodes) <= 60
+    np.testing.assert_allclose(weights @ np.ones(len(nodes)), 1.0)
+    np.testing.assert_allclose(weights @ (nodes % n_z), spokes % n_z, atol=1e-12)
+    inner = spokes // n_z <= nodes.max() // n_z  # beyond, the angle starts again
+    np.testing.assert_allclose(
+        (weights @ (nodes // n_z))[inner], (spokes // n_z)[inner], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("power", [1.0, 1.5, 2.0, 3.0])
@@ -110,16 +137,19 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
     scene = drawn(0, 40)
     p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
     grown = with_forces(scene, scene.N @ p)
-    found = _Problem.of(grown, scene.N, POWERS, 0.015).least_squares()
-    expected = 0.7 * (np.array(POWERS) == power)
+    found = least_squares_profile(grown)
+    expected = 0.7 * (np.array(found.exponents) == power)
     assert expected.any()
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(found.coefficients, expected, atol=1e-6)
+    c, mean = _Problem.of(grown, grown.N).mean(power)
+    assert c == pytest.approx(0.7)
+    np.testing.assert_allclose(mean, _Problem.of(grown, grown.N).force, rtol=1e-9)
 
 
 def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Medians and factors as in docs/method.md, (8.15); starts at other ratios."""
+    """Medians and factors as in docs/method.md, (8.15); starts at two depth lengths."""
     asked = []
 
     def climbed(evidence: Any, n: int, calls: int, starts: Any) -> PosteriorMode:
@@ -128,68 +158,57 @@ def test_the_posterior_has_the_priors_of_the_method(
 
     monkeypatch.setattr(depth_map_estimate, "posterior_mode", climbed)
     scene = drawn(0, 40)
-    found = estimate_depth_map(scene, exponents=EXPONENTS)
-    medians = _Chosen(0.03, 0.4, 0.05, 0.03, 1.0)
-    assert (found.surface_length, found.deviation, found.length_ratio) == pytest.approx(
-        (0.03, 0.4, 1.0)
+    found = estimate_depth_map(scene)
+    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05])
+    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0])
+    assert found.profile.exponents == (1.3,)
+    assert (found.surface_length, found.deviation, found.depth_length) == pytest.approx(
+        (0.03, 0.4, 0.01)
     )
-    size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
-    size = size[(scene.rows.contact_points > 0) & (size > 0.1)]
-    noise = np.sqrt(np.mean(0.05**2 + (0.03 * size) ** 2))
+    mean = _Problem.of(scene, scene.N).mean(1.3)[1]
+    noise = np.sqrt(np.mean(0.05**2 + (0.05 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
-    evidence, n, starts = asked[0]
-    assert n == 5
-    problem = _Problem.of(scene, scene.N, EXPONENTS, 0.015)
-    first = problem.profile(medians, problem.least_squares())
-    factors = np.exp([0.3, 1.0, 1.0, 0.7, 1.0])
-    for steps in (np.zeros(5), *np.eye(5), *-np.eye(5)):
-        chosen = _Chosen(*np.multiply(medians, factors**steps))
-        _, c = problem.evidence(chosen, first)
-        assert evidence(steps) == pytest.approx(dense(scene, chosen, first, c))
-    ratios = [1.0 * factors[4] ** start[4] for start in starts]
-    assert ratios == pytest.approx([0.1, 10.0])
-    assert not np.any([start[:4] for start in starts])
+    (evidence, n, starts), problem = asked[0], _Problem.of(scene, scene.N)
+    assert n == 6
+    for steps in (np.zeros(6), *np.eye(6)):
+        chosen = _Chosen(*(medians * factors**steps))
+        assert evidence(steps) == pytest.approx(problem.evidence(chosen))
+    lengths = [0.01 * factors[3] ** start[3] for start in starts]
+    assert lengths == pytest.approx([0.02, 0.002])
+    estimate_depth_map(scene, depth_length=0.02)
+    assert asked[1][1] == 5 and not asked[1][2]
 
 
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
     """Rows twice as large are those of a field half as large; all else stays."""
     scene = drawn(3, 40)
-    one = estimate_depth_map(scene, exponents=EXPONENTS)
+    one = estimate_depth_map(scene, depth_length=0.015)
     rows = sp.csr_array(2.0 * scene.N)
-    two = estimate_depth_map(scene, rows, exponents=EXPONENTS)
+    two = estimate_depth_map(scene, rows, depth_length=0.015)
     assert one.profile.coefficients == pytest.approx(
         [2.0 * c for c in two.profile.coefficients]
     )
-    for name in ("deviation", "surface_length", "noise", "length_ratio"):
+    for name in ("deviation", "surface_length", "noise"):
         assert getattr(one, name) == pytest.approx(getattr(two, name))
     assert two.depth_length == 0.015
 
 
-def lifted(scene: Scene, frame: int, points: int) -> Scene:
-    """A frame's probe lifted off until so many of its points are in contact."""
+def lifted(scene: Scene, frame: int) -> Scene:
+    """A frame's probe lifted off the patient."""
     trajectory = scene.trajectory
-    up = trajectory.position[frame] * [1.0, 1.0, 0.0]
-    lifts = np.linspace(0.0, 0.03, 600)[:, None] * up / np.linalg.norm(up)
-    turned = np.tile(trajectory.rotation[frame], (len(lifts), 1, 1))
-    places = trajectory.position[frame] + lifts
-    rows = contact_rows(scene.voxmap, scene.shell, turned, places)
     position = trajectory.position.copy()
-    position[frame] = places[np.flatnonzero(rows.contact_points == points)[0]]
+    position[frame] *= [1.3, 1.3, 1.0]
     given = {"inner": 2.0, "outer": 1.5, "sampling": "trilinear"}
     moved = replace(trajectory, position=position)
     return Scene.assemble(scene.voxmap, scene.shell, moved, **given)
 
 
-def test_frames_without_contact_or_force_do_not_count() -> None:
-    """Nothing of the air, nor below 0.1 N; 0.11 N counts, and a single point."""
-    scene = lifted(lifted(drawn(0, 40), 0, 0), 1, 1)
-    force = scene.f.reshape(-1, 3) / np.linalg.norm(
-        scene.f.reshape(-1, 3), axis=1, keepdims=True
-    )
-    force[2:5] *= 0.09
-    force[5:8] *= 0.11
-    problem = _Problem.of(with_forces(scene, force), scene.N, EXPONENTS, 0.015)
-    np.testing.assert_array_equal(problem.force, force[[1, *range(5, 40)]].ravel())
+def test_frames_in_the_air_do_not_count() -> None:
+    scene = drawn(0, 40)
+    whole = _Problem.of(scene, scene.N).force
+    away = lifted(scene, 0)
+    kept = _Problem.of(with_forces(away, scene.f), away.N).force
+    np.testing.assert_allclose(kept, whole[1:])
 
 
 @pytest.mark.parametrize(
@@ -199,66 +218,58 @@ def test_many_frames_are_thinned_evenly(
     most: int, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No more than are asked for, by the least step that does it."""
-    monkeypatch.setattr(depth_map_estimate, "MOST_FRAMES", most)
     scene = drawn(0, 40)
-    force = scene.f.reshape(-1, 3)
-    assert (np.linalg.norm(force, axis=1) > 0.1).all()
     assert (scene.rows.contact_points > 0).all()
-    kept = _Problem.of(scene, scene.N, EXPONENTS, 0.015).force.reshape(-1, 3)
+    whole = _Problem.of(scene, scene.N).force
+    monkeypatch.setattr(depth_map_estimate, "MOST_FRAMES", most)
+    kept = _Problem.of(scene, scene.N).force
     assert len(kept) <= most
-    np.testing.assert_array_equal(kept, force[::step])
+    np.testing.assert_allclose(kept, whole[::step])
 
 
-def test_where_variation_alone_explains_the_forces_a_profile_is_kept() -> None:
-    """Forces that pull are those of no profile that grows with depth."""
+def test_further_errors_count_along_the_contact_alone() -> None:
+    """A large variance across it changes nothing, along it the evidence of the rest."""
     scene = drawn(0, 40)
-    pulling = with_forces(scene, -scene.f)
-    problem = _Problem.of(pulling, scene.N, EXPONENTS, 0.015)
-    chosen, varied = _Chosen(0.03, 0.3, 0.1, 0.05, 1.0), np.array([1.5, 0.5])
-    evidence, c = problem.evidence(chosen, varied)
-    np.testing.assert_array_equal(c, varied)
-    assert evidence == pytest.approx(dense(pulling, chosen, varied, varied), abs=1e-6)
+    u = contact_directions(scene)
+    plain = _Problem.of(scene, scene.N).evidence(CHOSEN)
 
+    def covariance(blocks: np.ndarray) -> Any:
+        def of(frames: np.ndarray) -> np.ndarray:
+            out = np.zeros((3 * len(frames),) * 2)
+            for k, t in enumerate(frames):
+                out[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[t]
+            return out
 
-@pytest.mark.parametrize(
-    ("deviation", "first", "best"), [(0.3, (0.0, 1e3), 2), (1.0, (20.0, 0.0), 1)]
-)
-def test_of_the_rounds_of_a_profile_the_likeliest_counts(
-    deviation: float, first: tuple[float, float], best: int
-) -> None:
-    """Each begins with what the last one found; it may be no better."""
-    scene = drawn(0, 40)
-    problem = _Problem.of(scene, scene.N, EXPONENTS, 0.015)
-    chosen = _Chosen(0.03, deviation, 0.1, 0.05, 1.0)
-    rounds = [np.array(first)]
-    for _ in range(2):
-        rounds.append(problem.evidence(chosen, rounds[-1])[1])
-    own = [problem.evidence(chosen, c, c)[0] for c in rounds]
-    assert max(own) == own[best] and own[best] > 1.0 + own[best - 1]
-    np.testing.assert_array_equal(problem.profile(chosen, rounds[0]), rounds[best])
+        return of
+
+    along = u[:, :, None] * u[:, None, :]
+    across = _Problem.of(scene, scene.N, errors=covariance(100.0 * (np.eye(3) - along)))
+    assert across.evidence(CHOSEN) == pytest.approx(plain, abs=1e-6)
+    more = _Problem.of(scene, scene.N, errors=covariance(0.1**2 * along))
+    noisier = CHOSEN._replace(noise=float(np.hypot(CHOSEN.noise, 0.1)))
+    expected = _Problem.of(scene, scene.N).evidence(noisier)
+    assert more.evidence(CHOSEN) == pytest.approx(expected, abs=1e-9)
 
 
 def test_noise_is_never_less_than_a_covariance_needs() -> None:
     scene = drawn(0, 40)
-    problem = _Problem.of(scene, scene.N, EXPONENTS, 0.015)
-    silent = _Chosen(0.03, 0.3, 1e-9, 1e-9, 1.0)
-    rms = np.sqrt((problem.force**2).sum() / (len(problem.force) / 3))
-    np.testing.assert_allclose(np.sqrt(problem.variances(silent)), 1e-4 * rms)
+    problem = _Problem.of(scene, scene.N)
+    silent = CHOSEN._replace(noise=1e-9, relative_noise=1e-9)
+    rms = np.sqrt(np.mean(problem.force**2))
+    _, mean = problem.mean(1.2)
+    np.testing.assert_allclose(np.sqrt(problem.variances(silent, mean)), 1e-4 * rms)
 
 
 def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     scene = drawn(3)
-    found = estimate_depth_map(scene, exponents=EXPONENTS)
-    assert found.noise == pytest.approx(0.1, rel=0.2)
+    found = estimate_depth_map(scene)
+    assert found.noise == pytest.approx(0.1, rel=0.3)
     depth = np.array([0.004])
     assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
     assert 0.15 < found.deviation < 0.6
-
-
-@pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
-def test_it_finds_in_which_direction_a_drawn_field_varies(ratio: float) -> None:
-    found = estimate_depth_map(drawn(3, ratio=ratio), exponents=EXPONENTS)
-    assert abs(np.log(found.length_ratio / ratio)) < np.log(4.0)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(found.sizes(scene) ** 2)), found.noise, rtol=0.05
+    )
 
 
 def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
@@ -266,20 +277,31 @@ def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
     rng = np.random.default_rng(4)
     size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
     own = np.repeat(0.3 * size, 3) * rng.standard_normal(scene.f.shape)
-    found = estimate_depth_map(with_forces(scene, scene.f + own), exponents=EXPONENTS)
+    found = estimate_depth_map(with_forces(scene, scene.f + own))
     assert found.noise == pytest.approx(
-        np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.3
+        np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.35
     )
+
+
+def test_errors_that_a_press_shares_are_not_taken_for_tissue() -> None:
+    """Alike over millimetres: the tissue would vary as fast, if frames were apart."""
+    scene = drawn(3, 120)
+    press = np.arange(120) // 8
+    rng = np.random.default_rng(5)
+    shared = np.repeat(1.0 + 0.05 * rng.standard_normal(15)[press], 3)
+    found = estimate_depth_map(with_forces(scene, scene.f * shared))
+    assert found.surface_length > 0.015
 
 
 def test_forces_that_pull_and_none_at_all_are_refused() -> None:
     scene = drawn(0, 20)
-    with pytest.raises(InputError, match="pull the probe in"):
-        estimate_depth_map(with_forces(scene, -scene.f), exponents=EXPONENTS)
-    with pytest.raises(InputError, match="touches they reach 0 N only"):
-        estimate_depth_map(with_forces(scene, 0.0 * scene.f), exponents=EXPONENTS)
+    for estimate in (estimate_depth_map, least_squares_profile):
+        with pytest.raises(InputError, match="pull the probe in"):
+            estimate(with_forces(scene, -scene.f))
+        with pytest.raises(InputError, match="touches they reach 0 N only"):
+            estimate(with_forces(scene, 0.0 * scene.f))
     away = replace(scene.trajectory, position=[1.2, 1.2, 1] * scene.trajectory.position)
     with pytest.warns(TtusWarning, match="touches the patient in none"):
         apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
     with pytest.raises(InputError, match="never touches"):
-        estimate_depth_map(apart, exponents=EXPONENTS)
+        estimate_depth_map(apart)

@@ -11,7 +11,7 @@ from tests.dragging import dragged_scene
 from ttus_opt.errors import InputError
 from ttus_opt.problem.formulation import load
 from ttus_opt.terms.drag import GlobalCoulomb
-from ttus_opt.terms.drag_estimate import estimate_drag
+from ttus_opt.terms.drag_estimate import LEAST_GAIN, estimate_drag
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
@@ -103,3 +103,19 @@ def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
         estimate = estimate_drag(scene)
         assert estimate.boundary_scale == pytest.approx(1.0, abs=0.02)
         assert estimate.friction_coefficient == pytest.approx(0.25, rel=0.15)
+
+
+def test_drag_is_shown_where_forces_need_it() -> None:
+    """A gain of one by chance; that of recordings with drag grows with the places."""
+    scene = dragged_scene("contact")
+    found = estimate_drag(scene)
+    assert found.is_shown and found.gain > 3.0 * LEAST_GAIN
+    p = scene.laplace.solve(scene.b)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, scene.f.shape)
+    smooth = replace(
+        scene.trajectory,
+        force=(scene.N @ p + noise).reshape(-1, 3),
+        torque=(scene.W @ p).reshape(-1, 3),
+    )
+    without = estimate_drag(replace(scene, trajectory=smooth))
+    assert not without.is_shown and without.gain < 2.0

@@ -280,6 +280,7 @@ def _errors(
     at = row.reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
     own = posterior.measured
+
     def unmixed(rows: Array) -> Array:
         """Weighted rows as wrenches by frame, (…, n, h)."""
         return np.asarray(np.linalg.solve(mixed, by_frame(rows, at)[..., None])[..., 0])

@@ -10,25 +10,15 @@ See docs/method.md, "Tuning".
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.blas_threads import one_blas_thread
-from ttus_opt.errors import InputError
-from ttus_opt.fitting.covariance_posterior import CovariancePosterior
-from ttus_opt.fitting.weight_criteria import left_out_errors, presses
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.terms.structure import known_covariance
 
 #: Fewest presses for a comparison, so that the remaining ones lie at several places [–]
 LEAST_PRESSES = 3
-
-#: Most frames used for a prior of known covariance [–]
-MOST_FRAMES = 200
 
 
 @dataclass(frozen=True)
@@ -113,11 +103,6 @@ class Check:
         return self.made and self._excess < 0.0
 
     @property
-    def clear(self) -> bool:
-        """Whether its error is smaller by more than a standard error."""
-        return self.made and -self._excess > self.difference_error
-
-    @property
     def _excess(self) -> float:
         return self.richer_error - self.simpler_error
 
@@ -145,48 +130,3 @@ def _means(errors: Array, press: IntArray) -> Array:
     """Mean per press, in the order of their numbers."""
     _, place, count = np.unique(press, return_inverse=True, return_counts=True)
     return np.asarray(np.bincount(place, errors) / count)
-
-
-@one_blas_thread()
-def left_out_of(declared: Formulation) -> LeftOut:
-    """Leave presses out of a formulation whose prior has a known covariance.
-
-    Its options, and a searched coefficient, are as declared. At most `MOST_FRAMES`
-    evenly spaced frames are used, each weighted by the number it stands for.
-
-    Raises:
-        InputError: Its prior is of another kind, or no force is measured in contact.
-    """
-    program, scene = declared.compile(), declared.scene
-    prior = next((t for t in program.terms if known_covariance(t.tags)), None)
-    frames = np.flatnonzero(scene.rows.contact_points > 0)
-    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
-    if prior is None or "force" not in {t.name for t in measured} or not len(frames):
-        raise InputError(
-            f"{declared.name} has no prior of known covariance, or no force in contact"
-        )
-    every = -(-len(frames) // MOST_FRAMES)
-    frames = frames[::every]
-    rows = (3 * frames[:, None] + np.arange(3)).ravel()
-    thinned = [_some(term, rows, every) for term in measured]
-    found = CovariancePosterior.of(prior, thinned)
-    of_rows = np.tile(np.repeat(presses(scene)[frames], 3), len(thinned))[
-        found.informative
-    ]
-    own, at = found.measured, [t.name for t in thinned].index("force")
-    root = np.sqrt(thinned[at].weight / prior.weight)
-    error = np.zeros(len(found.informative))
-    left_out = left_out_errors(own.half, own.solve(own.misfit), of_rows)
-    error[found.informative] = left_out / root
-    force = error[at * len(rows) : (at + 1) * len(rows)].reshape(-1, 3)
-    return LeftOut(declared.name, frames, np.linalg.norm(force, axis=1))
-
-
-def _some(term: ProgramTerm, rows: IntArray, every: int) -> ProgramTerm:
-    """Some rows of a measured term, each standing for ``every`` rows."""
-    return replace(
-        term,
-        weight=every * term.weight,
-        matrix=term.matrix[rows],
-        target=term.target[rows],
-    )

@@ -218,14 +218,19 @@ def default_model(
         options: Options of the depth map, without weights.
         sampling: How contact samples the field.
         progress: Called with a message for every step.
+
+    Raises:
+        InputError: Options that the depth map does not have.
     """
     place = scene if scene.sampling == sampling else resampled(scene, sampling)
     try:
-        name = DEPTH_MAPS[estimate_drag(place).friction_coefficient > 0.0]
+        name = DEPTH_MAPS[estimate_drag(place).is_shown]
         if progress is not None:
             progress(f"{name}, {sampling} sampling")
         declared = shelf.load(name, place, **(options or {}))
     except InputError as error:
+        if options:
+            raise
         return _own(scene, shelf.load(DEFAULT_FORMULATION, scene), str(error))
     return WeightChoice(place, declared, reasons=described(declared))
 

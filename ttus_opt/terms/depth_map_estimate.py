@@ -56,7 +56,7 @@ PRIOR = {
     "exponent": (1.3, 0.35),
     "surface_length": (0.03, 0.5),
     "deviation": (0.4, 0.7),
-    "depth_length": (0.01, 1.0),
+    "depth_length": (0.01, 0.5),
     "noise": (0.05, 1.0),
     "relative_noise": (0.05, 1.0),
 }

@@ -8,16 +8,25 @@ every point of the probe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.contact.places import touched_places
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
 from ttus_opt.terms.drag import GlobalCoulomb
+
+#: Gain above which drag is shown: a χ² of one degree of freedom exceeds it in one of a
+#: hundred cases [–]
+LEAST_GAIN = 6.6
+
+#: Relative misfit that is rounding [–]
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -31,6 +40,8 @@ class DragEstimate:
         misfit: Root mean square of force residuals and, if torques were measured, of
             torque residuals over ℓ [N].
         drag: Drag there, without a coefficient; its rows are known.
+        gain: Twice the logarithm of the likelihood ratio with and without drag, with
+            one independent residual per component of the force and place [–].
     """
 
     friction_coefficient: float
@@ -38,6 +49,12 @@ class DragEstimate:
     acts_at: str
     misfit: float
     drag: GlobalCoulomb = field(repr=False, compare=False)
+    gain: float = 0.0
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the recordings show drag."""
+        return self.gain > LEAST_GAIN
 
 
 def estimate_drag(
@@ -72,7 +89,8 @@ def estimate_drag(
     if not scene.measures_force_only:
         measured = np.concatenate([measured, scale * scene.tau])
         pressed = np.concatenate([pressed, scale * (scene.W @ p)])
-    found = []
+    touching, own = scene.rows.contact_points > 0, scene.trajectory
+    at, found = touched_places(touching, own.segment, own.position), []
     for place in places:
         drag = GlobalCoulomb(scene, place, deadband)
         dragged = drag.rows.force @ p
@@ -84,7 +102,15 @@ def estimate_drag(
             s, s_mu = _scale(pressed, measured), 0.0
         misfit = _mean_size(measured - columns @ [s, s_mu])
         mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
-        found.append(DragEstimate(mu, float(s), place, misfit, drag))
+        pressing = bool(pressed.any())
+        free = pressed * (_scale(pressed, measured) if pressing else 0.0)
+        without = _mean_size(measured - free)
+        n_places = len(np.unique(at[at >= 0]))
+        gain = 0.0
+        if without > misfit:
+            least = max(misfit, ROUNDING * without)
+            gain = 6.0 * n_places * math.log(without / least)
+        found.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
     best = min(found, key=lambda one: one.misfit)
     if not best.friction_coefficient:
         return best
@@ -92,7 +118,7 @@ def estimate_drag(
         return best
     s = _scale(pressed, measured)
     misfit = _mean_size(measured - s * pressed)
-    return replace(best, friction_coefficient=0.0, boundary_scale=s, misfit=misfit)
+    return DragEstimate(0.0, s, best.acts_at, misfit, best.drag)
 
 
 def _scale(pressed: Array, measured: Array) -> float:
