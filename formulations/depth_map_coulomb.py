@@ -32,7 +32,7 @@ def build(
     acts_at: str = "auto",
     deadband: float = DEADBAND,
 ) -> Formulation:
-    """Weights λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
+    """λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
     check_coefficient(largest_friction)
     check_depth_map(scene.voxmap.grid, depth_length=depth_length)
     guess = estimate_drag(scene, acts_at, deadband)

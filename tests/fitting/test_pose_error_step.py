@@ -21,6 +21,7 @@ NOISE = TrackerNoise(4e-4, 0.01, 0.2)
 MAP = DepthMapEstimate(
     DepthProfile((1.0, 2.0), (1.0, 0.5)),
     *(0.3, 0.03, 0.015, 0.1, 0.0),
+    length_ratio=2.0,
     sensor_noise=0.05,
     relative_noise=0.04,
 )
@@ -52,7 +53,7 @@ def latest(of: PoseErrorProblem) -> State:
 def dense_prior(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the field, of all voxels."""
     mean = voxel_profile(scene, MAP.profile)
-    lengths = MAP.surface_length, MAP.depth_length
+    lengths = MAP.surface_length, MAP.depth_length, MAP.length_ratio
     covariance = SeparableCovariance.over(scene.voxmap, MAP.deviation * mean, *lengths)
     rows = covariance.rows.toarray()
     dense = np.linalg.inv(rows.T @ rows)

@@ -23,9 +23,11 @@ from ttus_opt.fitting.weight_choice import (
     choose_weights,
     has_choice,
     has_weights,
+    resampled,
 )
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
+from ttus_opt.terms.depth_map_estimate import estimate_depth_map
 
 OWN = {"force": 1e-2, "torque": 1e-2}
 
@@ -216,19 +218,23 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 
 
-def test_the_default_is_a_depth_map_by_contact_size() -> None:
+def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
     """The same by name in that scene; with drag where the recordings show it."""
     choice = choose_weights(drawn())
-    assert choice.formulation.name == "depth_map"
-    assert choice.scene.sampling == "contact-size" and choice.tuning is None
+    assert choice.formulation.name == "depth_map" and choice.tuning is None
     assert "by marginal likelihood" in choice.lines[0]
     assert choice.as_dict()["by"] == "marginal likelihood"
+    likely = {
+        each: estimate_depth_map(resampled(drawn(), each)).log_evidence
+        for each in ("contact-size", "trilinear")
+    }
+    assert choice.scene.sampling == max(likely, key=likely.__getitem__)
+    assert all(f"{each} {e:.1f}" in choice.lines[-1] for each, e in likely.items())
     named = choose_weights(choice.scene, "depth_map")
     assert str(named.formulation) == str(choice.formulation)
-    own = choose_weights(drawn(), sampling="trilinear")
-    assert own.scene is drawn()
+    assert choose_weights(drawn(), sampling="voxel-mean").scene.sampling == "voxel-mean"
     found = tt.fit(drawn(), weights="auto")
-    assert found.field.sampling == "contact-size"
+    assert found.field.sampling == choice.scene.sampling
     assert found.chosen == choice.lines
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)

@@ -54,7 +54,7 @@ def test_bad_options_are_refused(name: str, value: float) -> None:
         term(**{name: value})
 
 
-ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 0.0)
+ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 0.0, length_ratio=2.0)
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,7 @@ def test_what_is_given_replaces_its_estimate_alone(name: str, value: float) -> N
         deviation=0.3,
         surface_length=0.02,
         depth_length=0.011,
+        length_ratio=2.0,
     )
     assert found == expected
     given = DepthMapTerm.of(scene, ESTIMATED, **{name: value})

@@ -60,7 +60,7 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05)
+CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5)
 
 
 def dense(scene: Scene, chosen: _Chosen) -> float:
@@ -80,7 +80,8 @@ def dense(scene: Scene, chosen: _Chosen) -> float:
         [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
     )
     d = depth[touched, None]
-    prior = matern(cdist(place, place), chosen.surface_length)
+    stretched = np.sqrt(chosen.length_ratio) ** np.array([-1.0, -1.0, 1.0]) * place
+    prior = matern(cdist(stretched, stretched), chosen.surface_length)
     prior *= matern(cdist(d, d), chosen.depth_length)
     N = N[:, touched] * (d[:, 0] / 0.01) ** chosen.exponent
     G = N.sum(axis=1)
@@ -152,7 +153,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
 def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Medians and factors as in docs/method.md, (8.15); starts at two depth lengths."""
+    """Medians and factors as in docs/method.md, (8.15); starts at several lengths."""
     asked = []
 
     def climbed(evidence: Any, n: int, calls: int, starts: Any) -> PosteriorMode:
@@ -162,8 +163,8 @@ def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch.setattr(depth_map_estimate, "posterior_mode", climbed)
     scene = drawn(0, 40)
     found = estimate_depth_map(scene)
-    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05])
-    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0])
+    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05, 1.0])
+    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0, 0.5])
     assert found.profile.exponents == (1.3,)
     assert (found.surface_length, found.deviation, found.depth_length) == pytest.approx(
         (0.03, 0.4, 0.01)
@@ -172,14 +173,16 @@ def test_the_posterior_has_the_priors_of_the_method(
     noise = np.sqrt(np.mean(0.05**2 + (0.05 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
     (evidence, n, starts), problem = asked[0], _Problem.of(scene, scene.N)
-    assert n == 6
-    for steps in (np.zeros(6), *np.eye(6)):
+    assert n == 7
+    for steps in (np.zeros(7), *np.eye(7)):
         chosen = _Chosen(*(medians * factors**steps))
         assert evidence(steps) == pytest.approx(problem.evidence(chosen))
-    lengths = [0.01 * factors[3] ** start[3] for start in starts]
-    assert lengths == pytest.approx([0.02, 0.002])
+    begun = medians * factors ** np.array(starts)
+    assert begun[:, 3] == pytest.approx([0.02, 0.002, 0.01, 0.01])
+    assert begun[:, 6] == pytest.approx([1.0, 1.0, 5.0, 0.2])
+    assert begun[:, 1] == pytest.approx([0.03, 0.03, 0.015, 0.015])
     estimate_depth_map(scene, depth_length=0.02)
-    assert asked[1][1] == 5 and not asked[1][2]
+    assert asked[1][1] == 6
 
 
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
@@ -273,6 +276,12 @@ def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     np.testing.assert_allclose(
         np.sqrt(np.mean(found.sizes(scene) ** 2)), found.noise, rtol=0.05
     )
+
+
+@pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
+def test_it_finds_in_which_direction_a_drawn_field_varies(ratio: float) -> None:
+    found = estimate_depth_map(drawn(3, ratio=ratio))
+    assert np.log(found.length_ratio) * np.log(ratio) > 0.5 * np.log(16.0)
 
 
 def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:

@@ -195,6 +195,7 @@ class _Prior:
             found.deviation * mean,
             found.surface_length,
             found.depth_length,
+            found.length_ratio,
         )
         touched = np.unique(np.concatenate([m.indices for m in (own, *moved)]))
         few = sp.csr_array(own[:, touched])

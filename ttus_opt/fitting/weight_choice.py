@@ -30,15 +30,17 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.force import ForceTerm
 
 #: Fewest frames in contact for three or four hyperparameters [–]
 LEAST_FRAMES = 12
 
-#: The default model without and with drag, and its sampling
+#: The default model without and with drag, and its samplings: pressure on tissue that
+#: is deep relative to the probe depends on the probe's size, on a thin layer not
 DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
-SAMPLING = "contact-size"
+SAMPLINGS = ("contact-size", "trilinear")
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def choose_weights(
         scene: Patient, probe and measurements.
         formulation: The formulation; None for the default model (`default_model`).
         options: Options of the formulation, without weights.
-        sampling: Of the default model; None for its usual one.
+        sampling: Of the default model; None for the more likely one.
         strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
         progress: As in `tune`.
@@ -177,7 +179,7 @@ def choose_weights(
     options = options or {}
     refuse_weights(options)
     if formulation is None:
-        return default_model(scene, options, sampling or SAMPLING, progress=progress)
+        return default_model(scene, options, sampling, progress=progress)
     own = shelf.load(formulation, scene, **options)
     if any(isinstance(term, DepthMapTerm) for term in own.terms):
         return WeightChoice(scene, own, reasons=described(own))
@@ -204,35 +206,43 @@ def choose_weights(
 def default_model(
     scene: Scene,
     options: Mapping[str, Any] | None = None,
-    sampling: str = SAMPLING,
+    sampling: str | None = None,
     *,
     progress: Callable[[str], None] | None = None,
 ) -> WeightChoice:
-    """The model of a fit with no choice of the user's: a depth map, by contact size.
+    """The model of a fit with no choice of the user's: a depth map.
 
-    With drag where the recordings show it. Where no depth map explains the forces, the
-    default formulation with its own weights, and a warning with the reason.
+    With drag where the recordings show it, in the more likely sampling. Where no depth
+    map explains the forces, the default formulation with its own weights, and a warning
+    with the reason.
 
     Args:
         scene: Patient, probe and measurements.
         options: Options of the depth map, without weights.
-        sampling: How contact samples the field.
+        sampling: How contact samples the field; None for the more likely of
+            `SAMPLINGS`.
         progress: Called with a message for every step.
 
     Raises:
         InputError: Options that the depth map does not have.
     """
-    place = scene if scene.sampling == sampling else resampled(scene, sampling)
-    try:
-        name = DEPTH_MAPS[estimate_drag(place).is_shown]
+    tried = []
+    for each in SAMPLINGS if sampling is None else (sampling,):
+        place = scene if scene.sampling == each else resampled(scene, each)
+        drag = estimate_drag(place)
         if progress is not None:
-            progress(f"{name}, {sampling} sampling")
-        declared = shelf.load(name, place, **(options or {}))
-    except InputError as error:
-        if options:
-            raise
-        return _own(scene, shelf.load(DEFAULT_FORMULATION, scene), str(error))
-    return WeightChoice(place, declared, reasons=described(declared))
+            progress(f"{DEPTH_MAPS[drag.is_shown]}, {each} sampling")
+        rows = place.N - drag.friction_coefficient * drag.drag.rows.force
+        try:
+            found = estimate_depth_map(place, rows if drag.is_shown else None)
+        except InputError as error:
+            return _own(scene, shelf.load(DEFAULT_FORMULATION, scene), str(error))
+        tried.append((found.log_evidence, place, drag.is_shown))
+    _, place, shown = max(tried, key=lambda one: one[0])
+    declared = shelf.load(DEPTH_MAPS[shown], place, **(options or {}))
+    evidence = ", ".join(f"{p.sampling} {e:.1f}" for e, p, _ in tried)
+    reasons = *described(declared), f"log evidence by sampling: {evidence}"
+    return WeightChoice(place, declared, reasons=reasons)
 
 
 def described(model: Formulation) -> tuple[str, ...]:

@@ -69,7 +69,9 @@ class DepthMapTerm(Term):
                 estimate.surface_length if surface_length is None else surface_length
             ),
             depth_length=estimate.depth_length,
-            length_ratio=1.0 if length_ratio is None else length_ratio,
+            length_ratio=(
+                estimate.length_ratio if length_ratio is None else length_ratio
+            ),
         )
 
     @property

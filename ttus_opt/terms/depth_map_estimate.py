@@ -37,6 +37,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map_limits import (
     DEVIATIONS,
+    RATIOS,
     depth_lengths,
     surface_lengths,
 )
@@ -59,10 +60,18 @@ PRIOR = {
     "depth_length": (0.01, 0.5),
     "noise": (0.05, 1.0),
     "relative_noise": (0.05, 1.0),
+    "length_ratio": (1.0, 0.5),
 }
 
-#: Initial lengths along the depth: of stiff inclusions and of a thin layer [m]
-DEPTH_LENGTHS = (0.02, 0.002)
+#: Initial values, which lead to separate maxima of the posterior: lengths along the
+#: depth of stiff inclusions and of a thin layer [m]; structures around the patient,
+#: such as ribs, and along it [–]
+STARTS = (
+    {"depth_length": 0.02},
+    {"depth_length": 0.002},
+    {"surface_length": 0.015, "length_ratio": 5.0},
+    {"surface_length": 0.015, "length_ratio": 0.2},
+)
 
 #: Most evaluations of the evidence
 CALLS = 300
@@ -101,6 +110,8 @@ class DepthMapEstimate:
         log_evidence: Log evidence plus log prior, up to a constant [–].
         sensor_noise: σ_0 of a normal force [N].
         relative_noise: ρ [–].
+        length_ratio: Length around the patient over length along it, of which ℓ is the
+            geometric mean [–].
     """
 
     profile: DepthProfile
@@ -111,6 +122,7 @@ class DepthMapEstimate:
     log_evidence: float
     sensor_noise: float = 0.0
     relative_noise: float = 0.0
+    length_ratio: float = 1.0
 
     def sizes(self, scene: Scene) -> Array:
         """Standard deviation s of every frame's normal force, shape (T,) [N]."""
@@ -156,6 +168,7 @@ def estimate_depth_map(
         "surface_length": surface_lengths(grid),
         "depth_length": depth_lengths(grid),
         "deviation": DEVIATIONS,
+        "length_ratio": RATIOS,
     }
 
     def chosen(steps: Array) -> _Chosen:
@@ -164,12 +177,11 @@ def estimate_depth_map(
             values[name] = np.clip(values[name], *limits[name])
         return _Chosen(**held, **{name: float(v) for name, v in values.items()})
 
-    starts = []
-    if depth_length is None:
-        at = names.index("depth_length")
-        starts = list(np.zeros((len(DEPTH_LENGTHS), len(names))))
-        for start, length in zip(starts, DEPTH_LENGTHS, strict=True):
-            start[at] = (np.log(length) - medians[at]) / widths[at]
+    starts = list(np.zeros((len(STARTS), len(names))))
+    for start, values in zip(starts, STARTS, strict=True):
+        for name in values.keys() & set(names):
+            at = names.index(name)
+            start[at] = (np.log(values[name]) - medians[at]) / widths[at]
     mode = posterior_mode(
         lambda steps: problem.evidence(chosen(steps)), len(names), CALLS, starts
     )
@@ -184,6 +196,7 @@ def estimate_depth_map(
         mode.log_posterior,
         found.noise,
         found.relative_noise,
+        found.length_ratio,
     )
 
 
@@ -248,6 +261,7 @@ class _Chosen(NamedTuple):
     depth_length: float
     noise: float
     relative_noise: float
+    length_ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -260,7 +274,8 @@ class _Problem:
         depth: Depths of the touched voxels, shape (n,) [m].
         spoke: Index of every voxel's spoke among the k touched ones, shape (n,).
         nodes: Interpolation on these spokes from fewer nodes, shape (k, nodes).
-        between: Distances of the nodes on the surface, (nodes, nodes) [m].
+        around: Distances of the nodes around the patient, (nodes, nodes) [m].
+        along: The same along it [m].
         alike: Correlation of the errors that frames share, shape (m, m) [–].
         further: Covariance of further errors, shape (m, m) or () [N²].
     """
@@ -270,7 +285,8 @@ class _Problem:
     depth: Array = field(repr=False)
     spoke: IntArray = field(repr=False)
     nodes: sp.csr_array = field(repr=False)
-    between: Array = field(repr=False)
+    around: Array = field(repr=False)
+    along: Array = field(repr=False)
     alike: Array = field(repr=False)
     further: Array = field(repr=False)
 
@@ -290,9 +306,9 @@ class _Problem:
         force = scene.f if force is None else force
         frames = _frames(scene, force)
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
-        along = _along(contact_directions(scene)[frames])
+        normal = _along(contact_directions(scene)[frames])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
-        own = sp.csr_array(along @ rows[chosen])
+        own = sp.csr_array(normal @ rows[chosen])
         touched = np.unique(own.indices).astype(np.int64)
         grid, trajectory = scene.voxmap.grid, scene.trajectory
         n_spokes = grid.shape[1] * grid.shape[2]
@@ -301,20 +317,21 @@ class _Problem:
         j, k = np.unravel_index(nodes, grid.shape[1:])
         theta, z = grid.theta[j], grid.z[k]
         radius = scene.voxmap.surface.radius_at(theta, z)
-        place = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
+        place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
         press = runs(scene.rows.contact_points > 0, trajectory.segment)[frames]
         at = trajectory.position[frames]
         alike = matern(cdist(at, at), SHARED_DISTANCE) * (press[:, None] == press)
         further = np.zeros(())
         if errors is not None:
-            further = np.asarray(along @ (along @ errors(frames)).T)
+            further = np.asarray(normal @ (normal @ errors(frames)).T)
         problem = cls(
             sp.csr_array(own[:, touched]),
-            along @ force[chosen],
+            normal @ force[chosen],
             np.maximum(voxel_depths(scene.voxmap)[touched], 0.0),
             spoke,
             weights,
             cdist(place, place),
+            np.abs(z[:, None] - z),
             alike,
             further,
         )
@@ -337,7 +354,9 @@ class _Problem:
     def covariance(self, chosen: _Chosen) -> Array:
         """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
         power = powers_of(self.depth, (chosen.exponent,))[:, 0]
-        among = matern(self.between, chosen.surface_length)
+        root = np.sqrt(chosen.length_ratio)
+        between = np.hypot(self.around / root, self.along * root)
+        among = matern(between, chosen.surface_length)
         out = np.zeros((len(self.force),) * 2)
         for mode in self._modes(chosen.depth_length).T:
             data = self.rows.data * (power * mode)[self.rows.indices]

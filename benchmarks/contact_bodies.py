@@ -1,6 +1,6 @@
-"""One recipe on flat, round and sharp probes over half-space, layer and ribbed layer.
+"""The default on flat, round and sharp probes over half-space, layer, ribbed layer.
 
-    python benchmarks/contact_recipe.py --models recipe,depth_map,stiffness_map
+    python benchmarks/contact_bodies.py --models default,depth_map,stiffness_map
 
 Forces of presses follow from contact mechanics, not from a field: a sphere on a
 half-space (Hertz 1881), a flat square punch on it (Johnson, Contact Mechanics, 1985,
@@ -31,7 +31,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.comparators.fields import FieldModel
 from ttus_opt.errors import TtusError
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.recipe import choose_recipe
+from ttus_opt.fitting.weight_choice import default_model
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
@@ -62,13 +62,13 @@ NOISE = 0.02, 0.03, 2e-3
 SHAPE, R_INNER = (20, 90, 30), 0.12
 
 
-class Recipe(FieldModel):
-    """Formulation, sampling and weights by presses left out."""
+class Default(FieldModel):
+    """What ``ttus-opt fit`` takes without an option."""
 
-    name = "recipe"
+    name = "default"
 
     def _solved(self, scene: Scene) -> Solution:
-        choice = choose_recipe(scene)
+        choice = default_model(scene)
         sys.stderr.write(f"{choice.formulation.name}, {choice.scene.sampling}\n")
         return fit(choice.scene, choice.formulation)
 
@@ -158,7 +158,7 @@ def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
     told = noisy(whole.select(np.arange(half)), rng)
     unseen = whole.select(np.arange(half, 2 * half))
     surface = Surface.from_radius(np.full((90, 31), BODY), np.linspace(0, HEIGHT, 31))
-    kind = Recipe if model == "recipe" else comparators.kind(model)
+    kind = Default if model == "default" else comparators.kind(model)
     shell = probes()[probe][0]
     if issubclass(kind, FieldModel):
         ours = kind(surface=surface, shell=shell, shape=SHAPE, r_inner=R_INNER)
@@ -212,7 +212,7 @@ def words_of(*known: str) -> Callable[[str], list[str]]:
 def main() -> None:
     """Print a row per probe and body."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--models", default="recipe,depth_map,stiffness_map")
+    parser.add_argument("--models", default="default,depth_map,stiffness_map")
     for name, known in (("--probes", tuple(probes())), ("--bodies", BODIES)):
         parser.add_argument(name, type=words_of(*known), default=list(known))
     parser.add_argument("--sampling", default="trilinear", help="of the fields")
