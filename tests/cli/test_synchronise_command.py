@@ -59,6 +59,38 @@ def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> No
     assert "frames in 1 segments" in run(words).out
 
 
+def test_nanoseconds_of_one_clock_and_columns_of_each_file(
+    run: Run, given: Path, output: Path
+) -> None:
+    """Forces that begin 2 s after the poses stay there; each file has its own names."""
+    robot = read_trajectory(given / "robot.csv")
+    late = robot.select(robot.time >= 2.0)
+    assert late.force is not None
+    names = {"tracker": "stamp", "robot": "when"}
+    for name, recorded in (("tracker", robot), ("robot", late)):
+        recorded.save(given / f"{name}.csv")
+        head, *rows = (given / f"{name}.csv").read_text().splitlines()
+        cells = [row.split(",", 1) for row in rows]
+        rows = [
+            f"{1_700_000_000_000_000_000 + int(1e9 * float(t))},{r}" for t, r in cells
+        ]
+        text = "\n".join([f"{names[name]}{head[1:]}", *rows, ""])
+        (given / f"{name}.csv").write_text(text)
+    words = (
+        f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} "
+        f"-o {output / 'both.csv'} --columns t=stamp --wrench-columns t=when"
+    )
+    for how in ("--offset 0", "--by angular-speed"):
+        told = json.loads(run(f"{words} {how} --json").out)
+        assert told["offset_s"] == pytest.approx(0.0, abs=2e-3)
+        assert told["left_out"] == pytest.approx(len(robot) - len(late), abs=1)
+        joined = read_trajectory(output / "both.csv")
+        assert joined.force is not None
+        meant = np.interp(joined.time - 1.7e9, late.time, late.force[:, 2])
+        np.testing.assert_allclose(joined.force[:, 2], meant, atol=0.05)
+    refused(run(words.partition(" --columns")[0] + " --offset 0"), "no column t")
+
+
 @pytest.mark.slow
 def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
     words = (

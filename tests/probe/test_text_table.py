@@ -61,7 +61,7 @@ def test_an_export_of_ros(tmp_path: Path) -> None:
         for i, (_, px, py, pz, qw, qx, qy, qz, *rest) in enumerate(ROWS)
     ]
     read = tt.read_trajectory(write(tmp_path, ROS, body))
-    np.testing.assert_allclose(read.time, [0.0, 0.05, 0.1], atol=1e-6)
+    np.testing.assert_allclose(read.time - 1.7e9, [0.0, 0.05, 0.1], atol=1e-6)
     np.testing.assert_allclose(read.quat_wxyz[0], [0.6, 0.8, 0, 0], atol=1e-12)
     np.testing.assert_array_equal(read.torque, [row[11:] for row in ROWS])
 

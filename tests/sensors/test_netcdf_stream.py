@@ -149,6 +149,15 @@ def test_other_units_and_names(tmp_path: Path) -> None:
     found = read_netcdf_poses(file, {"t": "stamp", "position": "tip"})
     np.testing.assert_allclose(found.time, TIME)
     np.testing.assert_allclose(found.position, PLACE)
+    for origin, first in (("1970-01-01 00:00:02", 2.0), ("1970-01-01T00:01:00Z", 60.0)):
+        data.stamp.attrs["units"] = f"milliseconds since {origin}"
+        since = written(data, tmp_path / f"{first:g}.nc")
+        later = read_netcdf_poses(since, {"t": "stamp", "position": "tip"})
+        np.testing.assert_allclose(later.time, first + TIME)
+    data.stamp.attrs["units"] = "milliseconds since the start"
+    since = written(data, tmp_path / "start.nc")
+    with pytest.raises(FileError, match="since 'the start'"):
+        read_netcdf_poses(since, {"t": "stamp", "position": "tip"})
     with pytest.raises(FileError, match=r"no variable time, but.*t=…"):
         read_netcdf_poses(file)
 

@@ -26,6 +26,7 @@ def synchronise(
     surface: Path | None = None,
     transform: str | None = None,
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
+    wrench_columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     pose_topic: str | None = None,
     wrench_topic: str | None = None,
     together: bool = False,
@@ -51,7 +52,8 @@ def synchronise(
         surface: Surface file (.nc), in the poses' frame.
         transform: Name of the transform, if a .mha file has several, for instance
             ProbeToTracker.
-        columns: Column names of the files, or a YAML file of them.
+        columns: Column names of the poses' file, or a YAML file of them.
+        wrench_columns: Column names of the wrenches' file, or a YAML file of them.
         pose_topic: Topic of the poses, if a ROS recording has several.
         wrench_topic: Topic of the wrenches, if a ROS recording has several.
         together: Both recordings began at about the same time.
@@ -70,14 +72,17 @@ def synchronise(
     check_outputs([output], inputs, force=force)
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
-    named = read_column_map(columns)
-    track = read_poses(poses, transform or pose_topic, named)
+    named = read_column_map(wrench_columns)
+    track = read_poses(poses, transform or pose_topic, read_column_map(columns))
     stream = read_wrenches(wrenches, wrench_topic, named)
     found = None
     if by is not None:
         around = float(track.time[0] - stream.time[0]) if together else 0.0
         search = (around, largest_offset)
-        found = _found(track, stream, by, wrenches, surface, search)
+        robot = None
+        if by == "angular-speed":
+            robot = read_poses(wrenches, columns=named)
+        found = _found(track, robot or stream, by, surface, search)
         offset = found.seconds
     assert offset is not None
     joined = with_wrenches(track, stream, offset, largest_gap=largest_gap)
@@ -102,24 +107,22 @@ def synchronise(
 
 def _found(
     track: Trajectory,
-    stream: WrenchStream,
+    other: WrenchStream | Trajectory,
     by: str,
-    wrenches: Path,
     surface: Path | None,
     search: tuple[float, float],
 ) -> Offset:
-    """The offset by what the user names."""
+    """The offset by contact with forces, or by angular speed with other poses."""
+    from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors import clock
-    from ttus_opt.sensors.stream_files import read_poses
 
-    if by == "angular-speed":
-        first = clock.angular_speed(track)
-        second = clock.angular_speed(read_poses(wrenches))
+    if isinstance(other, Trajectory):
+        first, second = clock.angular_speed(track), clock.angular_speed(other)
     elif by == "contact":
         if surface is None:
             raise InputError("--by contact needs --surface, in the frame of the poses")
-        second = clock.contact_of_force(stream.time, stream.force)
+        second = clock.contact_of_force(other.time, other.force)
         share = float(second.values.mean())
         first = clock.contact_of_poses(track, Surface.load(surface), share)
     else:

@@ -137,8 +137,14 @@ class Conventions:
                 surface. None where all is in the patient's frame.
 
         Raises:
-            InputError: A frame without its motion.
+            InputError: A frame without its motion, or a delay beyond the recording.
         """
+        span = float(np.ptp(recorded.time))
+        if recorded.has_wrench and abs(self.wrench_delay) > span:
+            raise InputError(
+                f"a wrench_delay of {self.wrench_delay:g} s is longer than the "
+                f"recording, {span:.3g} s: give it in seconds, 0 for none"
+            )
         out = recorded
         if self.quaternion == "xyzw":
             out = replace(out, rotation=_reordered(out))

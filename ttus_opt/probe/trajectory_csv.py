@@ -14,7 +14,7 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
-from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
+from ttus_opt.probe.text_table import read_text_table, seconds
 
 TIME = ("t",)
 POSITION = ("px", "py", "pz")
@@ -86,9 +86,7 @@ def read_trajectory_columns(
     position = table.columns(POSITION)
     _require_below(table, position, MOST_POSITION, "m", "millimetres? divide by 1000")
     segment = _segments(table)
-    time = table.columns(TIME)[:, 0]
-    if time.min() > NANOSECONDS:
-        time = 1e-9 * (time - time[0])  # whole nanoseconds, as ROS stamps them
+    time = seconds(table.columns(TIME)[:, 0])
     _require_increasing(table, time, segment)
     _warn_of_milliseconds(table, time, segment)
     quaternion = _unit_quaternions(table)

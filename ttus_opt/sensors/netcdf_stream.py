@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.io import shortened
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.column_map import ORDER, ORDERS
@@ -206,11 +208,30 @@ def _time(data: xr.Dataset, names: Mapping[str, str]) -> Array:
         raise InputError(
             f"{found.name} has {found.ndim} dimensions, expected one for times"
         )
-    unit = str(found.attrs.get("units", "")).partition(" since ")[0]
-    values = _factor(found, "time", unit) * _numbers(found)
+    unit, _, origin = str(found.attrs.get("units", "")).partition(" since ")
+    values = _factor(found, "time", unit) * _numbers(found) + _unix(origin)
     if not np.isfinite(values).all():
         raise InputError(f"{found.name} contains NaN or infinity: drop those frames")
     return values
+
+
+def _unix(origin: str) -> float:
+    """Unix time of an origin of times, 0 for none [s]: files of one clock keep it.
+
+    Raises:
+        InputError: Not a date and time.
+    """
+    if not origin:
+        return 0.0
+    try:
+        date = datetime.fromisoformat(origin.strip().removesuffix("UTC").strip())
+    except ValueError as error:
+        raise InputError(
+            f"times are since {shortened(origin)}: write it as 2026-01-31 12:00:00"
+        ) from error
+    if date.tzinfo is None:
+        date = date.replace(tzinfo=UTC)
+    return date.timestamp()
 
 
 def _vector(data: xr.Dataset, name: str, names: Mapping[str, str], order: str) -> Array:

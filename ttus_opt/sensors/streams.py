@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError, located
-from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
+from ttus_opt.probe.text_table import read_text_table, seconds
 from ttus_opt.probe.trajectory import Trajectory
 
 FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
@@ -94,12 +94,9 @@ def read_wrench_stream(
     table = read_text_table(file, ("t", *FORCE), columns)
     with_torque = all(name in table.names for name in TORQUE)
     values = table.numbers(["t", *FORCE, *(TORQUE if with_torque else ())])
-    time = values[:, 0]
-    if len(time) and time.min() > NANOSECONDS:
-        time = 1e-9 * (time - time[0])
     torque = values[:, 4:7] if with_torque else None
     with located(file, FileError):
-        return WrenchStream(time, values[:, 1:4], torque)
+        return WrenchStream(seconds(values[:, 0]), values[:, 1:4], torque)
 
 
 def with_wrenches(
