@@ -39,13 +39,17 @@ class TtusWarning(UserWarning):
     """Something the user should know, although the work goes on."""
 
 
+class MistakeWarning(TtusWarning):
+    """A likely mistake in what was given; an error with ``--strict``."""
+
+
 class NumericalError(TtusError, ArithmeticError):
     """An iteration did not reach its tolerance; the message says how far it came."""
 
 
-def warn(message: str, depth: int = 1) -> None:
-    """Issue a `TtusWarning` that points ``depth`` calls above the calling function."""
-    warnings.warn(message, TtusWarning, stacklevel=depth + 2)
+def warn(message: str, depth: int = 1, kind: type[TtusWarning] = TtusWarning) -> None:
+    """Issue a warning that points ``depth`` calls above the calling function."""
+    warnings.warn(message, kind, stacklevel=depth + 2)
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.cut_off import cut_off
 from ttus_opt.contact.places import touched_places
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
-from ttus_opt.errors import InputError, warn
+from ttus_opt.errors import InputError, MistakeWarning, warn
 from ttus_opt.html_card import card, sections_svg
 from ttus_opt.laplace.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.laplace.boundary_scale import Identified, identified_scale
@@ -359,6 +359,7 @@ def _report_size(voxmap: Voxmap, shell: PointShell) -> None:
             f"the probe is {probe:.3g} m long, the patient {patient:.3g} m wide: check "
             "the unit of both",
             2,
+            MistakeWarning,
         )
 
 
@@ -371,6 +372,7 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
             f"{off} of {n_poses} poses lie outside the grid and give zero force: "
             "check the trajectory's frame and unit",
             2,
+            MistakeWarning,
         )
     if not (rows.contact_points > 0).any():
         warn(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from tests.cli.conftest import Run
 from ttus_opt import example
+from ttus_opt.probe.trajectory import read_trajectory
 
 NAMES = {
     **{f"p{c}": f"/robot/pose/position/{c}" for c in "xyz"},
@@ -69,6 +71,65 @@ def test_the_command_names_the_mistake_and_the_option_mends_it(
     expected = json.loads(own.out)["sanity"]["recordings"][0]
     for name in ("force_residual_N", "torque_residual_Nm"):
         assert told["recordings"][0][name] == pytest.approx(expected[name], rel=1e-6)
+
+
+COMMANDS = {
+    "fit": "-o {output}",
+    "tune": "",
+    "path": "--formulation eq10 --weight force_weight=0.01,0.1 -o {output}",
+    "refine-poses": "-o {output}",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_strict_refuses_a_likely_mistake(
+    run: Run, tmp_path: Path, command: str
+) -> None:
+    output = tmp_path / "out"
+    press = example.path("press_fit.csv")
+    answer = run(
+        f"{command} --surface {example.path('surface.nc')} --probe {example.PROBE} "
+        f"--trajectory {press} --shape 16,36,16 --points 300 --inner 10 --flip-wrench "
+        f"--strict {COMMANDS[command].format(output=output)}"
+    )
+    assert answer.status == 2
+    assert "error: forces of the opposite sign?" in answer.errors[-1]
+    assert answer.out == ""
+    assert not output.exists()
+
+
+def test_strict_judges_before_a_picture_or_a_rendering(
+    run: Run, tmp_path: Path
+) -> None:
+    press, field = example.path("press_fit.csv"), tmp_path / "field.nc"
+    fitted = words(press, field).replace("--columns t=__time", "--strict")
+    assert run(fitted).status == 0
+    shared = f"--field {field} --points 300 --trajectory {press} --strict"
+    picture, poses = tmp_path / "p.png", tmp_path / "r.csv"
+    flipped = f"--probe {example.PROBE} --flip-wrench --picture {picture}"
+    for answer, expected in (
+        (run(f"evaluate {shared} {flipped}"), "opposite sign"),
+        (run(f"render {shared} --probe sphere:0.02 -o {poses}"), "another probe"),
+    ):
+        assert answer.status == 2
+        assert expected in answer.errors[-1]
+    assert not picture.exists()
+    assert not poses.exists()
+
+
+def test_no_contact_and_a_delay_beyond_the_recording(run: Run, tmp_path: Path) -> None:
+    """Nothing was measured: no field, with and without --strict."""
+    press = read_trajectory(example.path("press_fit.csv"))
+    away, output = tmp_path / "away.csv", tmp_path / "f.nc"
+    up = 0.05 * press.position / np.linalg.norm(press.position, axis=1)[:, None]
+    replace(press, position=press.position + up).save(away)
+    own = words(away, output).replace("--columns t=__time", "")
+    assert "in none of" in run(own).errors[-1]
+    late = words(example.path("press_fit.csv"), output, "--wrench-delay 1e9")
+    told = run(late.replace("--columns t=__time", ""))
+    assert "wrench_delay of 1e+09 s is longer than the recording" in told.errors[-1]
+    assert told.status == 2
+    assert not output.exists()
 
 
 @pytest.mark.slow

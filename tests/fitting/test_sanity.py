@@ -155,10 +155,14 @@ def test_an_offset_in_time_is_told(frames: int, mends: str, what: str) -> None:
 
 
 def test_delays_are_tried_both_ways_in_even_steps() -> None:
-    tried = [c.wrench_delay for c in _other_conventions(Conventions(), np.zeros(3))]
+    recorded = recording("press_fit")
+    usual = Conventions(), np.zeros(3)
+    tried = [c.wrench_delay for c in _other_conventions(*usual, recorded)]
     steps = np.diff(sorted(set(tried)))  # with none
     np.testing.assert_allclose(steps, steps[0])
-    assert max(tried) == -min(tried) == 0.4
+    assert max(tried) == -min(tried) == 0.6
+    short = recorded.select(recorded.time < recorded.time[0] + 0.29)
+    assert max(c.wrench_delay for c in _other_conventions(*usual, short)) == 0.2
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")

@@ -33,7 +33,7 @@ from ttus_opt.cli.surface_command import surface
 from ttus_opt.cli.synchronise_command import synchronise
 from ttus_opt.cli.tune_command import tune
 from ttus_opt.cli.warm_up_command import warm_up
-from ttus_opt.errors import TtusError
+from ttus_opt.errors import MistakeWarning, TtusError
 from ttus_opt.interrupts import INTERRUPTED, STOPPED
 
 BAD_INPUT, TERMINATED = 2, 143
@@ -46,6 +46,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+#: Commands that warn of likely mistakes
+JUDGES = (refine_poses, fit, tune, path, evaluate, session, render)
+
 # in the order in which help lists them
 for function in (
     *(demo, record, synchronise, compensate, surface, refine_poses, fit, tune, path),
@@ -62,7 +65,7 @@ for function in (
     ),
     warm_up,
 ):
-    add_command(app, function)
+    add_command(app, function, judges=function in JUDGES)
 cameras = typer.Typer(
     help="Find markers in a photo, or a camera's place from pairs of poses.",
     epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "
@@ -118,6 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except MemoryError as error:
         what = str(error) or f"in {_place(error)}"
         _end(f"out of memory: {what}: choose a smaller shape", BAD_INPUT)
+    except MistakeWarning as likely:
+        _end(as_options(str(likely)), BAD_INPUT)
     except (TtusError, OSError) as error:
         _end(as_options(str(error)), BAD_INPUT)
     except Exception as error:

@@ -15,24 +15,32 @@ import inspect
 import re
 import textwrap
 import typing
+import warnings
 from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 
+from ttus_opt.errors import MistakeWarning
+
 #: Options that say the same in every command
 COMMON = {
     "force": "Allow an output to replace one of the inputs.",
     "json": "Print JSON on stdout, for other programs.",
+    "strict": "End with an error where a mistake in what was given is likely, instead "
+    "of a warning.",
 }
 
 
-def add_command(app: typer.Typer, function: Callable[..., None]) -> None:
+def add_command(
+    app: typer.Typer, function: Callable[..., None], *, judges: bool = False
+) -> None:
     """Make a function a command of its name.
 
     Args:
         app: Gets the command.
         function: What it does. Its parameters are options and groups of options.
+        judges: Whether it warns of likely mistakes; it then has the option --strict.
     """
     signature = inspect.signature(function, eval_str=True)
     about, words, example = _words(function)
@@ -44,13 +52,21 @@ def add_command(app: typer.Typer, function: Callable[..., None]) -> None:
             parameters += _of_group(groups[name])
         else:
             parameters.append(_option(name, parameter.annotation, parameter, words))
+    if judges:
+        strict = inspect.Parameter(
+            "strict", inspect.Parameter.KEYWORD_ONLY, default=False
+        )
+        parameters.append(_option("strict", bool, strict, words))
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
         for name, group in groups.items():
             own = {f.name: given.pop(f.name) for f in dataclasses.fields(group)}
             given[name] = group(**own)
-        function(**given)
+        with warnings.catch_warnings():
+            if judges and given.pop("strict"):
+                warnings.simplefilter("error", MistakeWarning)
+            function(**given)
 
     own = signature.replace(parameters=parameters)
     run.__signature__ = own  # type: ignore[attr-defined]  # typer's way

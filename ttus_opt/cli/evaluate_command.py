@@ -12,7 +12,7 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
 from ttus_opt.cli.sources import seen, warn_of_another_probe
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
 
 if TYPE_CHECKING:
     import numpy as np
@@ -161,7 +161,7 @@ def warn_of_poses(
         warnings.warn(
             f"{off} of {in_grid.size} poses lie outside the field's grid and give "
             "zero force: check the trajectory's frame and unit",
-            TtusWarning,
+            MistakeWarning,
             stacklevel=2,
         )
     if cut.any():

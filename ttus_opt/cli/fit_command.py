@@ -18,7 +18,7 @@ from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import sources
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.weight_choice import WeightChoice
@@ -167,15 +167,17 @@ def fit(
             found = solution.field
             origin = sources(surface, probe, recordings, context.params)
             draws = doubt or doubt_picture is not None
-            begin("writing the field" + draws * " and drawing from its posterior")
-            _write(
-                replace(found, provenance={**found.provenance, **origin}),
-                *(solution, choice.scene, output, (doubt, doubt_picture)),
-            )
             begin("checking the recordings")
             names = recordings.names
             report = check_recordings(
                 choice.scene, found, names, written=as_written, conventions=conventions
+            )
+            if report.mistake is not None:
+                warn(str(report.mistake), kind=MistakeWarning)
+            begin("writing the field" + draws * " and drawing from its posterior")
+            _write(
+                replace(found, provenance={**found.provenance, **origin}),
+                *(solution, choice.scene, output, (doubt, doubt_picture)),
             )
     lines: list[str] = []
     if report is not None:
@@ -183,8 +185,6 @@ def fit(
         lines += how_read(recorded, conventions)
     tell(summary(solution, output, choice, report), *lines, json=json)
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
-    if report is not None and report.mistake is not None:
-        warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
 
 
 def _solved(

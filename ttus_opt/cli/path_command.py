@@ -14,6 +14,7 @@ import typer
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.errors import InputError
 
@@ -90,7 +91,8 @@ def path(
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         shell = probe.read()
-        recorded = recordings.read(recordings.as_written(), shell, patient)
+        reading = recordings.as_written(), recordings.conventions
+        recorded = recordings.read(reading[0], shell, patient)
         unseen = {}
         for file in others:
             one = replace(recordings, trajectory=[file])
@@ -98,7 +100,9 @@ def path(
         if len(unseen) < len(others):
             raise InputError("two --held-out files have the same name: rename one")
         begin("assembling (first run compiles)")
-        scene = plan.build(patient, shell, recorded)
+        scene = built_scene(plan, (patient, shell, recorded), reading)
+        if recorded.has_wrench:
+            warn_of_mistake(scene, reading)
     found = solution_path(
         problem.name,
         scene,

@@ -59,12 +59,12 @@ def refine_poses(
         recorded = recordings.read(reading[0], shell, patient)
         begin("assembling (first run compiles)")
         scene = built_scene(plan, (patient, shell, recorded), reading)
+        warn_of_mistake(scene, reading)
         found = pose_refinement.refine_poses(
             scene, noise, progress=lambda: begin("refining")
         )
     found.trajectory.save(output)
     tell(_summary(found, output), *_lines(found, output), json=json)
-    warn_of_mistake(scene, reading)
 
 
 def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ttus_opt.errors import InputError, TtusError, TtusWarning, warn
+from ttus_opt.errors import InputError, MistakeWarning, TtusError, TtusWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.probe.conventions import Conventions
@@ -30,9 +30,10 @@ def built_scene(
         reading: The recordings as written, and how they were read.
 
     Raises:
-        InputError: As in `ScenePlan.build`.
+        InputError: As in `ScenePlan.build`, or no pose touches the patient.
     """
     from ttus_opt.fitting.contact_spread import warn_of_one_spot
+    from ttus_opt.fitting.frame_check import require_contact
     from ttus_opt.fitting.sanity import likely_mistake
 
     try:
@@ -49,6 +50,7 @@ def built_scene(
         if mistake is None:
             raise
         raise InputError(f"{error}; {mistake}") from error
+    require_contact(built)
     warn_of_one_spot(built)
     return built
 
@@ -64,7 +66,7 @@ def warn_of_mistake(scene: Scene, reading: tuple[Trajectory, Conventions]) -> No
 
     mistake = likely_mistake(scene, *reading)
     if mistake is not None:
-        warn(str(mistake))
+        warn(str(mistake), kind=MistakeWarning)
 
 
 def scene_of_field(

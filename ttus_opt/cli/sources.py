@@ -8,14 +8,13 @@ SHA-256 sums; ``conventions``, ``options`` and ``versions`` are JSON objects too
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt import io
-from ttus_opt.errors import FileError, TtusWarning
+from ttus_opt.errors import FileError, MistakeWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
@@ -94,22 +93,20 @@ def warn_of_another_probe(
             f"another file {fitted}" if own not in (None, io.sha256(file)) else ""
         )
     if fitted and difference:
-        _warn(
+        warn(
             f"the field was fitted with {difference}: forces of another probe are a "
-            "prediction, not a check"
+            "prediction, not a check",
+            kind=MistakeWarning,
         )
     written = _read(provenance, "conventions").get("torque_about")
     about = tuple(written) if isinstance(written, list) else written
     own_about = recordings.conventions.torque_about
     if about and about != own_about:
-        _warn(
+        warn(
             f"the field was fitted to torques about {about}, but these are about "
-            f"{own_about}: is --torque-about right?"
+            f"{own_about}: is --torque-about right?",
+            kind=MistakeWarning,
         )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, TtusWarning, stacklevel=3)
 
 
 def _hashes(files: Sequence[Path]) -> str:

@@ -61,12 +61,12 @@ def tune(
         recorded = recordings.read(reading[0], shell, patient)
         begin("assembling (first run compiles)")
         scene = built_scene(plan, (patient, shell, recorded), reading)
+        warn_of_mistake(scene, reading)
         found = tune_scene(scene, candidates, progress=begin, **options)
     tell(_summary(found), *_lines(found), json=json)
     reason = too_little(scene) or why_not(found)
     if reason:
         warn(f"ttus-opt fit would not choose these weights: {reason}")
-    warn_of_mistake(scene, reading)
 
 
 def _summary(found: Tuning) -> dict[str, Any]:

@@ -6,19 +6,19 @@ away from the skin, and near it once they are transformed.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, warn
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import Scene
 
 #: Distance of a probe's centroid from the skin up to which it is near [m]
 NEAR = 0.1
@@ -70,11 +70,10 @@ def warn_of_another_frame(
     for other, where, remedy in _others(conventions):
         share = share_near_skin(other.read(poses, np.zeros(3), place), shell, surface)
         if share > MANY:
-            warnings.warn(
+            warn(
                 f"the recordings lie off the skin in the {conventions.frame} frame, "
                 f"but {100 * share:.0f} % of the poses lie near it {where}: {remedy}",
-                TtusWarning,
-                stacklevel=2,
+                kind=MistakeWarning,
             )
             return
     if not as_written.has_wrench:  # poses alone may be anywhere
@@ -82,12 +81,24 @@ def warn_of_another_frame(
     remedy = "is --base-to-scan right?"
     if conventions.frame != "base":
         remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
-    warnings.warn(
+    warn(
         f"only {100 * own:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
         f"skin in the {conventions.frame} frame: {remedy}",
-        TtusWarning,
-        stacklevel=2,
+        kind=MistakeWarning,
     )
+
+
+def require_contact(scene: Scene) -> None:
+    """Refuse recordings with forces that never touch the patient.
+
+    Raises:
+        InputError: No shell point of any pose is inside the patient.
+    """
+    if scene.trajectory.has_wrench and not (scene.rows.contact_points > 0).any():
+        raise InputError(
+            f"the probe touches the patient in none of {len(scene.trajectory)} poses: "
+            "there is nothing to fit; check the poses' frame, unit and registration"
+        )
 
 
 def _others(conventions: Conventions) -> Iterator[tuple[Conventions, str, str]]:

@@ -30,7 +30,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.errors import InputError, warn
+from ttus_opt.errors import InputError, MistakeWarning, warn
 from ttus_opt.fitting.pose_error_step import PoseErrorProblem, State
 from ttus_opt.fitting.tuning_series import coarser
 from ttus_opt.probe.tracker_noise import TrackerNoise
@@ -229,4 +229,5 @@ def _warn_of_offset(problem: PoseErrorProblem, xi: Array) -> None:
             f"others, {abs(most):.0f} standard deviations of the tracker's noise: "
             "check its registration",
             3,
+            MistakeWarning,
         )

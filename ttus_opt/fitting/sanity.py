@@ -41,7 +41,7 @@ FRAMES = 120
 CLEARLY = 0.7
 
 #: Delays of the wrenches to try [s]
-DELAYS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
+DELAYS = tuple(round(0.1 * i, 1) for i in range(-6, 7) if i)
 
 #: Torques this many times too large are in N·mm
 WRONG_UNIT = 100.0
@@ -314,7 +314,7 @@ def _readings(
     """Other conventions: description, options, and the recordings read so."""
     centroid = np.asarray(scene.shell.reference)
     place = scene.voxmap.surface.axis.scan_to_patient
-    for other in _other_conventions(conventions, centroid):
+    for other in _other_conventions(conventions, centroid, written):
         reread = other.read(written, centroid, place)
         yield _difference(conventions, other), other.options, reread
     for what, columns, swapped in _swapped(written):
@@ -345,7 +345,7 @@ def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
 
 
 def _other_conventions(
-    conventions: Conventions, centroid: Array
+    conventions: Conventions, centroid: Array, written: Trajectory
 ) -> Iterator[Conventions]:
     """Conventions that are often mistaken for the given ones."""
     axes = dict.fromkeys((conventions.frame, conventions.wrench_frame, "tool"))
@@ -369,9 +369,9 @@ def _other_conventions(
         about = "origin" if conventions.torque_about == "centroid" else "centroid"
         yield replace(conventions, torque_about=about)
     for delay in DELAYS:
-        yield replace(
-            conventions, wrench_delay=round(conventions.wrench_delay + delay, 9)
-        )
+        total = round(conventions.wrench_delay + delay, 9)
+        if abs(total) < np.ptp(written.time):
+            yield replace(conventions, wrench_delay=total)
 
 
 def _difference(conventions: Conventions, other: Conventions) -> str:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.place_errors import place_errors
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.laplace.system import LaplaceSystem
 
 #: Name of the parameter in a scene and a solution
@@ -113,15 +113,17 @@ def _boundary_scale(
 
 def _report_scale(scale: float, error: float) -> str:
     """Warn of a boundary scale that the forces do not determine; return the reason."""
+    kind = TtusWarning
     reason = f"the forces give {scale:.3g} ± {error:.2g}"
     advice = "record more contact, or give inner as a number"
     if scale < -2.0 * error:
         reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
         advice = "give the force ON the probe in patient axes"
+        kind = MistakeWarning
     warnings.warn(
         f"the recordings cannot determine the boundary scale ({reason}), so 1 is "
         f"used: {advice}",
-        TtusWarning,
+        kind,
         stacklevel=4,
     )
     return reason

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, warn
+from ttus_opt.errors import FileError, MistakeWarning, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.text_table import read_text_table, seconds
 
@@ -183,7 +183,8 @@ def _warn_of_milliseconds(
     if len(steps) and np.median(steps) > SLOW:
         warn(
             f"{table.file}: frames are {np.median(steps):.3g} s apart: are the times "
-            "in milliseconds? divide t by 1000"
+            "in milliseconds? divide t by 1000",
+            kind=MistakeWarning,
         )
 
 
