@@ -119,6 +119,19 @@ def test_covariance_is_that_of_dense_algebra() -> None:
     assert exact().method == "exact"
 
 
+@pytest.mark.filterwarnings(KEPT_SHARE)
+def test_another_torque_length_with_its_weight_is_the_same_fit() -> None:
+    scene = three_presses()
+    options = {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE}
+    found = doubt(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
+    assert found.variance == pytest.approx(exact().variance, rel=1e-3)
+    for name in PRIORS:
+        own, other = (getattr(one.noise, name) for one in (found, exact()))
+        assert own == pytest.approx(other, rel=1e-3)
+    own, other = (one.std(unseen()).covariance for one in (found, exact()))
+    np.testing.assert_allclose(own, other, atol=1e-3 * np.abs(other).max())
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_draws_agree_with_it() -> None:

@@ -10,13 +10,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.conftest import small_scene, torso
 from tests.fitting.test_weight_criteria import three_presses
 from tests.test_blas_threads import threads
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import tuning, tuning_series
 from ttus_opt.fitting.tuning import Tuning, tune
 from ttus_opt.scene import Scene
+from ttus_opt.voxmap.voxmap import Voxmap
 
 NOISE, SCALE = 0.02, 1.4
 
@@ -112,6 +113,39 @@ def test_a_coarse_grid_finds_nearly_the_same(monkeypatch: pytest.MonkeyPatch) ->
     ratio = found.weights["force"] / tuned().weights["force"]
     assert 0.2 < ratio < 5.0
     assert found.formulation.scene.n_voxels == scene.n_voxels
+
+
+def prior_variance(scene: Scene) -> float:
+    """Mean of N (LᵀL)⁻¹ Nᵀ's diagonal in contact, by dense algebra."""
+    N = scene.N.toarray()[np.repeat(scene.rows.contact_points > 0, 3)]
+    return float(np.square(np.linalg.solve(scene.L.toarray().T, N.T)).sum() / len(N))
+
+
+def test_what_another_grid_finds_is_rescaled_by_its_prior(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Half of the layers: the same rows have several times the prior variance."""
+    scene, own = drawn(), {"force_weight": 3.0, "torque_weight": 1.0}
+    voxmap = Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)
+    small = Scene.assemble(voxmap, scene.shell, scene.trajectory, inner="fit")
+    there = tune(small, "eq10")
+    monkeypatch.setattr(tuning, "coarser", lambda _: small)
+    found = tune(scene, "eq10", **own)
+    grid = found.variance / there.variance
+    assert not 0.4 < grid < 2.5
+    # eight random probes
+    assert grid == pytest.approx(prior_variance(small) / prior_variance(scene), rel=0.3)
+    assert found.noise == there.noise
+    for one, other in zip(
+        (found, *found.comparisons), (there, *there.comparisons), strict=True
+    ):
+        for name, weight in one.weights.items():
+            assert weight == pytest.approx(grid * other.weights[name], rel=1e-6)
+    monkeypatch.undo()
+    same = {name: weight / grid for name, weight in own.items()}
+    known = tune(small, "eq10", compare=False, **same).own_left_out
+    np.testing.assert_allclose(found.own_left_out.errors, known.errors, rtol=1e-6)
+    np.testing.assert_array_equal(found.left_out.errors, there.left_out.errors)
 
 
 @pytest.mark.parametrize(
