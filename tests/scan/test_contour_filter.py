@@ -38,6 +38,26 @@ def test_association_prefers_the_near_surface() -> None:
     assert one.y[0] == pytest.approx(0.19, abs=5e-4)  # alone, it is what there is
 
 
+@pytest.mark.parametrize("of_each", [False, True])
+def test_two_surfaces_by_hand(of_each: bool) -> None:
+    """Weight and variance of a near and a far point, as the module defines them."""
+    sigma, P, d = 0.003, 0.01**2, 0.17
+    near, far = -0.02, 0.004
+    room = 4.0 * sigma / 2.0  # half a gap beyond the farthest
+    D = (1.0 - (far - near) / (far - near + room)) ** 2
+    S = P + sigma**2
+    a, b = np.exp(-(near**2) / (2 * S)), np.exp(-(far**2) / (2 * S)) * D
+    a, b = a / (a + b), b / (a + b)
+    noise = np.full((1, 2), sigma) if of_each else sigma
+    m = associate(np.array([[d + near, d + far]]), np.array([d]), np.array([P]), noise)
+    assert m.y[0] - d == pytest.approx(a * near + b * far, rel=1e-9)
+    # which of both is not known, beyond twice what noise explains
+    between = a * b * (far - near) ** 2
+    assert between > 4.0 * sigma**2
+    expected = (a**2 + b**2) * sigma**2 + between - 2.0 * sigma**2
+    assert m.variance[0] == pytest.approx(expected, rel=1e-9)
+
+
 def test_association_of_coinciding_and_of_no_candidates() -> None:
     r = np.array([[0.15, 0.15, 0.15], [np.inf] * 3, [0.5, np.inf, np.inf]])
     m = associate(r, np.full(3, 0.15), np.full(3, 1e-5), 0.003)
@@ -138,7 +158,9 @@ def test_small_steps_keep_their_digits() -> None:
         assert model.transition(x)[1][0, 0] == pytest.approx(exact, rel=1e-10)
 
 
-def dense_contour(y: Array, noise: Array, model: ContourModel) -> tuple[Array, Array]:
+def dense_contour(
+    y: Array, noise: Array, model: ContourModel, jump: Array | None = None
+) -> tuple[Array, Array]:
     """Mean and variance of d at every spoke of one slice, by dense least squares.
 
     Four laps of the model's own discretisation, so that the middle one knows both
@@ -148,10 +170,11 @@ def dense_contour(y: Array, noise: Array, model: ContourModel) -> tuple[Array, A
         y: Measured radius per spoke, shape (n,) [m].
         noise: Its variance, shape (n,) [m²]; infinite where there is none.
         model: The model.
+        jump: Variance of a jump from each spoke to the next, shape (n,) [m²].
     """
     n, laps = len(y), 4
     F, Q = discretised(model, 2 * np.pi / n)
-    half = np.linalg.inv(np.linalg.cholesky(Q))
+    jump = np.zeros(n) if jump is None else jump
     total = laps * n
     A, b = [], []
     for k in range(total):
@@ -160,6 +183,8 @@ def dense_contour(y: Array, noise: Array, model: ContourModel) -> tuple[Array, A
         A.append(row)
         b.append([y[k % n] / np.sqrt(noise[k % n])])
         if k:
+            more = np.diag([jump[(k - 1) % n], 0.0])
+            half = np.linalg.inv(np.linalg.cholesky(Q + more))
             row = np.zeros((2, 2 * total))
             row[:, 2 * k : 2 * k + 2] = half
             row[:, 2 * k - 2 : 2 * k] = -half @ F
@@ -202,6 +227,27 @@ def test_candidates_are_weighed_twice_around_the_smoothed_contour(
     np.testing.assert_allclose(found.radius[:, 0], mean, atol=2e-6)
     np.testing.assert_allclose(found.variance[:, 0], variance, rtol=1e-3)
     assert np.abs(once.radius[:, 0] - mean).max() > 1e-4  # one round is not two
+
+
+def test_a_contour_jumps_after_the_spoke_that_it_missed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The dense smoother of a step up at spoke 8 and down at spoke 20."""
+    n, model = 36, ContourModel(depth_noise=0.001, slope_std=0.02)
+    r = 0.12 + 1e-4 * np.random.default_rng(0).standard_normal(n)
+    r[8:20] += 0.04
+    given = Candidates(r[:, None, None], np.ones((n, 1), int))
+    found = follow(given, model)
+    monkeypatch.setattr(contour_filter, "_N_REWEIGHT", 1)
+    once = follow(given, model)
+    m = associate(r[:, None], once.radius[:, 0], once.variance[:, 0], model.depth_noise)
+    jump = np.zeros(n)
+    jump[[8, 20]] = 0.015**2
+    noise = np.where(m.seen, m.variance, np.inf)
+    mean, variance = dense_contour(m.y, noise, model, jump)
+    np.testing.assert_allclose(found.radius[:, 0], mean, atol=1e-5)
+    np.testing.assert_allclose(found.variance[:, 0], variance, rtol=1e-3)
+    assert abs(found.radius[10, 0] - 0.16) < 1e-3 > abs(found.radius[22, 0] - 0.12)
 
 
 def test_an_unusable_model() -> None:

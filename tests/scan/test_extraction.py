@@ -16,9 +16,10 @@ from tests.scan.clouds import cylinder
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.extraction import extract_surface
+from ttus_opt.scan.contour_filter import Contour
+from ttus_opt.scan.extraction import extract_surface, filled_surface, followed
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.supporting_plane import find_supporting_plane
+from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 from ttus_opt.scan.surface import Surface
 
 DATA = SHARED / "torso"
@@ -140,6 +141,42 @@ def test_points_belong_to_a_slice_up_to_a_distance(
     assert surface.observed.all(axis=0).tolist() == expected
     assert surface.observed.any(axis=0).tolist() == expected
     assert expected[0] and not expected[2]
+
+
+def test_deviations_stay_with_their_points_where_others_are_left_out() -> None:
+    """A bed before them in the file, and strays among them, change nothing."""
+    rng = np.random.default_rng(0)
+    body = cylinder(rng)[:20_000]
+    std = np.where(body[:, 1] > 0.0, 0.001, 0.006)
+    bed = np.stack([np.full(5000, -0.19), *rng.uniform(-0.2, 0.2, (2, 5000))], axis=1)
+    far = np.tile([0.6, 0.0, 0.0], (300, 1))
+    plane = SupportingPlane(np.array([1.0, 0.0, 0.0]), -0.19, 0.01)
+    theta, z = np.linspace(0, 2 * np.pi, 36, endpoint=False), np.linspace(-0.1, 0.1, 5)
+    at = Axis.identity()
+    alone = followed(body, at, None, theta, z, point_std=std)
+    every = np.concatenate([bed, far, body])
+    given = np.concatenate([np.full(5300, 0.02), std])
+    found = followed(every, at, plane, theta, z, point_std=given)
+    np.testing.assert_array_equal(found.observed, alone.observed)
+    np.testing.assert_allclose(found.radius, alone.radius, rtol=1e-9)
+    np.testing.assert_allclose(found.variance, alone.variance, rtol=1e-9)
+    assert alone.variance[1:18].mean() < 0.25 * alone.variance[19:].mean()
+
+
+def test_a_filled_back_ends_at_a_tilted_support() -> None:
+    """Seen from the front, in an axis that is turned and shifted as well."""
+    theta, z = np.linspace(0.0, 2 * np.pi, 72, endpoint=False), np.linspace(0, 0.2, 9)
+    seen = np.broadcast_to(np.cos(theta)[:, None] > 0.2, (72, 9))
+    contour = Contour(np.full((72, 9), 0.15), np.full((72, 9), 1e-6), seen)
+    axis = Axis(np.array([1.0, 2, 3]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+    tilted = np.array([np.cos(0.3), 0.0, np.sin(0.3)])  # patient frame
+    normal = axis.rotation @ tilted
+    plane = SupportingPlane(normal, normal @ axis.origin - 0.11, 0.01)
+    nodes = filled_surface(contour, theta, z, axis, plane).points()
+    height = plane.height(axis.to_scan(nodes.reshape(-1, 3))).reshape(72, 9)
+    assert height.min() > -1e-9
+    # a cylinder of 15 cm would be 3 cm below at one end, and as much above at the other
+    np.testing.assert_allclose(height[36], 0.0, atol=4e-3)
 
 
 # -------------------------------------------------------------------- refusals
