@@ -17,6 +17,7 @@ from ttus_opt.cylindrical import cylindrical
 from ttus_opt.haptic.frame import touch
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
@@ -72,3 +73,59 @@ def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
     assert in_grid == expected.in_grid
     assert beyond == expected.beyond
     assert not data.hits.any()  # nothing left for the next frame
+
+
+@functools.cache
+def tube() -> Voxmap:
+    """A cylinder of 10 cm in a grid to 16 cm: no ceiling is above it."""
+    surface = Surface.from_radius(np.full((8, 3), 0.1), np.array([0.0, 0.1, 0.2]))
+    return Voxmap.from_surface(surface, shape=(24, 40, 21), r_inner=0.04, r_outer=0.16)
+
+
+def turned(direction: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """A rotation of one direction to another."""
+    return Rotation.align_vectors(to[None], direction[None])[0].as_matrix()
+
+
+def test_a_point_on_its_blocks_sphere_is_found() -> None:
+    """Each block's farthest point, 1 µm inside, all others of the block above it."""
+    data = FrameData.of(tube(), shell(), trilinear=True)
+    blocks, points = ShellBlocks.of(shell()), shell().points
+    inwards, alone = np.array([-1.0, 0.0, 0.0]), 0
+    for b, centre in enumerate(blocks.centre):
+        own = blocks.order[blocks.start[b] : blocks.start[b + 1]]
+        away = points[own] - centre
+        far = int(np.linalg.norm(away, axis=1).argmax())
+        R = turned(away[far], inwards)
+        at = np.array([0.1 - 1e-6, 0.0, 0.1]) - R @ points[own[far]]
+        contact, _, _ = touch(R, at, data)
+        r, _, z = cylindrical(points @ R.T + at)
+        within = (z >= 0.0) & (z <= 0.2)
+        expected = np.flatnonzero(within & (r < 0.1))
+        assert own[far] in expected
+        assert sorted(blocks.order[data.touched[:contact]]) == expected.tolist()
+        alone += len(np.intersect1d(expected, own)) == 1
+    assert alone == len(blocks.centre)
+
+
+@pytest.mark.parametrize(
+    ("direction", "edge", "far"),
+    [
+        ((0.0, 0.0, -1.0), (0.14, 0.0, 0.2), (0.14, 0.0, 0.25)),
+        ((0.0, 0.0, 1.0), (0.14, 0.0, 0.0), (0.14, 0.0, -0.05)),
+        ((-1.0, 0.0, 0.0), (0.16, 0.0, 0.1), (0.21, 0.0, 0.1)),
+    ],
+)
+def test_one_point_in_the_grid_is_enough(
+    direction: tuple[float, ...], edge: tuple[float, ...], far: tuple[float, ...]
+) -> None:
+    """In the air above the patient, 1 µm within an end or the outer radius."""
+    data = FrameData.of(tube(), shell(), trilinear=True)
+    along, points = np.array(direction), shell().points
+    for rotation in Rotation.random(20, rng=np.random.default_rng(1)):
+        R = rotation.as_matrix()
+        first = (points @ R.T)[(points @ R.T @ along).argmax()]
+        for off, there in ((1e-6, True), (-1e-6, False)):
+            contact, in_grid, _ = touch(R, np.array(edge) + off * along - first, data)
+            assert (contact, in_grid) == (0, there)
+        assert not touch(R, np.array(far) - first, data)[1]

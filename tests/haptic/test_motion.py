@@ -10,9 +10,12 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.motion import (
+    DEVIATIONS,
+    FOLLOWER,
     JITTER,
     MEMORY,
     MOTION,
+    TWICE,
     MotionFilter,
     estimate_twist,
 )
@@ -109,6 +112,40 @@ def test_the_play_is_no_wider_than_the_jitter_asks_for() -> None:
         estimate_twist(motion, turn, at, STEP * k, REFERENCE, numbers, twist)
     found = np.sqrt(motion[JITTER : JITTER + 2])
     np.testing.assert_allclose(found, [2e-4, 3e-3], rtol=0.15)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 2e-4])
+def test_uneven_steps_are_no_jitter(sigma: float) -> None:
+    """A steady motion seen after 1 and 3 ms in turn, and errors of its poses."""
+    rng = np.random.default_rng(6)
+    motion, twist, numbers = np.zeros(MOTION), np.zeros(6), LAW.kernel_numbers(LENGTH)
+    time = np.cumsum(np.tile([1e-3, 3e-3], 1000))
+    found = []
+    for t in time:
+        at = np.array([0.05 * t, 0.02, 0.03]) + rng.normal(0.0, sigma, 3)
+        turn = Rotation.from_rotvec([0.0, 0.0, 0.5 * t]).as_matrix()
+        at -= turn @ REFERENCE
+        assert estimate_twist(motion, turn, at, t, REFERENCE, numbers, twist)
+        found.append(motion[JITTER])
+    assert np.sqrt(np.mean(found[500:])) == pytest.approx(sigma, rel=0.05, abs=1e-9)
+
+
+def test_the_play_is_five_deviations_of_the_smoothed_jitter() -> None:
+    """A follower that is drawn along lies that far behind; smoothed by scipy."""
+    rng, sigma, n = np.random.default_rng(7), 1e-3, 3000
+    kept = np.exp(-STEP / LAW.seconds)
+    low = [1.0 - kept], [1.0, -kept]
+    smoothed = lfilter(*low, lfilter(*low, rng.normal(0.0, sigma, 200_000)))
+    motion, twist, numbers = np.zeros(MOTION), np.zeros(6), LAW.kernel_numbers(LENGTH)
+    behind = []
+    for k in range(n):
+        at = np.array([0.1 * STEP * k, 0.0, 0.0]) + rng.normal(0.0, sigma, 3)
+        estimate_twist(motion, np.eye(3), at, STEP * k, REFERENCE, numbers, twist)
+        apart = motion[TWICE : TWICE + 3] - motion[FOLLOWER : FOLLOWER + 3]
+        behind.append(np.linalg.norm(apart))
+    expected = DEVIATIONS * smoothed[1000:].std()
+    assert expected > 5.0 * LAW.play
+    assert np.mean(behind[1000:]) == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("speed", [3e-3, 1e-2])
