@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,
@@ -167,6 +168,35 @@ class Diagonal:
 
     def apply(self, y: Array, rtol: float) -> Array:
         return self.S @ y
+
+
+class Asked(Diagonal):
+    """With the accuracy that was asked of each product."""
+
+    def __init__(self) -> None:
+        self.rtol: list[float] = []
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        self.rtol.append(rtol)
+        return super().apply(y, rtol)
+
+
+def test_products_may_be_rougher_the_smaller_the_residual() -> None:
+    """A tenth of the goal over the residual, between two limits; residuals anew."""
+    system, t = Asked(), np.random.default_rng(11).normal(size=50)
+    goal = 2e-12 * float(np.linalg.norm(t))
+    given = everything(np.zeros((50, 0))), Accuracy(1e-10)
+    options = DualOptions(loosest_product=1e-5)
+    conjugate_gradients(RecycledSubspace(system), t, goal, *given, options)
+    left = [np.linalg.norm(t)]
+    for k in range(1, len(system.rtol)):
+        few = DualOptions(loosest_product=1e-5, max_directions=k)
+        y, _ = conjugate_gradients(RecycledSubspace(Diagonal()), t, goal, *given, few)
+        left.append(np.linalg.norm(t - Diagonal.S @ y))
+    expected = np.clip(0.1 * goal / np.array(left), RTOL, 1e-5)
+    np.testing.assert_allclose(system.rtol, expected, rtol=0.01)
+    assert (expected == RTOL).any() and (expected == 1e-5).any()
+    assert ((expected > 2 * RTOL) & (expected < 5e-6)).sum() > 3
 
 
 @pytest.mark.parametrize("kept_as", [np.float64, np.float32])

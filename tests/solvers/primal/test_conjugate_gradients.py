@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -103,6 +103,48 @@ def test_equals_least_squares_at_any_weight_of_the_rows(weight: float) -> None:
 def test_the_exact_inverse_needs_one_step() -> None:
     found = run(Dense.of(1.0), exact=True)
     assert (found.reached, found.steps) == (True, 1)
+
+
+@dataclass
+class Fickle(WithRows):
+    """Each time another one; with what it gave, and the field's directions taken."""
+
+    rng: np.random.Generator
+    given: list[Array]
+    taken: list[Array]
+
+    def apply(self, rest: Pair) -> Pair:
+        other = np.exp(1.5 * self.rng.normal(size=V))
+        step = WithRows(self.function, self.P * other).apply(rest)
+        self.given.append(step.p)
+        return step
+
+    def image(self, along: Pair) -> tuple[Pair, Array]:
+        self.taken.append(along.p)
+        return self.function.image(along)
+
+
+def test_directions_are_conjugate_whatever_the_preconditioner_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """To the one before, but where that takes a negative part of it: anew."""
+    function = Dense.of(1.0)
+    rng, P = np.random.default_rng(3), np.diag(np.sum(function.M**2, axis=0))
+    fickle = Fickle(function, P, rng, [], [])
+    watched = replace(function)
+    monkeypatch.setattr(watched, "image", fickle.image)
+    start = Pair(np.zeros(V), np.zeros(FEW))
+    goal = Goal(0.0, 0.0, 0.0, 30, Accuracy(0.0))
+    minimise(watched, fickle, start, goal, 1, 0.5)
+    H, signs = function.M.T @ function.M + function.D.T @ function.D, []
+    # the first of what it gave is the full step ahead of the directions
+    steps = fickle.given[2:]
+    for d, z, found in zip(fickle.taken[:-1], steps, fickle.taken[1:], strict=False):
+        part = -(z @ H @ d) / (d @ H @ d)
+        expected = z + max(part, 0.0) * d
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+        signs.append(part > 0.0)
+    assert min(signs.count(True), signs.count(False)) > 3
 
 
 def test_without_enough_steps_it_says_so() -> None:

@@ -11,7 +11,7 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
 from ttus_opt.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.solvers.primal.matching import Root, matched_root
+from ttus_opt.solvers.primal.matching import Root, _Stencil, _Waves, matched_root
 from ttus_opt.terms.base import Term
 from ttus_opt.terms.tikhonov import TikhonovTerm
 
@@ -85,3 +85,32 @@ def test_its_coupling_is_what_links_to_fixed_voxels_carry() -> None:
     assert LAPLACE.free[rows].all()
     assert not LAPLACE.free[columns].any()
     assert (root.coupling.data > 0.0).all()
+
+
+def test_a_stencil_goes_around_the_turn() -> None:
+    """Second differences along θ, also across its end; heavy ones are matched."""
+    grid = LAPLACE.grid
+    index = np.arange(grid.n_voxels).reshape(grid.shape)
+    M = sp.csr_array(-2.0 * sp.eye_array(grid.n_voxels))
+    for step in (1, -1):
+        M = M + sp.eye_array(grid.n_voxels).tocsr()[np.roll(index, step, 1).ravel()]
+    term = ProgramTerm("theta", 1e8, sp.csr_array(M), np.zeros(grid.n_voxels))
+    stencil = _Stencil.of(term, grid)
+    assert stencil.offsets.tolist() == [[0, k, 0] for k in range(-2, 3)]
+    np.testing.assert_allclose(6.0 * stencil.values, [1, -4, 6, -4, 1])
+    added = root_of(term).added
+    assert added is not None
+    free = LAPLACE.free.reshape(grid.shape)
+    both = free & np.roll(free, -1, 1)
+    link = added.links[1] / LAPLACE.radii.reshape(grid.shape)
+    np.testing.assert_allclose(link[both], 1e4, rtol=0.01)
+
+
+def test_conductances_along_theta_are_those_at_the_geometric_mean_of_radii() -> None:
+    grid = LAPLACE.grid
+    where = np.zeros(grid.shape)
+    where[1], where[5] = 3.0, 1.0  # at 48 and 122 mm
+    own = _Waves.of(grid, where.reshape(-1)).own
+    radius = (grid.r[1] ** 3 * grid.r[5]) ** 0.25
+    steps = grid.r_step / np.array([grid.r_step, radius * grid.theta_step, grid.z_step])
+    np.testing.assert_allclose(own, steps**2, rtol=1e-12)

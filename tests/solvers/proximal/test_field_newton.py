@@ -7,6 +7,7 @@ import pytest
 
 from tests.solvers.proximal.dense_steps import (
     RTOL,
+    SCENE,
     compared,
     expected,
     gradient_of,
@@ -14,8 +15,10 @@ from tests.solvers.proximal.dense_steps import (
     problem_of,
     slopes_of,
 )
+from ttus_opt.problem import formulation
 from ttus_opt.solvers.proximal import field_newton
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.terms.penalties.base import Slope
 
 
@@ -51,10 +54,34 @@ def test_many_steps_ask_for_another_preconditioner(
     assert by_multigrid < by_diagonal
 
 
-def test_groups_are_no_longer_stiff_along_their_length(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("name", ["eq10", "volume_weighted"])
+def test_with_few_rows_the_multigrid_is_the_inverse(
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Laplace's rows of any weight and scale beside heavy ones: all eigenvalues 1."""
     monkeypatch.setattr(field_newton, "SMALL", 0)
+    monkeypatch.setattr(field_newton, "FEW_ROWS", 50)
+    prior = {"eq10": "laplace", "volume_weighted": "volume_weighted"}[name]
+    given = formulation.load(name, SCENE, force_weight=30.0, torque_weight=10.0)
+    program = given.with_weights(**{prior: 0.2}).compile()
+    problem = PenalisedProblem.of(program.declared or program)
+    slopes = [Slope(np.full(len(b.target), 2.0 * b.weight)) for b in problem.blocks]
+    system = FieldNewton(problem, None)
+    system._by_multigrid = True
+    units = np.eye(len(problem.fixed))[~problem.fixed]
+    inverse = [-expected(problem, slopes, unit) for unit in units]
+    apply = system._preconditioner(slopes)
+    H = np.linalg.inv(np.array(inverse)[:, ~problem.fixed])
+    P = np.array([apply(unit) for unit in units])[:, ~problem.fixed]
+    np.testing.assert_allclose(np.linalg.eigvals(P @ H), 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize("how", ["factor", "diagonal"])
+def test_groups_are_no_longer_stiff_along_their_length(
+    how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if how == "diagonal":
+        monkeypatch.setattr(field_newton, "SMALL", 0)
     monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)
     problem = problem_of("total_variation")
     slopes = slopes_of(problem, 4, 0.0)
