@@ -235,6 +235,19 @@ def test_an_error_of_an_entry_makes_no_variance(sign: float) -> None:
     assert kernel._residual.max() <= 1e-12
 
 
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_residual_variance_is_scaled_with_its_row(factor: float) -> None:
+    """The entry that such an error may leave, of a row that came before."""
+    K = np.diag([1.0, 1e-6, 2e-4])
+    K[1, 2] = K[2, 1] = 1e-4
+    kernel = grown(K[:2, :2], 1, 1e-4)
+    kernel.scale(factor)
+    K *= factor**2
+    extend(kernel, K, np.arange(2), np.array([2]), 1e-4 * factor**2)
+    row = dense(kernel)[1]
+    assert row == pytest.approx([0.0, 1e-3 * factor], rel=1e-6)
+
+
 def test_what_is_no_variance_brings_no_column() -> None:
     kernel = grown(np.diag([1.0, 1e-8, 2.0, 0.0]), 2, 1e-6)
     assert sorted(kernel.pivots.tolist()) == [0, 2]

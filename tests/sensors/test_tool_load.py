@@ -64,6 +64,22 @@ def test_standard_errors_are_those_of_noise() -> None:
     assert loads[0].torque_residual == pytest.approx(0.005, rel=0.2)
 
 
+@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+def test_residuals_of_few_poses_are_not_too_small() -> None:
+    """Eight poses, of which four and six numbers are found: the noise all the same."""
+    free, squares = readings(tilts(8)), []
+    assert free.force is not None
+    assert free.torque is not None
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        force = free.force + rng.normal(0, 0.02, free.force.shape)
+        torque = free.torque + rng.normal(0, 0.001, free.torque.shape)
+        load = identify_load(replace(free, force=force, torque=torque), SENSOR, DOWN)
+        squares.append([load.force_residual**2, load.torque_residual**2])
+    # the mean of 200 with 20 and 18 degrees of freedom is off by 2.4 %
+    np.testing.assert_allclose(np.mean(squares, axis=0), [4e-4, 1e-6], rtol=0.08)
+
+
 @pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
 def test_the_other_sign_is_noticed(sign: str) -> None:
     free = readings(tilts(), sensor=replace(SENSOR, sign=sign), noise=0.05)

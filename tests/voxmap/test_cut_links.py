@@ -10,6 +10,7 @@ import pytest
 
 from tests.conftest import torso
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.voxmap import SURFACE, Voxmap
 
 
@@ -70,7 +71,23 @@ def test_a_region_of_another_surface_is_counted() -> None:
     assert voxmap.cut_links.misplaced == 0
     other = replace(voxmap, surface=tube(0.099).surface)
     assert other.cut_links.misplaced == 24  # from 10 cm, where 1 mm is left
-    assert (other.cut_links.factors >= 0.0).all()
+    # φ is 0.9 at the layer: 1.9 inside it, and −0.1 beyond it counts as −¼
+    layer = np.unravel_index(other.cut_links.voxels, voxmap.grid.shape)[0]
+    for k, factor in ((5, 1.0 - 0.9 / 1.9), (7, 1.0 + 0.9 / 0.25)):
+        np.testing.assert_allclose(other.cut_links.factors[layer == k], factor)
+
+
+def test_nothing_flows_out_of_a_steep_surface() -> None:
+    """A link along θ whose ends are both outside, the layer's end further."""
+    region = np.array([1, 1, 0, -1, -1])[:, None, None] * np.ones((1, 3, 1), np.int8)
+    region[2, 1] = -1
+    place = np.array([[1.1], [1.4], [1.5]])  # φ = −0.9, −0.6 and −0.5 at layer 2
+    links = CutLinks.of(region.astype(np.int8), place)
+    along = (links.axes == 1) & (
+        links.voxels == np.ravel_multi_index((2, 1, 0), (5, 3, 1))
+    )
+    found = dict(zip(links.neighbours[along] % 3, links.factors[along], strict=True))
+    assert found == {0: 0.0, 2: pytest.approx(1.0 - 0.5 / 0.6)}
 
 
 def test_a_staircase_cuts_none() -> None:
