@@ -1,15 +1,20 @@
-"""Checksums of a dataset's content, stored with it as one attribute.
+"""Checksums of a dataset's content, and of all bytes of its file.
 
 A flipped bit in a file changes a value silently; netCDF has no checksum unless every
-variable is stored in chunks. Here every variable with its attributes has one, so that
-a reader that leaves a large variable out can still check the others.
+variable is stored in chunks. Here every variable with its attributes has one, stored
+as one attribute, so that a reader that leaves a large variable out can still check the
+others. A flipped bit may also let the netCDF library run on and on, so the file ends in
+a checksum of all bytes before, which is compared before the library reads them. HDF5
+permits bytes after its own.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import zlib
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +26,45 @@ if TYPE_CHECKING:
 
 #: The attribute: a JSON object of checksums by variable; "" stands for the attributes
 ATTRIBUTE = "ttus_opt_checksums"
+
+#: What a file ends in: this, and the CRC-32 of all bytes before as 8 hex digits
+SEAL = b"\nttus_opt crc32 "
+
+#: Digits of a CRC-32, and bytes that are read at a time
+DIGITS, AT_A_TIME = 8, 2**20
+
+
+def seal(file: Path) -> None:
+    """Append the checksum of all bytes."""
+    digits = _crc(file, file.stat().st_size)
+    with file.open("ab") as opened:
+        opened.write(SEAL + digits)
+
+
+def check_seal(file: Path) -> None:
+    """Compare a file with the checksum it ends in; a file without one passes.
+
+    Raises:
+        InputError: A byte is not what was written.
+    """
+    size = file.stat().st_size - len(SEAL) - DIGITS
+    with file.open("rb") as opened:
+        opened.seek(max(0, size))
+        mark, digits = opened.read(len(SEAL)), opened.read()
+    if size >= 0 and mark == SEAL and digits != _crc(file, size):
+        raise InputError(
+            "its bytes are not what was written: the file is damaged, or another "
+            "program changed it: copy or write it again"
+        )
+
+
+def _crc(file: Path, size: int) -> bytes:
+    """CRC-32 of the first bytes, as hex digits."""
+    found = 0
+    with file.open("rb") as opened:
+        while part := opened.read(min(AT_A_TIME, size)):
+            found, size = zlib.crc32(part, found), size - len(part)
+    return b"%08x" % found
 
 
 def with_checksums(dataset: xr.Dataset) -> xr.Dataset:

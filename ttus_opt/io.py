@@ -21,7 +21,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.checksum import check_content, has_checksums, with_checksums
+from ttus_opt.checksum import (
+    check_content,
+    check_seal,
+    has_checksums,
+    seal,
+    with_checksums,
+)
 from ttus_opt.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.interrupts import signals_deferred as signals_deferred
 
@@ -229,6 +235,18 @@ def _runs(process: int) -> bool:
     return True
 
 
+def whole_file(path: str | os.PathLike[str], what: str) -> Path:
+    """As `existing_file`; a file sealed by `write_dataset` has all bytes written.
+
+    Raises:
+        FileError: As `existing_file`, or it is damaged.
+    """
+    file = existing_file(path, what)
+    with located(file, FileError):
+        check_seal(file)
+    return file
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file by way of `replacing`."""
     write_bytes(path, text.encode())
@@ -276,6 +294,7 @@ def write_dataset(
     with signals_deferred(), replacing(path) as temporary:
         try:
             with_checksums(stamped).to_netcdf(temporary, engine="netcdf4")
+            seal(temporary)
         except (OSError, RuntimeError) as error:
             raise FileError(
                 f"cannot write {path}: {error}: is the disk full? Nothing was replaced"
@@ -300,9 +319,10 @@ def read_dataset(
         without: Variables to skip.
 
     Raises:
-        FileError: The file is missing, not netCDF, or of another kind or version.
+        FileError: The file is missing, damaged, not netCDF, or of another kind or
+            version.
     """
-    file = existing_file(path, kind)
+    file = whole_file(path, kind)
     import xarray as xr
 
     try:
@@ -357,11 +377,11 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
         what: What the file should contain, for the message ("surface or field").
 
     Raises:
-        FileError: The file is missing or not netCDF.
+        FileError: The file is missing, damaged, or not netCDF.
     """
     import netCDF4
 
-    file = existing_file(path, what)
+    file = whole_file(path, what)
     try:
         with netCDF4.Dataset(file) as opened:
             kind = getattr(opened, "ttus_opt_kind", None)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, Run, empty, refused
+from ttus_opt.fitting import solution_path
 
 
 def words(files: Path, output: Path, more: str = "") -> str:
@@ -112,3 +115,22 @@ def test_an_interrupt_writes_what_is_done(
     assert f"{output} holds a path of other weights" in answer.err
     assert "jobs and dask are not used" in answer.err
     assert tt.read_solution_path(output)["status"].shape == (3,)
+
+
+def test_nothing_solved_is_status_one(
+    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file is written, for its residuals."""
+    traced = solution_path.solution_path
+
+    def unsolved(*given: Any, **named: Any) -> xr.Dataset:
+        found = traced(*given, **named)
+        found["status"][:] = 1
+        return found
+
+    monkeypatch.setattr(solution_path, "solution_path", unsolved)
+    output = tmp_path / "path.nc"
+    answer = run(words(files, output, "--weight force,torque=0.1,1"))
+    assert answer.status == 1
+    assert "error: no point was solved: see residuals in" in answer.err
+    assert output.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -201,6 +202,24 @@ def test_large_fields_are_refused_unless_asked_for() -> None:
     surface, message = sent()
     with pytest.raises(InputError, match=r"1,800 voxels, at most 1,000"):
         decode(message, base=surface, max_voxels=1000)
+
+
+def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request() -> None:
+    surface = torso()
+    base = encode(surface)
+    voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
+    rough = np.random.default_rng(0).normal(0.0, 0.05, voxmap.grid.shape)
+    message = encode(PotentialField(voxmap, rough, "trilinear"), base=base)
+    tracemalloc.start()
+    try:
+        decode(message, base=base)
+        assert tracemalloc.get_traced_memory()[1] < 64 * 2**20
+    finally:
+        tracemalloc.stop()
+    larger = tt.Voxmap.from_surface(surface, shape=(56, 120, 60), r_inner=0.03)
+    flat = PotentialField(larger, np.zeros(larger.grid.shape), "trilinear")
+    with pytest.raises(InputError, match=r"403,200 voxels, at most 400,000 are"):
+        decode(encode(flat, base=base), base=base)
 
 
 def bent(at: int, value: bytes, message: bytes | None = None) -> bytes:

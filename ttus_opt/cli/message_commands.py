@@ -78,7 +78,7 @@ def decode(
     file: Annotated[Path, typer.Argument()],
     output: Path,
     base: list[Path] | None = None,
-    max_voxels: int = 2_500_000,
+    max_voxels: int = 400_000,
     force: bool = False,
     json: bool = False,
 ) -> None:

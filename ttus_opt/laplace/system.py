@@ -21,7 +21,7 @@ Variants: conductivities k_r, k_θ, k_z in front of the three parts, and screeni
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -131,6 +131,12 @@ class LaplaceSystem(BlockSolves):
         if not (np.isfinite(inner) and np.isfinite(outer)):
             raise InputError(f"boundary values must be finite, got {inner}, {outer}")
         return inner * self.inner_part + outer * self.outer_part
+
+    def for_solves(self) -> LaplaceSystem:
+        """The system without L, half of its memory: `solve` reads the coupling only."""
+        lean = replace(self, L=sp.csr_array(self.L.shape))
+        lean.__dict__["coupling"] = self.coupling  # before L is let go
+        return lean
 
     @cached_property
     def operator_grid(self) -> CylindricalGrid:

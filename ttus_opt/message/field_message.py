@@ -37,8 +37,9 @@ MAX_ERROR_ROUNDED = 0.01
 #: Accepted range of bounds [as the potential]
 LEAST_BOUND, GREATEST_BOUND = 1e-9, 1e6
 
-#: Default limit of voxels, twice case L
-MOST_VOXELS = 2_500_000
+#: Largest field that is encoded, twice case L, and that is decoded unless asked for:
+#: beyond case M, decoding takes more than 0.3 s and 64 MiB
+MOST_SENT, MOST_VOXELS = 2_500_000, 400_000
 
 #: Larger boundary values are refused [as the potential]
 LARGEST_BOUNDARY = 1e9
@@ -111,9 +112,9 @@ def encode_field(
             "encode the surface that the field was fitted to"
         )
     grid = Grid(*of.shape, of.r_inner, of.r_outer, of.sector)
-    if of.n_voxels > MOST_VOXELS:
+    if of.n_voxels > MOST_SENT:
         raise InputError(
-            f"a message takes fields of at most {MOST_VOXELS:,} voxels, got "
+            f"a message takes fields of at most {MOST_SENT:,} voxels, got "
             f"{of.n_voxels:,}: fit it on a coarser grid"
         )
     laid = _laid_over(surface, grid, own.boundary)
@@ -195,8 +196,11 @@ def decode_field(
     sent = read_integers(reader, size)
     reader.end()
     voxmap = _laid_over(surface, grid, BOUNDARIES[where])
-    laplace = _laplace_fields(voxmap)
-    values = voxmap.grid.unflatten(inner * laplace[0] + outer * laplace[1])
+    system = LaplaceSystem.assemble(voxmap)
+    right = system.right_side(inner, outer)  # linear: one solve for both values
+    system = system.for_solves()
+    values = voxmap.grid.unflatten(system.solve(right))
+    del system, right  # more than all else takes
     values[:, : voxmap.grid.wall] += restored(sent, bound, _scheme(voxmap))
     return PotentialField(
         voxmap,

@@ -128,11 +128,11 @@ def _opened(
     """The file, its content in memory, and its names by the package's.
 
     Raises:
-        FileError: Missing, not netCDF, or a map that names single components.
+        FileError: Missing, damaged, not netCDF, or a map that names single components.
     """
     import xarray as xr
 
-    file = io.existing_file(path, "netCDF stream")
+    file = io.whole_file(path, "netCDF stream")
     names = columns or {}
     single = [name for name in names if name not in ("t", ORDER, *UNITS)]
     if single:
