@@ -121,13 +121,13 @@ def test_a_point_on_its_blocks_sphere_is_found() -> None:
 def test_one_point_in_the_grid_is_enough(
     direction: tuple[float, ...], edge: tuple[float, ...], far: tuple[float, ...]
 ) -> None:
-    """1 µm within an end or the outer radius, in the air or inside the patient."""
+    """10 nm within an end or the outer radius, in the air or inside the patient."""
     data = FrameData.of(tube(), shell(), trilinear=True)
     along, points = np.array(direction), shell().points
     for rotation in Rotation.random(20, rng=np.random.default_rng(1)):
         R = rotation.as_matrix()
         first = (points @ R.T)[(points @ R.T @ along).argmax()]
-        for off, there in ((1e-6, True), (-1e-6, False)):
+        for off, there in ((1e-8, True), (-1e-8, False)):
             contact, in_grid, _ = touch(R, np.array(edge) + off * along - first, data)
             pressed = there and edge[0] < 0.1
             assert (contact, in_grid) == (pressed, there)
