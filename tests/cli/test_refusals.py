@@ -157,7 +157,7 @@ def test_probe_mesh_in_the_wrong_unit(
     assert empty(output)
 
 
-def test_probe_never_in_contact_is_a_warning(
+def test_probe_never_in_contact_is_refused(
     run: Run, files: Path, tmp_path: Path
 ) -> None:
     away = presses(torso(), 5, np.random.default_rng(1))
@@ -169,12 +169,9 @@ def test_probe_never_in_contact_is_a_warning(
         f"--shape 16,24,12 --trajectory {tmp_path / 'away.csv'} -o {tmp_path / 'f.nc'}"
     )
     answer = run(words)
-    assert answer.status == 0
-    assert any(
-        line.startswith("warning: ") and "Laplace field alone" in line
-        for line in answer.errors
-    )
-    assert (tmp_path / "f.nc").exists()
+    assert answer.status == 2
+    assert "in none of 5 poses: there is nothing to fit" in answer.errors[-1]
+    assert not (tmp_path / "f.nc").exists()
     fitted = run(f"{words} --inner fit")
     assert fitted.status == 2
     assert fitted.errors[-1].startswith("error: --inner fit needs measured forces")
