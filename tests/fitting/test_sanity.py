@@ -17,7 +17,6 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.sanity import (
     Mistake,
     SanityReport,
-    _other_conventions,
     check_recordings,
     likely_mistake,
 )
@@ -152,17 +151,6 @@ def test_torques_in_another_unit_are_told_by_their_size() -> None:
 def test_an_offset_in_time_is_told(frames: int, mends: str, what: str) -> None:
     found = report(late(recording("press_fit"), frames))
     assert_told(found.mistake, what, mends)
-
-
-def test_delays_are_tried_both_ways_in_even_steps() -> None:
-    recorded = recording("press_fit")
-    usual = Conventions(), np.zeros(3)
-    tried = [c.wrench_delay for c in _other_conventions(*usual, recorded)]
-    steps = np.diff(sorted(set(tried)))  # with none
-    np.testing.assert_allclose(steps, steps[0])
-    assert max(tried) == -min(tried) == 0.6
-    short = recorded.select(recorded.time < recorded.time[0] + 0.29)
-    assert max(c.wrench_delay for c in _other_conventions(*usual, short)) == 0.2
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")

@@ -52,7 +52,10 @@ def refused(tmp_path, lines, text, end="\n"):
         (rows()[1:], "no column t, px"),
         (["t," + rows()[0], *["0," + r for r in rows()[1:]]], "t more than once"),
         (rows(0), "empty"),
-        (with_cell(3, "t", "0"), "line 3: time 0 s repeats 0 s: sort"),
+        (
+            [*rows()[:2], rows()[1].replace("0.03", "0.04")],
+            "line 3: time 0 s repeats 0 s: sort",
+        ),
         (with_cell(4, "t", "0.01"), "line 4: time 0.01 s goes back from 0.05 s"),
         (with_cell(4, "fy", "nan"), r"line 4: fy is nan: remove the 1 line\(s\)"),
         (with_cell(2, "px", "inf"), "line 2: px is inf"),

@@ -164,8 +164,9 @@ class RecordingOptions:
             shell: The probe.
             patient: Whose frame it is.
         """
-        from ttus_opt.fitting.frame_check import warn_of_another_frame
+        from ttus_opt.fitting.frame_check import warn_of_another_frame, warn_of_jumps
 
+        warn_of_jumps(as_written)
         read = self.conventions.read(
             as_written, shell.reference, patient.axis.scan_to_patient
         )

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.errors import InputError, MistakeWarning, warn
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
@@ -26,6 +26,10 @@ NEAR = 0.1
 #: Shares of frames near the skin: below the first there is a warning, above the second
 #: another frame is suggested [–]
 FEW, MANY = 0.2, 0.6
+
+#: A step that differs from both its neighbours by more than this [m], than this
+#: acceleration makes it [m/s²], and than so many times the median, is a jump
+JUMP, BRISK, JUMPS = 0.01, 15.0, 10.0
 
 
 def share_near_skin(
@@ -86,6 +90,53 @@ def warn_of_another_frame(
         f"skin in the {conventions.frame} frame: {remedy}",
         kind=MistakeWarning,
     )
+
+
+def warn_of_jumps(recorded: Trajectory) -> None:
+    """Warn of poses that jump: a step unlike the steps before and after it.
+
+    Args:
+        recorded: Poses, in any frame.
+    """
+    found = []
+    for number in np.unique(recorded.segment):
+        own = recorded.select(recorded.segment == number)
+        at, size = jumps(own.position, own.time)
+        found += list(zip(own.time[at], size[at], strict=True))
+    if found:
+        time, size = found[0]
+        others = f", and {len(found) - 1} more" if len(found) > 1 else ""
+        warn(
+            f"the poses jump by {1e3 * size:.0f} mm at {time:.3f} s, "
+            f"{time - recorded.time[0]:.3f} s after the first{others}: did the tracker "
+            "lose its target or move? leave those frames out; recordings put together "
+            "need a column segment",
+            2,
+            MistakeWarning,
+        )
+
+
+def jumps(position: Array, time: Array) -> tuple[Mask, Array]:
+    """Steps of a path that no hand or robot makes, given the steps around them.
+
+    Args:
+        position: Shape (T, 3) [m].
+        time: Increasing, shape (T,) [s].
+
+    Returns:
+        Mask of the frames after such a step, shape (T,), and by how much every step
+        differs from those before and after it, the lesser of both, shape (T,) [m].
+    """
+    off = np.zeros(len(time))
+    if len(time) < 4:
+        return off > 0.0, off
+    steps = np.diff(time)
+    velocity = np.diff(position, axis=0) / steps[:, None]
+    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    change = np.pad(change, 1, mode="edge")
+    off[1:] = np.minimum(change[:-1], change[1:]) * steps
+    plausible = np.maximum(JUMP, BRISK * np.r_[0.0, steps] ** 2)
+    return off > np.maximum(plausible, JUMPS * np.median(off[1:])), off
 
 
 def require_contact(scene: Scene) -> None:

@@ -15,9 +15,8 @@ explains would hide the forces.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -27,7 +26,8 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.agreement import agreement, torque_offset
-from ttus_opt.probe.conventions import QUATERNIONS, Conventions
+from ttus_opt.fitting.other_readings import Reading, other_readings
+from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.hysteresis import hysteresis_share
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
@@ -40,9 +40,6 @@ FRAMES = 120
 #: Another convention is reported if its S is below this share of the recordings' own
 CLEARLY = 0.7
 
-#: Delays of the wrenches to try [s]
-DELAYS = tuple(round(0.1 * i, 1) for i in range(-6, 7) if i)
-
 #: Torques this many times too large are in N·mm
 WRONG_UNIT = 100.0
 
@@ -51,9 +48,6 @@ FAR, FARTHEST = 0.01, 0.5
 
 #: Hysteresis below this comes from noise and slow drift of the probe [–]
 WORTH_TELLING = 0.05
-
-#: Distance of the centroid from the pose's origin below which both are the same [m]
-NEAR = 3e-3
 
 
 @dataclass(frozen=True)
@@ -110,20 +104,25 @@ class Mistake:
         mends: The options of ``ttus-opt fit`` that correct it; empty for none.
         before: S of the recordings as read [–].
         after: S with these options; a unit does not change it [–].
+        cause: What was mistaken: a field of `Conventions`, ``columns``, or axes.
     """
 
     what: str
     mends: str
     before: float
     after: float
+    cause: str
 
     def __str__(self) -> str:
-        how = f"read them with {self.mends or 'none of those options'}"
+        return self.told(f"read them with {self.mends or 'none of those options'}")
+
+    def told(self, remedy: str) -> str:
+        """The mistake in a sentence, with a remedy."""
         if self.after == self.before:
-            return f"{self.what}: {how}"
+            return f"{self.what}: {remedy}"
         return (
             f"{self.what}? Disagreement with the geometry {self.before:.2g} → "
-            f"{self.after:.2g}: {how}"
+            f"{self.after:.2g}: {remedy}"
         )
 
 
@@ -232,7 +231,10 @@ def _recording(
 
 
 def likely_mistake(
-    scene: Scene, written: Trajectory, conventions: Conventions
+    scene: Scene,
+    written: Trajectory,
+    conventions: Conventions,
+    readings: Iterable[Reading] | None = None,
 ) -> Mistake | None:
     """A convention that agrees clearly better with the geometry; None without one.
 
@@ -240,25 +242,31 @@ def likely_mistake(
         scene: A scene with measured forces; its boundary values do not matter.
         written: As in `check_recordings`.
         conventions: As in `check_recordings`.
+        readings: What to compare with; by default `other_readings`.
     """
-    return _likely_mistake(scene, written, conventions)[1]
+    return _likely_mistake(scene, written, conventions, readings)[1]
 
 
 def _likely_mistake(
-    scene: Scene, written: Trajectory, conventions: Conventions
+    scene: Scene,
+    written: Trajectory,
+    conventions: Conventions,
+    readings: Iterable[Reading] | None = None,
 ) -> tuple[float, Mistake | None]:
     """S as read, and the likely mistake."""
+    if readings is None:
+        readings = other_readings(scene, written, conventions)
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
     own = agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
-    for what, mends, reread in _readings(scene, written, conventions):
+    for what, mends, cause, reread in readings:
         # re-read as a whole: a delay needs neighbouring frames
         other = agreement(scene, prior, reread.select(chosen))
         bound = CLEARLY * own.disagreement if best is None else best.after
         if other.disagreement < bound:
-            best = Mistake(what, mends, own.disagreement, other.disagreement)
+            best = Mistake(what, mends, own.disagreement, other.disagreement, cause)
     moved = _about_another_point(scene, prior, written, conventions, chosen)
     if moved is not None:
         reading, after = moved
@@ -267,7 +275,7 @@ def _likely_mistake(
             x, y, z = (1e3 * v for v in point)
             what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
             return own.disagreement, Mistake(
-                what, reading.options, own.disagreement, after
+                what, reading.options, own.disagreement, after, "torque_about"
             )
     if (
         best is None
@@ -277,7 +285,11 @@ def _likely_mistake(
         mends = replace(conventions, torque_unit="Nmm").options
         size = f"{own.torque_ratio:.0f} times those expected"
         return own.disagreement, Mistake(
-            f"torques in N·mm, {size}", mends, own.disagreement, own.disagreement
+            f"torques in N·mm, {size}",
+            mends,
+            own.disagreement,
+            own.disagreement,
+            "torque_unit",
         )
     return own.disagreement, best
 
@@ -306,89 +318,6 @@ def _about_another_point(
     reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
     found = agreement(scene, prior, reread.select(chosen))
     return other, found.disagreement
-
-
-def _readings(
-    scene: Scene, written: Trajectory, conventions: Conventions
-) -> Iterator[tuple[str, str, Trajectory]]:
-    """Other conventions: description, options, and the recordings read so."""
-    centroid = np.asarray(scene.shell.reference)
-    place = scene.voxmap.surface.axis.scan_to_patient
-    for other in _other_conventions(conventions, centroid, written):
-        reread = other.read(written, centroid, place)
-        yield _difference(conventions, other), other.options, reread
-    for what, columns, swapped in _swapped(written):
-        mends = f"--columns {columns} {conventions.options}".rstrip()
-        yield what, mends, conventions.read(swapped, centroid, place)
-
-
-def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
-    """The file's columns in another order."""
-    swap = [1, 0, 2]
-    position = written.position[:, swap]
-    yield (
-        "columns px and py swapped",
-        "px=py,py=px",
-        replace(written, position=position),
-    )
-    assert written.force is not None
-    force, torque = written.force[:, swap], written.torque
-    if torque is None:
-        what, columns = "columns fx and fy swapped", "fx=fy,fy=fx"
-    else:
-        what, columns = (
-            "columns fx and fy, tx and ty swapped",
-            "fx=fy,fy=fx,tx=ty,ty=tx",
-        )
-        torque = torque[:, swap]
-    yield what, columns, replace(written, force=force, torque=torque)
-
-
-def _other_conventions(
-    conventions: Conventions, centroid: Array, written: Trajectory
-) -> Iterator[Conventions]:
-    """Conventions that are often mistaken for the given ones."""
-    axes = dict.fromkeys((conventions.frame, conventions.wrench_frame, "tool"))
-    for quaternion, wrench_frame, flip in itertools.product(
-        QUATERNIONS, axes, (False, True)
-    ):
-        if "base" in (conventions.frame, conventions.wrench_frame) and "base" not in (
-            conventions.frame,
-            wrench_frame,
-        ):
-            continue  # base_to_scan would be unused
-        other = replace(
-            conventions,
-            quaternion=quaternion,
-            wrench_frame=wrench_frame,
-            flip_wrench=flip,
-        )
-        if other != conventions:
-            yield other
-    if np.linalg.norm(centroid) > NEAR:
-        about = "origin" if conventions.torque_about == "centroid" else "centroid"
-        yield replace(conventions, torque_about=about)
-    for delay in DELAYS:
-        total = round(conventions.wrench_delay + delay, 9)
-        if abs(total) < np.ptp(written.time):
-            yield replace(conventions, wrench_delay=total)
-
-
-def _difference(conventions: Conventions, other: Conventions) -> str:
-    """Description of the difference to another convention."""
-    words = []
-    if other.quaternion != conventions.quaternion:
-        words.append(f"quaternions {', '.join(other.quaternion)}")
-    if other.wrench_frame != conventions.wrench_frame:
-        words.append(f"wrenches in the {other.wrench_frame}'s axes")
-    if other.flip_wrench != conventions.flip_wrench:
-        words.append("forces of the opposite sign")
-    if other.torque_about != conventions.torque_about:
-        words.append(f"torques about the {other.torque_about}")
-    if other.wrench_delay != conventions.wrench_delay:
-        late = other.wrench_delay - conventions.wrench_delay
-        words.append(f"wrenches {abs(late):.1g} s {'later' if late > 0 else 'earlier'}")
-    return " and ".join(words)
 
 
 def _mean_size(vectors: Array) -> float:

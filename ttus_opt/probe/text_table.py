@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.errors import FileError, InputError, warn
 
 #: Marks of a comment line
 COMMENT = re.compile(r"^\s*(#|%|//)\s*")
@@ -147,6 +147,22 @@ def seconds(time: Array) -> Array:
     Stamps keep their origin: streams of one clock stay on one clock.
     """
     return 1e-9 * time if len(time) and time.min() > NANOSECONDS else time
+
+
+def first_of_each(rows: Array, file: Path) -> Mask:
+    """Mask of the rows that do not repeat the row before, with a warning of the others.
+
+    A device that sends a reading twice does not measure twice.
+
+    Args:
+        rows: Time and all numbers of every reading, shape (T, k).
+        file: For the warning.
+    """
+    new = np.ones(len(rows), bool)
+    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    if not new.all():
+        warn(f"{file}: {(~new).sum()} rows repeat the row before: left out", 2)
+    return new
 
 
 def known_name(name: str) -> str:

@@ -14,7 +14,7 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, MistakeWarning, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
-from ttus_opt.probe.text_table import read_text_table, seconds
+from ttus_opt.probe.text_table import first_of_each, read_text_table, seconds
 
 TIME = ("t",)
 POSITION = ("px", "py", "pz")
@@ -113,7 +113,9 @@ def _read_table(file: Path, columns: Mapping[str, str] | None) -> _Table:
         )
     _refuse_half_a_wrench(file, wanted)
     values = text.numbers(wanted)
-    table = _Table(file, tuple(wanted), values, text.line)
+    new = first_of_each(values, file)
+    values = values[new]
+    table = _Table(file, tuple(wanted), values, text.line[new])
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, column = bad[0]

@@ -21,6 +21,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.io import shortened
 from ttus_opt.probe.pose import from_quaternions
+from ttus_opt.probe.text_table import first_of_each
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.column_map import ORDER, ORDERS
 from ttus_opt.sensors.netcdf_child import read_apart
@@ -79,7 +80,9 @@ def read_netcdf_poses(
             )
         order = _order(data, names)
         quaternion = _vector(data, "quaternion", names, order)
-        return Trajectory(time, position, from_quaternions(quaternion, order))  # type: ignore[arg-type]  # one of both
+        new = first_of_each(np.c_[time, position, quaternion], file)
+        rotation = from_quaternions(quaternion[new], order)  # type: ignore[arg-type]  # one of both
+        return Trajectory(time[new], position[new], rotation)
 
 
 def read_netcdf_wrenches(
@@ -96,12 +99,12 @@ def read_netcdf_wrenches(
     """
     file, data, names = _opened(path, columns)
     with located(file, FileError):
-        torque = None
-        if names.get("torque", "torque") in data.variables:
-            torque = _vector(data, "torque", names, "xyz")
-        return WrenchStream(
-            _time(data, names), _vector(data, "force", names, "xyz"), torque
-        )
+        kinds = [k for k in ("force", "torque") if names.get(k, k) in data.variables]
+        time, kinds = _time(data, names), kinds or ["force"]
+        values = np.hstack([_vector(data, kind, names, "xyz") for kind in kinds])
+        new = first_of_each(np.c_[time, values], file)
+        torque = values[new, 3:] if len(kinds) == 2 else None
+        return WrenchStream(time[new], values[new, :3], torque)
 
 
 def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) -> None:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError, located
-from ttus_opt.probe.text_table import read_text_table, seconds
+from ttus_opt.probe.text_table import first_of_each, read_text_table, seconds
 from ttus_opt.probe.trajectory import Trajectory
 
 FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
@@ -94,6 +94,7 @@ def read_wrench_stream(
     table = read_text_table(file, ("t", *FORCE), columns)
     with_torque = all(name in table.names for name in TORQUE)
     values = table.numbers(["t", *FORCE, *(TORQUE if with_torque else ())])
+    values = values[first_of_each(values, file)]
     torque = values[:, 4:7] if with_torque else None
     with located(file, FileError):
         return WrenchStream(seconds(values[:, 0]), values[:, 1:4], torque)

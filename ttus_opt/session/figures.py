@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,8 @@ def draw(
         )
         add("clock", clock_picture(result.timing), caption)
     for name, recording in result.recordings.items():
-        figure = plots.pose_picture(surface, shell, recording, [name])
+        pieces = replace(recording, segment=np.zeros(len(recording), np.int64))
+        figure = plots.pose_picture(surface, shell, pieces, [name])
         add(f"poses_{name}", figure, f"Probe and contact forces on the patient: {name}")
     for case in result.comparisons:
         if not case.seen:

@@ -5,17 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from ttus_opt.errors import MistakeWarning, warn
 from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.contact_spread import warn_of_one_spot
+from ttus_opt.fitting.frame_check import require_contact
+from ttus_opt.fitting.other_readings import contact_readings
+from ttus_opt.fitting.sanity import likely_mistake
 from ttus_opt.fitting.weight_choice import WeightChoice
 from ttus_opt.fitting.weight_words import choice_of
+from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import ScenePlan
+from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.session.description import Description
+
+#: Keys of the description that a mistake is made in, by its cause
+KEYS = {
+    "flip_wrench": "force.sensor.sign",
+    "wrench_frame": "force.frame or force.sensor.axes",
+    "wrench_axes": "force.frame, force.sensor.axes and tracker.probe_to_target",
+    "probe_axes": "tracker.probe_to_target",
+    "wrench_delay": "clock.offset",
+    "torque_about": "force.sensor.point",
+    "torque_unit": "the unit of force.file",
+}
 
 
 @dataclass(frozen=True)
@@ -54,6 +71,7 @@ def fit_model(
     plan = ScenePlan(session.fit.shape, session.fit.r_inner)
     fitted = [recordings[part.name] for part in session.recordings if part.fitted]
     scene = plan.build(surface, shell, fitted)
+    _judge_recordings(scene)
     before = fit(scene, "laplace_only")
     wanted = session.fit
     choice = choice_of(wanted.weights, scene, wanted.formulation, wanted.options)
@@ -62,6 +80,23 @@ def fit_model(
     for solution in (before, after):
         _ = solution.field  # raises where verification failed
     return Model(before, after, choice)
+
+
+def _judge_recordings(scene: Scene) -> None:
+    """Warn of likely mistakes in the description, by its keys.
+
+    Raises:
+        InputError: No pose touches the patient.
+    """
+    require_contact(scene)
+    warn_of_one_spot(scene)
+    if not scene.trajectory.has_wrench:
+        return
+    own = scene.trajectory, Conventions()
+    mistake = likely_mistake(scene, *own, contact_readings(scene))
+    if mistake is not None:
+        key = f"check {KEYS[mistake.cause]} in the description"
+        warn(mistake.told(key), kind=MistakeWarning)
 
 
 def judge(

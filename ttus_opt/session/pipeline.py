@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ttus_opt.fitting.frame_check import warn_of_jumps
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -106,6 +107,7 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
     with results.step("registration"):
         frames = register(session.tracker, skin.surface)
         poses = probe_poses(session.tracker, frames)
+        warn_of_jumps(poses)
         results.tell("registration", frames.facts())
     with results.step("clock"):
         wrenches = read_forces(session)
