@@ -110,3 +110,43 @@ def test_mistakes_are_no_breakdowns(error: Exception) -> None:
     guarded = Guarded(Brittle("solve", error), PROGRAM, Request())
     with pytest.raises(type(error), match=str(error)):
         guarded.solve()
+
+
+class Scaling(Solver, Prepared):
+    """Scales what it is given in place, as if that were its own."""
+
+    name, summary = "scaling", "scales blocks in place"
+    capabilities = Capabilities(inequalities=True, equalities=True)
+
+    def __init__(self, part: str) -> None:
+        self.part = part
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        self.program = program
+        return self
+
+    def update(self, program: Program) -> None:
+        self.program = program
+
+    def solve(self) -> Candidate:
+        term, scene = self.program.terms[1], self.program.laplace
+        found = {
+            "data": term.matrix.data,
+            "indices": term.matrix.indices,
+            "indptr": term.matrix.indptr,
+            "target": term.target,
+            "laplace": scene.L.data,
+        }
+        found[self.part] *= 2
+        return Candidate(np.zeros(self.program.n_variables))
+
+
+@pytest.mark.parametrize("part", ["data", "indices", "indptr", "target", "laplace"])
+def test_a_users_solver_cannot_change_the_scene(part: str) -> None:
+    declared = load("eq10", SCENE)
+    before = tt.fit(SCENE, "eq10").objective
+    with pytest.raises(InputError, match="read-only"):
+        tt.fit(SCENE, declared, solver=Scaling(part))
+    assert tt.fit(SCENE, "eq10").objective == before
+    scale = SCENE.N.data  # to write to again, for whom it belongs to
+    assert scale.flags.writeable

@@ -136,7 +136,7 @@ def test_a_point_that_fails_leaves_nan_and_its_status(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def fails(declared: Formulation) -> Solution:
-        request = path_solvers.Request(1e-15)
+        request = path_solvers.Request(1e-14)
         return path_solvers._InTurn("structured", request)(declared)
 
     stumbling(monkeypatch, fails)

@@ -13,7 +13,7 @@ from tests.conftest import small_scene
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import verdict
-from ttus_opt.fitting.verdict import CONFLICT_SECONDS, check_candidate, judged
+from ttus_opt.fitting.verdict import CONFLICT_SECONDS, checked_candidate, judged
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.reduction import Reduction, reduce
@@ -133,19 +133,64 @@ def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(
     assert given == [CONFLICT_SECONDS] * 2 + [3.0] * 2 + [CONFLICT_SECONDS, 3.0]
 
 
+ZERO = np.zeros(2)
+
+#: Where a vector of two numbers is wanted
+NO_VECTORS: tuple[Any, ...] = (
+    [0.0, 0.0],
+    np.zeros(2, complex),
+    np.array([0.0, None]),
+    np.ma.array([0.0, 0.0]),
+    np.zeros((2, 1)),
+    np.array(["a", "b"]),
+    0.0,
+    np.float64(0.0),
+    "answer",
+    np.array(0.0),
+)
+
+
+def test_an_answer_is_copied_once() -> None:
+    """A solver may use its arrays again."""
+    small = program([term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2], [3])])
+    x, y, z = np.zeros(2), np.zeros(1), np.zeros(2, np.float32)
+    found = checked_candidate(Candidate(x, Duals({"reach": y}, z)), small, "mine")
+    x += 1.0
+    y += 1.0
+    z += 1.0
+    assert found.x is not None and found.duals.bounds is not None
+    for own in (found.x, found.duals.rows["reach"], found.duals.bounds):
+        assert not own.any() and own.dtype == np.float64
+
+
 @pytest.mark.parametrize(
     ("candidate", "words"),
     [
         ("done", "must return a Candidate, got str"),
-        (Candidate(np.zeros(3)), r"x must have shape \(2,\), got \(3,\)"),
-        (Candidate(np.zeros(2), Duals({}, np.zeros(1))), r"duals\.bounds must have"),
+        (Candidate(np.zeros(3)), r"x must .* of shape \(2,\), got .* \(3,\)"),
+        (Candidate(np.zeros(2), Duals({}, np.zeros(1))), r"duals\.bounds must be"),
         (
             Candidate(np.zeros(2), Duals({"reach": np.zeros(2)})),
-            r"duals\.rows\['reach'\] must have shape \(1,\)",
+            r"duals\.rows\['reach'\] must .* of shape \(1,\)",
         ),
+        *((Candidate(x), "mine: its x must be an array of real") for x in NO_VECTORS),
+        *((Candidate(ZERO, Duals({}, x)), r"its duals\.bounds") for x in NO_VECTORS),
+        *(
+            (
+                Candidate(ZERO, Duals({"reach": x})),
+                r"its duals\.rows\['reach'\] must be",
+            )
+            for x in (None, *NO_VECTORS)
+        ),
+        (Candidate(ZERO, Duals({}, None, {"f": "a"})), r"its duals\.terms\['f'\] must"),  # type: ignore[dict-item]
+        (Candidate(ZERO, None), "its duals must be Duals, got NoneType"),  # type: ignore[arg-type]
+        (Candidate(ZERO, Duals(None)), r"its duals\.rows must be vectors by con"),  # type: ignore[arg-type]
+        (Candidate(ZERO, detail=3), "its detail must be a text, got int"),  # type: ignore[arg-type]
+        (Candidate(ZERO, claim="done"), "its claim must be a Claim, got str"),  # type: ignore[arg-type]
+        (Candidate(ZERO, iterations=1.5), "its iterations must be a whole"),  # type: ignore[arg-type]
     ],
 )
 def test_the_form_of_an_answer_is_checked(candidate: Any, words: str) -> None:
     small = program([term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2], [3])])
     with pytest.raises(InputError, match=words):
-        check_candidate(candidate, small, "mine")
+        checked_candidate(candidate, small, "mine")

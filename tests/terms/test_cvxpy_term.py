@@ -131,3 +131,10 @@ def test_a_formulation_in_cvxpys_words() -> None:
 def test_a_term_needs_a_scene() -> None:
     with pytest.raises(InputError, match="at least one term of a scene"):
         Formulation([CvxpyTerm("edge", cp.sum)])
+
+
+def test_a_variable_of_its_own_is_refused() -> None:
+    """It would be a field that nothing else knows, without effect."""
+    term = CvxpyTerm("edge", lambda x: cp.tv(x[:, :, 3]))
+    with pytest.raises(InputError, match=r"edge takes x, a variable of no other.* p$"):
+        (eq10() + term).compile()

@@ -89,7 +89,7 @@ def fit(
     every: int = 1,
     rate: float | None = None,
     torque_length: float | None = None,
-    time_limit: float | None = None,
+    time_limit: float = 600.0,
     picture: Path | None = None,
     doubt: bool = False,
     doubt_picture: Path | None = None,
@@ -105,7 +105,7 @@ def fit(
         rate: Use at most this many frames per second of a recording [Hz].
         torque_length: Length ℓ that scales torques to forces [m]. By default the
             probe's.
-        time_limit: Time limit of the solver [s].
+        time_limit: Time limit of every solve [s].
         picture: Draw the probe on the skin with the measured forces here.
         doubt: Save the field's uncertainty in the field file, for ttus-opt evaluate
             --doubt and for rendering.
@@ -188,7 +188,7 @@ def fit(
 
 
 def _solved(
-    choice: WeightChoice, problem: ProblemOptions, time_limit: float | None
+    choice: WeightChoice, problem: ProblemOptions, time_limit: float
 ) -> Solution:
     from ttus_opt.fitting.batch import fit as fit_scene
 

@@ -15,7 +15,7 @@ from ttus_opt.fitting.fitted_parameters import fitted_estimates
 from ttus_opt.fitting.identification import with_estimates
 from ttus_opt.fitting.one_sense import warn_of_one_sense
 from ttus_opt.fitting.parameter_search import SearchResult, search_parameters
-from ttus_opt.fitting.verdict import check_candidate
+from ttus_opt.fitting.verdict import checked_candidate
 from ttus_opt.fitting.verdict import judged as judged
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.compression import Compression
@@ -291,8 +291,9 @@ class Fitter:
     def _solved(self) -> Solution:
         """Solve with the current solver and verify."""
         watch = Stopwatch()
-        candidate = self._prepared.solve()
-        check_candidate(candidate, self._reduction.program, self._backend.name)
+        candidate = checked_candidate(
+            self._prepared.solve(), self._reduction.program, self._backend.name
+        )
         spent = watch.seconds
         self._compile += watch.compile
         again = None

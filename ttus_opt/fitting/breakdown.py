@@ -6,11 +6,13 @@ then continues with the next solver.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
 
+from ttus_opt.problem.locked import locked
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
 from ttus_opt.user_code import user_errors
@@ -38,6 +40,7 @@ class Guarded(Prepared):
             SolverUnavailableError: The solver's package is not installed.
         """
         self._solver, self._request = solver, request
+        self._is_ours = type(solver).__module__.startswith("ttus_opt.")
         self._prepared: Prepared | None = None
         self._why = ""
         self.update(program)
@@ -45,6 +48,7 @@ class Guarded(Prepared):
     def update(self, program: Program) -> None:
         """Load other data; after a breakdown, prepare the solver again."""
         kept, self._prepared = self._prepared, None
+        self._program = program
 
         def load() -> Prepared:
             if kept is None:
@@ -66,7 +70,10 @@ class Guarded(Prepared):
     def _tried(self, act: Callable[[], T]) -> T | None:
         """The result of a call; None if it broke down."""
         try:
-            with user_errors(f"solver {self._solver.name}"):
+            with contextlib.ExitStack() as stack:
+                stack.enter_context(user_errors(f"solver {self._solver.name}"))
+                if not self._is_ours:
+                    stack.enter_context(locked(self._program))
                 return act()
         except BREAKDOWNS as error:
             self._why = f"{type(error).__name__}: {error}"

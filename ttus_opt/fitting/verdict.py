@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.problem.certificate import falling_ray
 from ttus_opt.problem.conflict import conflicting
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import KKT, kkt_residuals
+from ttus_opt.problem.kkt import KKT, Duals, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.solution import Solution, Status, Timings
@@ -25,32 +27,68 @@ CONFLICT_SECONDS = 30.0
 _REJECTIONS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
 
 
-def check_candidate(candidate: Candidate, program: Program, solver: str) -> None:
-    """Validate the form of a candidate, as the solver may be a user's own.
+def checked_candidate(found: Candidate, program: Program, solver: str) -> Candidate:
+    """A solver's candidate with vectors of its own, as it may be a user's.
 
     Raises:
-        InputError: It is not a `Candidate`, or its vectors have other lengths.
+        InputError: It is not a `Candidate`, or one of its fields is not what it must
+            be.
     """
-    if not isinstance(candidate, Candidate):
-        raise InputError(
-            f"solver {solver}: solve() must return a Candidate, got "
-            f"{type(candidate).__name__}"
-        )
-    n, duals = program.n_variables, candidate.duals
+    fields: list[tuple[str, Any, Any, str]] = [
+        ("candidate", found, Candidate, "a Candidate"),
+    ]
+    if isinstance(found, Candidate):
+        fields += [
+            ("duals", found.duals, Duals, "Duals"),
+            ("claim", found.claim, Claim, "a Claim"),
+            ("detail", found.detail, str, "a text"),
+            ("iterations", found.iterations, int | np.integer, "a whole number"),
+        ]
+        if isinstance(found.duals, Duals):
+            fields += [
+                ("duals.rows", found.duals.rows, Mapping, "vectors by constraint"),
+                ("duals.terms", found.duals.terms, Mapping, "vectors by term"),
+            ]
+    for name, value, kind, words in fields:
+        if not isinstance(value, kind):
+            what = "solve() must return" if value is found else f"its {name} must be"
+            raise InputError(
+                f"solver {solver}: {what} {words}, got {type(value).__name__}"
+            )
+    n, duals = program.n_variables, found.duals
     sizes = {c.name: len(c.lower) for c in program.constraints}
     sizes |= {c.name: len(c.offset) for c in program.cones}
-    vectors = [("x", candidate.x, n), ("duals.bounds", duals.bounds, n)]
-    vectors += [
-        (f"duals.rows[{name!r}]", y, sizes[name])
-        for name, y in duals.rows.items()
-        if name in sizes
-    ]
-    for name, vector, size in vectors:
-        if vector is not None and np.shape(vector) != (size,):
+
+    def own(name: str, vector: Any, size: int | None) -> Array:
+        """A copy of a vector.
+
+        Raises:
+            InputError: It is not a vector of real numbers, or of another length.
+        """
+        plain = type(vector) is np.ndarray and vector.dtype.kind in "fiu"
+        if not plain or vector.ndim != 1 or len(vector) != (size or len(vector)):
+            given = getattr(vector, "dtype", None)
+            kind = type(vector).__name__ + (f" of {given}" if given is not None else "")
+            wanted = "(m,)" if size is None else f"({size},)"
             raise InputError(
-                f"solver {solver}: its {name} must have shape ({size},), got "
-                f"{np.shape(vector)}"
+                f"solver {solver}: its {name} must be an array of real numbers of "
+                f"shape {wanted}, got {kind} of shape {np.shape(vector)}"
             )
+        return np.array(vector, dtype=np.float64)
+
+    def own_all(name: str, vectors: Mapping[str, Array]) -> dict[str, Array]:
+        return {k: own(f"{name}[{k!r}]", v, sizes.get(k)) for k, v in vectors.items()}
+
+    x, bounds = found.x, duals.bounds
+    return replace(
+        found,
+        x=None if x is None else own("x", x, n),
+        duals=Duals(
+            own_all("duals.rows", duals.rows),
+            None if bounds is None else own("duals.bounds", bounds, n),
+            own_all("duals.terms", duals.terms),
+        ),
+    )
 
 
 def judged(

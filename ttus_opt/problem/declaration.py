@@ -187,7 +187,24 @@ class Formulation:
         return Formulation(terms, constraints, self.name, search)
 
     def compile(self) -> Program:
-        """The matrices with named rows."""
+        """The matrices with named rows.
+
+        Raises:
+            InputError: A term takes a variable that no other member has.
+        """
+        for term in self.terms:
+            if not term.takes:
+                continue
+            known = {"p"}
+            for other in self.terms:
+                known |= set() if other is term else set(other.assembled.blocks)
+            unknown = [name for name in term.takes if name not in known]
+            if unknown:
+                raise InputError(
+                    f"term {term.name} takes {unknown[0]}, a variable of no other "
+                    f"term, and would have no effect: there are "
+                    f"{', '.join(sorted(known))}"
+                )
         return Program.build(self.scene, self.terms, self.constraints)
 
     @property

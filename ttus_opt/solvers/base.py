@@ -20,6 +20,10 @@ from ttus_opt.errors import InputError, SolverUnavailableError
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 
+#: Least relative KKT residual that can be asked for: sums of many numbers in double
+#: precision are not more accurate [–]
+LEAST_TOLERANCE = 1e-14
+
 
 class Claim(enum.Enum):
     """A solver's own statement about its run."""
@@ -94,9 +98,10 @@ class Request:
         Raises:
             InputError: A tolerance or limit that is not positive.
         """
-        if not 0.0 < self.tolerance < 1.0:
+        if not LEAST_TOLERANCE <= self.tolerance < 1.0:
             raise InputError(
-                f"tolerance must lie between 0 and 1, got {self.tolerance}"
+                f"tolerance must lie between {LEAST_TOLERANCE:g}, what double "
+                f"precision gives, and 1, got {self.tolerance}"
             )
         if self.time_limit is not None and not self.time_limit > 0.0:
             raise InputError(f"time_limit must be positive [s], got {self.time_limit}")

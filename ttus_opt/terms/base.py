@@ -123,6 +123,11 @@ class Term(Member):
         """Rows that define its auxiliary variables, by name; empty for most terms."""
         return {}
 
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """Variables that another member must have too; none for most terms."""
+        return ()
+
     def with_weight(self, weight: float) -> Self:
         """The same term with another weight, without assembling it again.
 

@@ -101,6 +101,11 @@ class CvxpyRows(Term):
         return self.label
 
     @property
+    def takes(self) -> tuple[str, ...]:
+        """Names of the fields that the expression takes."""
+        return tuple(inspect.signature(self.expression).parameters)
+
+    @property
     def formula(self) -> str:
         """The expression as cvxpy prints it."""
         words = str(self._stated[0])
