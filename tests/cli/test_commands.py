@@ -90,8 +90,9 @@ def test_fit_tells_how_well_parameters_are_known(
     answer = run(words)
     line = "friction_coefficient: not identified (no sliding): 0 is used"
     assert line in answer.out.splitlines()
-    answer = run(fit_words(files, tmp_path / "f.nc"))
-    told = json.loads(run(fit_words(files, tmp_path / "f.nc", "--json")).out)
+    eq10 = "--formulation eq10"
+    answer = run(fit_words(files, tmp_path / "f.nc", eq10))
+    told = json.loads(run(fit_words(files, tmp_path / "f.nc", f"{eq10} --json")).out)
     scale, error = (
         told[key]["boundary_scale"] for key in ("parameters", "standard_errors")
     )

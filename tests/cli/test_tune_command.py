@@ -36,7 +36,9 @@ def test_it_tells_weights_and_how_fit_takes_them(
         assert f"{name}: not determined" in plain.out
     by_hand, by_itself = tmp_path / "hand.nc", tmp_path / "auto.nc"
     assert run(words(files, "fit", f"{told['fit_options']} -o {by_hand}")).status == 0
-    answer = run(words(files, "fit", f"--weights auto -o {by_itself} --json"))
+    answer = run(
+        words(files, "fit", f"--formulation eq10 --weights auto -o {by_itself} --json")
+    )
     fitted = json.loads(answer.out)
     for name, weight in told["weights"].items():  # to the accuracy of the search
         assert fitted["weights"][name] == pytest.approx(weight, rel=1e-3)

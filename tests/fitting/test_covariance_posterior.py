@@ -6,17 +6,18 @@ import functools
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import ttus_opt as tt
 from tests.fitting.test_doubt import (
-    dense_errors,
+    noise_of,
     three_presses,
     unseen,
     wrench_rows,
 )
 from ttus_opt.fitting.doubt import Doubt, doubt
 from ttus_opt.problem.solution import Solution
-from ttus_opt.terms.structure import known_covariance
+from ttus_opt.terms.structure import known_covariance, whitening
 
 WEIGHTS = {"force_weight": 30.0, "torque_weight": 3.0}
 
@@ -35,7 +36,20 @@ def dense() -> np.ndarray:
     """Covariance of the errors, the prior's by its term's own matrix."""
     prior = next(t for t in fitted().program.terms if known_covariance(t.tags))
     R = np.sqrt(prior.weight) * prior.matrix.toarray()
-    return dense_errors(np.linalg.inv(R.T @ R), exact())
+    C, scene = np.linalg.inv(R.T @ R), three_presses()
+    by = [  # what the rows of each frame are multiplied by
+        np.sqrt(term.weight) * block
+        for term in fitted().program.terms
+        if (blocks := whitening(term.tags)) is not None
+        for block in blocks * (scene.torque_length if term.name == "torque" else 1.0)
+    ]
+    mixed = scipy.linalg.block_diag(*by)
+    rows = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
+    D = mixed @ rows
+    G = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T) @ mixed
+    left = np.eye(len(C)) - G @ rows
+    found = exact()
+    return np.asarray(found.variance * left @ C @ left.T + G @ noise_of(found) @ G.T)
 
 
 @pytest.mark.slow

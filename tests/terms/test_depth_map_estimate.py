@@ -60,7 +60,7 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5)
+CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04)
 
 
 def dense(scene: Scene, chosen: _Chosen) -> float:
@@ -91,7 +91,9 @@ def dense(scene: Scene, chosen: _Chosen) -> float:
     same = (np.diff(frames) == 1) & (np.diff(scene.trajectory.segment[frames]) == 0)
     press = np.concatenate([[0], np.cumsum(~same)])
     shared = matern(cdist(at, at), 0.005) * (press[:, None] == press)
-    cov = scale**2 * N @ prior @ N.T + 0.03**2 * shared * np.outer(mean, mean)
+    cov = scale**2 * N @ prior @ N.T + chosen.shared_error**2 * shared * np.outer(
+        mean, mean
+    )
     cov += np.diag(chosen.noise**2 + (chosen.relative_noise * mean) ** 2)
     density = multivariate_normal(mean, cov).logpdf(f)
     return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
@@ -163,8 +165,8 @@ def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch.setattr(depth_map_estimate, "posterior_mode", climbed)
     scene = drawn(0, 40)
     found = estimate_depth_map(scene)
-    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05, 1.0])
-    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0, 0.5])
+    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05, 1.0, 0.03])
+    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0, 0.5, 0.7])
     assert found.profile.exponents == (1.3,)
     assert (found.surface_length, found.deviation, found.depth_length) == pytest.approx(
         (0.03, 0.4, 0.01)
@@ -173,8 +175,8 @@ def test_the_posterior_has_the_priors_of_the_method(
     noise = np.sqrt(np.mean(0.05**2 + (0.05 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
     (evidence, n, starts), problem = asked[0], _Problem.of(scene, scene.N)
-    assert n == 7
-    for steps in (np.zeros(7), *np.eye(7)):
+    assert n == 8
+    for steps in (np.zeros(8), *np.eye(8)):
         chosen = _Chosen(*(medians * factors**steps))
         assert evidence(steps) == pytest.approx(problem.evidence(chosen))
     begun = medians * factors ** np.array(starts)
@@ -182,7 +184,7 @@ def test_the_posterior_has_the_priors_of_the_method(
     assert begun[:, 6] == pytest.approx([1.0, 1.0, 5.0, 0.2])
     assert begun[:, 1] == pytest.approx([0.03, 0.03, 0.015, 0.015])
     estimate_depth_map(scene, depth_length=0.02)
-    assert asked[1][1] == 6
+    assert asked[1][1] == 7
 
 
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
@@ -273,9 +275,26 @@ def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     depth = np.array([0.004])
     assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
     assert 0.15 < found.deviation < 0.6
+    alone = replace(found, shared_error=0.0)
     np.testing.assert_allclose(
-        np.sqrt(np.mean(found.sizes(scene) ** 2)), found.noise, rtol=0.05
+        np.sqrt(np.mean(alone.sizes(scene) ** 2)), found.noise, rtol=0.05
     )
+
+
+def test_frames_that_share_an_error_count_less() -> None:
+    """The number of frames of the press alike, a tenth of their common variance."""
+    scene = drawn(0, 30)
+    found = replace(estimate_depth_map(scene), shared_error=0.2)
+    own, at = scene.trajectory, scene.trajectory.position
+    touching = scene.rows.contact_points > 0
+    begins = (np.diff(touching.astype(int)) != 0) | (np.diff(own.segment) != 0)
+    press = np.concatenate([[0], np.cumsum(begins)])
+    alike = matern(cdist(at, at), 0.005) * (press[:, None] == press)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    force = np.linalg.norm((scene.N @ found.profile(depth)).reshape(-1, 3), axis=1)
+    alone = replace(found, shared_error=0.0).sizes(scene) ** 2
+    expected = alone + 0.1 * (0.2 * force) ** 2 * alike.sum(axis=1)
+    np.testing.assert_allclose(found.sizes(scene) ** 2, expected)
 
 
 @pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
