@@ -17,8 +17,6 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,6 +106,8 @@ def _checksums(dataset: xr.Dataset) -> dict[str, str]:
 
 
 def _of_variable(variable: xr.Variable) -> str:
+    import numpy as np
+
     values = np.asarray(variable.values)
     facts = [*map(str, variable.dims), *map(str, values.shape)]
     if values.dtype.kind in "OSU":
@@ -120,6 +120,8 @@ def _of_variable(variable: xr.Variable) -> str:
 
 def _text(attributes: Mapping[Any, Any]) -> bytes:
     """Attributes in one form, before writing and after reading."""
+    import numpy as np
+
     plain = {
         str(name): value if isinstance(value, str) else np.asarray(value).tolist()
         for name, value in attributes.items()

@@ -10,6 +10,7 @@ import scipy.linalg
 
 import ttus_opt as tt
 from tests.fitting.test_doubt import (
+    KEPT_SHARE,
     noise_of,
     three_presses,
     unseen,
@@ -18,6 +19,8 @@ from tests.fitting.test_doubt import (
 from ttus_opt.fitting.doubt import Doubt, doubt
 from ttus_opt.problem.solution import Solution
 from ttus_opt.terms.structure import known_covariance, whitening
+
+pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
 WEIGHTS = {"force_weight": 30.0, "torque_weight": 3.0}
 

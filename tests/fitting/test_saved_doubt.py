@@ -11,11 +11,13 @@ import pytest
 
 import ttus_opt as tt
 from tests.fitting.test_covariance_posterior import exact, fitted
-from tests.fitting.test_doubt import three_presses, unseen
+from tests.fitting.test_doubt import KEPT_SHARE, three_presses, unseen
 from ttus_opt import io
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.saved_doubt import FACTS, read_doubt, save_with_doubt
 from ttus_opt.voxmap.field import DRAWS, KIND, VERSION, PotentialField
+
+pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
 
 @pytest.fixture(scope="module")
