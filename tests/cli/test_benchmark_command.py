@@ -137,7 +137,7 @@ def test_perturbed_cases_by_either_name(
         (["--parts", "ripple", "--export", "here"], "leave --parts out"),
         (["--sampling", "cubic"], "unknown sampling 'cubic': choose voxel-mean or"),
         (["--weight", "-1"], "weight must be positive"),
-        (["--tolerance", "2"], "tolerance must lie between 0 and 1"),
+        (["--tolerance", "2"], "tolerance must lie between 1e-14"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
