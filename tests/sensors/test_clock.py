@@ -13,14 +13,12 @@ from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.clock import (
     Signal,
-    angular_speed,
     clock_offset,
     contact_of_force,
     contact_of_poses,
     gravity_of_poses,
     gravity_of_readings,
 )
-from ttus_opt.sensors.streams import poses_at
 
 
 def wander(time: np.ndarray) -> np.ndarray:
@@ -65,19 +63,6 @@ def test_clocks_that_count_from_elsewhere() -> None:
         clock_offset(first, second)
     found = clock_offset(first, second, around=-1.7e9)
     assert found.seconds == pytest.approx(0.5 - 1.7e9, abs=1e-2)
-
-
-def test_angular_speed_is_that_of_any_frame() -> None:
-    time = np.arange(0, 20, 0.02)
-    turns = Rotation.from_rotvec(np.outer(0.3 * wander(time), [0.2, 0.9, 0.3]))
-    poses = Trajectory(time, np.zeros((len(time), 3)), turns.as_matrix())
-    base = Rotation.from_rotvec([1.0, 2.0, -0.4]).as_matrix()
-    tool = Rotation.from_rotvec([-0.3, 0.1, 1.4]).as_matrix()
-    later = np.arange(2.0, 17.0, 0.05)
-    moved = poses_at(poses, later, largest_gap=1.0)
-    second = Trajectory(later - 0.8, moved.position, base @ moved.rotation @ tool)
-    found = clock_offset(angular_speed(poses), angular_speed(second))
-    assert found.seconds == pytest.approx(0.8, abs=0.02)
 
 
 def test_contact_of_presses(shared: Path) -> None:

@@ -114,7 +114,7 @@ def test_a_table_of_wrenches(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*rows repeat the row before")
 @pytest.mark.parametrize(
-    "text", ["t,fx,fy\n0,1,2\n", "t,fx,fy,fz\n0,1,2,3\n0,1,2,3\n", "t,fx,fy,fz\n"]
+    "text", ["t,fx,fy\n0,1,2\n", "t,fx,fy,fz\n0,1,2,3\n0,1,2,4\n", "t,fx,fy,fz\n"]
 )
 def test_tables_that_are_none(tmp_path: Path, text: str) -> None:
     (tmp_path / "w.csv").write_text(text)

@@ -94,13 +94,18 @@ def synchronise(
         "left_out": len(track) - len(joined),
         "segments": segments,
         "offset_s": offset,
+        "offset_std_s": None if found is None else found.std,
         "correlation": None if found is None else found.correlation,
         "rival": None if found is None else found.rival,
     }
-    how = "" if found is None else f", correlation {found.correlation:.3f}"
+    how = (
+        " s"
+        if found is None
+        else f" ± {found.std:.4f} s, correlation {found.correlation:.3f}"
+    )
     line = (
         f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
-        f"wrenches moved by {offset:.4f} s{how}"
+        f"wrenches moved by {offset:.4f}{how}"
     )
     tell(facts, line, json=json)
 
@@ -116,10 +121,12 @@ def _found(
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors import clock
+    from ttus_opt.sensors.angular_offset import angular_offset
 
+    around, largest = search
     if isinstance(other, Trajectory):
-        first, second = clock.angular_speed(track), clock.angular_speed(other)
-    elif by == "contact":
+        return angular_offset(track, other, around=around, largest=largest)
+    if by == "contact":
         if surface is None:
             raise InputError("--by contact needs --surface, in the frame of the poses")
         second = clock.contact_of_force(other.time, other.force)
@@ -127,5 +134,4 @@ def _found(
         first = clock.contact_of_poses(track, Surface.load(surface), share)
     else:
         raise InputError(f"--by takes contact or angular-speed, got {by!r}")
-    around, largest = search
     return clock.clock_offset(first, second, around=around, largest=largest)

@@ -94,13 +94,7 @@ def smooth_twist(
     Returns:
         Velocity and angular velocity, patient axes, shape (T, 6) [m/s, rad/s].
     """
-    from scipy.spatial.transform import Rotation
-
-    turns = np.zeros_like(position)
-    if len(time) > 1:
-        between = rotation[1:] @ rotation[:-1].transpose(0, 2, 1)
-        turns[1:] = Rotation.from_matrix(between).as_rotvec()
-    summed = np.cumsum(turns, axis=0)
+    summed = summed_turns(rotation)
     twist = differences.copy()
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     for path, columns, lever in (
@@ -113,6 +107,17 @@ def smooth_twist(
         if lever * math.hypot(found.drift * math.sqrt(step), found.jitter) < LARGEST:
             twist[found.known, columns] = found.velocity[found.known]
     return twist
+
+
+def summed_turns(rotation: Array) -> Array:
+    """Sum of the small rotation vectors between frames, shape (T, 3) [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    turns = np.zeros((len(rotation), 3))
+    if len(rotation) > 1:
+        between = rotation[1:] @ rotation[:-1].transpose(0, 2, 1)
+        turns[1:] = Rotation.from_matrix(between).as_rotvec()
+    return np.cumsum(turns, axis=0)
 
 
 def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
@@ -153,13 +158,10 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
         bounds=[(-12.0, 12.0), (STARTS[0], STARTS[-1])],
         options={"xatol": 0.02, "fatol": 0.01, "initial_simplex": _simplex(best)},
     )
-    ratios, kept = _ratios(found.x), np.empty((len(path), KEPT))
-    square, _, count = _filtered(path, steps, starts, ratios, kept)
-    scale = square / count
+    ratios = _ratios(found.x)
+    velocity, variance, scale = _estimated(path, steps, starts, ratios)
     if scale < EXACT**2:
         return None
-    velocity, variance = np.empty_like(path), np.empty(len(path))
-    _smoothed(steps, starts, kept, velocity, variance)
     jerk, drift, jitter = np.sqrt(scale * np.array(ratios))
     piece = np.cumsum(starts)
     return SmoothMotion(
@@ -171,6 +173,42 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
         float(jitter),
         min(math.hypot(drift, jitter) / math.sqrt(2.0), _most_noise(path)) / unit,
     )
+
+
+def velocity_of(
+    path: Array, time: Array, like: SmoothMotion, step: float
+) -> tuple[Array, Array]:
+    """Velocity along a path, smoothed as another one was, and its standard deviation.
+
+    Args:
+        path: As in `smooth_motion`.
+        time: Increasing times, shape (T,) [s].
+        like: The other's noise.
+        step: The other's median step [s]; jitter of as many frames more or less counts
+            alike.
+
+    Returns:
+        Shapes (T, 3) and (T,), the latter up to a factor: larger near the ends.
+    """
+    unit = float(np.median(np.diff(time)))
+    steps = np.ascontiguousarray(np.diff(time) / unit)
+    path = np.ascontiguousarray(path - path[0])
+    drift, white = like.drift**2 * unit, like.jitter**2 * step / unit
+    noise = drift + white
+    ratios = like.jerk**2 * unit**5 / noise, drift / noise, white / noise
+    found = _estimated(path, steps, _starts(path, steps), ratios)
+    return found[0] / unit, np.sqrt(found[1])
+
+
+def _estimated(
+    path: Array, steps: Array, starts: Mask, ratios: tuple[float, float, float]
+) -> tuple[Array, Array, float]:
+    """Velocity (T, 3) and its variance over the scale (T,), per step; the scale."""
+    kept = np.empty((len(path), KEPT))
+    square, _, count = _filtered(path, steps, starts, ratios, kept)
+    velocity, variance = np.empty_like(path), np.empty(len(path))
+    _smoothed(steps, starts, kept, velocity, variance)
+    return velocity, variance, square / max(count, 1)
 
 
 def _most_noise(path: Array) -> float:

@@ -39,6 +39,12 @@ CONTACT = 0.5
 #: A slope is taken between the means of the two halves of this span [s]
 SPAN = 0.3
 
+#: Parts of a recording between which the offset's error is estimated
+PARTS = 8
+
+#: Error of the parabola between samples [steps]
+ROUNDED = 0.05
+
 #: Longest gap that is interpolated over [median steps]
 GAP_STEPS = 5.0
 
@@ -62,16 +68,14 @@ class Offset(NamedTuple):
         seconds: Seconds to add to the second signal's times.
         correlation: Coefficient at this offset.
         rival: Coefficient of the next highest peak.
+        std: Standard error of ``seconds``, from the scatter between parts of the
+            recording [s].
     """
 
     seconds: float
     correlation: float
     rival: float
-
-
-def angular_speed(poses: Trajectory) -> Signal:
-    """Angular speed of a probe, the same in every frame [rad/s]."""
-    return Signal(poses.time, np.linalg.norm(poses.angular_velocity(), axis=1))
+    std: float
 
 
 def contact_of_force(time: Array, force: Array) -> Signal:
@@ -185,7 +189,7 @@ def clock_offset(
     bend = low - 2.0 * mid + high
     part = 0.5 * (low - high) / bend if bend < 0 else 0.0
     seconds = float((lags[best] + part) * step) - apart
-    return Offset(seconds, float(mid), rival)
+    return Offset(seconds, float(mid), rival, step * _std(a, b, int(lags[best])))
 
 
 def _slope(time: Array, values: Array) -> Signal:
@@ -254,18 +258,43 @@ def _resampled(signal: Signal, step: float, gap: float) -> Array:
 
 def _correlation(a: Array, b: Array, lag: int) -> float:
     """Correlation coefficient of a and b, b delayed by ``lag`` steps."""
-    first, second = max(lag, 0), max(-lag, 0)
-    n = min(len(a) - first, len(b) - second)  # a[lag + k] belongs to b[k]
     known = min(np.isfinite(a).sum(), np.isfinite(b).sum())
-    if n < 2:
-        return -1.0
-    x, y = a[first : first + n], b[second : second + n]
+    x, y = _overlapping(a, b, lag)
     both = np.isfinite(x) & np.isfinite(y)
     if both.sum() < max(LEAST_OVERLAP * known, 8):
         return -1.0
     x, y = x[both] - x[both].mean(), y[both] - y[both].mean()
     square = float((x @ x) * (y @ y))
     return float(x @ y) / np.sqrt(square) if square > 0.0 else -1.0
+
+
+def _std(a: Array, b: Array, lag: int) -> float:
+    """Standard error of a lag, by a jackknife over parts of the recording [steps].
+
+    Near the best lag a step δ of b changes the residual b − g a by g a′ δ: the least
+    squares δ of every part but one scatter as the lag does, whatever the correlation of
+    the noise within a part.
+    """
+    x, y = _overlapping(a, b, lag)
+    slope = 0.5 * (x[2:] - x[:-2])
+    x, y = x[1:-1], y[1:-1]
+    known = np.isfinite(slope) & np.isfinite(x) & np.isfinite(y)
+    x, y = x - x[known].mean(), y - y[known].mean()
+    gain = float(x[known] @ y[known]) / float(x[known] @ x[known])
+    part = np.arange(len(x)) * PARTS // len(x)
+    ups = np.where(known, slope * (y - gain * x), 0.0)
+    downs = np.where(known, gain * slope**2, 0.0)
+    up, down = (np.bincount(part, v, PARTS) for v in (ups, downs))
+    left = (up.sum() - up) / np.maximum(down.sum() - down, 1e-300)
+    spread = float(np.sqrt((PARTS - 1) / PARTS * ((left - left.mean()) ** 2).sum()))
+    return float(np.hypot(spread, ROUNDED))
+
+
+def _overlapping(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
+    """A and b where both are, b delayed by ``lag`` steps."""
+    first, second = max(lag, 0), max(-lag, 0)
+    n = max(min(len(a) - first, len(b) - second), 0)  # a[lag + k] belongs to b[k]
+    return a[first : first + n], b[second : second + n]
 
 
 def _rival(found: Array, best: int) -> float:
