@@ -129,8 +129,8 @@ def drag_by_hand(
     parameters = field.parameters
     points = shell.points @ R.T + at
     r, theta, z = cylindrical(points)
-    depth = SURFACE.radius_at(theta, z) - r
     grid = VOXMAP.grid
+    depth = (SURFACE.radius_at(theta, z) - r) * grid.end_share(z)
     inside = (depth > 0) & (z >= grid.z_min) & (z <= grid.z_max)
     weight = np.where(inside, shell.areas * depth, 0.0)
     if not inside.any():

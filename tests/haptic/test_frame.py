@@ -47,7 +47,7 @@ def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
     grid = VOXMAP.grid
     r, theta, z = cylindrical(shell().points @ R.T + at)
     within = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
-    depth = SURFACE.radius_at(theta, z) - r
+    depth = (SURFACE.radius_at(theta, z) - r) * grid.end_share(z)
     inside = np.flatnonzero(within & (depth > 0))
     beyond = int((r[inside] < grid.r_inner).sum())
     return Expected(inside, depth, bool(within.any()), beyond)

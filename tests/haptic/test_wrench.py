@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.row_kernels import REFERENCE_AREA
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, over_limits
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import mixed, orthonormalise
@@ -80,6 +81,37 @@ def test_a_torque_limit_does_so_too_and_the_smaller_one_counts() -> None:
         assert cut.limited_by == name
         np.testing.assert_allclose(cut.force, share * whole.force, rtol=1e-12)
         np.testing.assert_allclose(cut.torque, share * whole.torque, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sampling", ["trilinear", "contact-size"])
+@pytest.mark.parametrize("end", [0.0, 0.2])
+def test_forces_fade_over_the_last_voxel(end: float, sampling: str) -> None:
+    """4 cm deep, across an end: continuous, with drag and without, and named."""
+    parameters = {"friction_coefficient": 0.3}
+    field = replace(FIELD, sampling=sampling, parameters=parameters)
+    renderer = Renderer(field, SHELL, force_limit=1e6, torque_limit=1e6)
+    twist = np.array([0.0, 0.05, 0.02, 0.0, 0.0, 0.0])
+    inwards, reach = np.sign(0.1 - end), 0.01 + 0.05 + 1e-4  # the sphere and a voxel
+    jumps = []
+    for n in (601, 1201):
+        heights = end + inwards * np.linspace(-0.011, reach, n)
+        path = np.array([[0.06, 0.0, z] for z in heights])
+        moving, still = (
+            [renderer.render(np.eye(3), at, v) for at in path]
+            for v in (twist, np.zeros(6))
+        )
+        force = np.array([np.concatenate([w.force, w.torque]) for w in moving])
+        jumps.append(np.abs(np.diff(force, axis=0)).max(axis=0))
+        turns = np.tile(np.eye(3), (n, 1, 1))
+        rows = contact_rows(field.voxmap, SHELL, turns, path, sampling=sampling)
+        own = (rows.N @ field.values.reshape(-1)).reshape(-1, 3)
+        np.testing.assert_allclose([w.force for w in still], own, atol=1e-9)
+    assert jumps[0].max() < 0.02 * np.abs(force).max()
+    assert (jumps[1][[0, 1, 3, 4]] < 0.6 * jumps[0][[0, 1, 3, 4]]).all()
+    assert not force[0].any() and force[-1].any()
+    names = [w.limited_by for w in moving]
+    assert names[0] == names[-1] == ""
+    assert set(names[30:1100]) == {"end"} and not moving[600].saturated
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e77, 1e160])

@@ -57,10 +57,9 @@ def _factors(
     places = np.einsum("tij,mj->tmi", rotation, shell.points) + position[:, None]
     shape = places.shape[:2]
     r, theta, z = (v.reshape(shape) for v in cylindrical(places.reshape(-1, 3)))
-    inside = (z >= grid.z_min) & (z <= grid.z_max) & (r <= grid.r_outer)
-    inside &= grid.in_sector(theta)
-    depth = np.where(inside, voxmap.surface.radius_at(theta, z) - r, 0.0)
-    weight = np.maximum(depth, 0.0) * shell.areas
+    depth = (voxmap.surface.radius_at(theta, z) - r) * grid.end_share(z)
+    inside = (r <= grid.r_outer) & grid.in_sector(theta)
+    weight = np.where(inside, np.maximum(depth, 0.0), 0.0) * shell.areas
     total = weight.sum(axis=1)
     shares = weight / np.where(total > 0.0, total, 1.0)[:, None]
     centre = shares @ shell.points  # in the probe frame, where lengths are the same

@@ -51,7 +51,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
-from ttus_opt.voxmap.grid import GridLimits
+from ttus_opt.voxmap.grid import GridLimits, depth_at
 from ttus_opt.voxmap.voxmap import Voxmap
 
 ActsAt = Literal["contact", "reference", "points"]
@@ -323,7 +323,7 @@ def _patches(
                 continue
             cell = radius_cell(turn_angle(x, y), z, n_theta, n_z, layout)
             R_here = radius_between(cell[0], cell[1], cell[2], cell[3], flat)
-            depth = R_here - math.sqrt(square)
+            depth = depth_at(R_here, math.sqrt(square), z, limits)
             if depth <= 0.0:
                 continue
             share = weights[m] * depth

@@ -19,7 +19,7 @@ from ttus_opt.cylindrical import TURN, turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
-from ttus_opt.voxmap.grid import GridLimits, around
+from ttus_opt.voxmap.grid import GridLimits, around, depth_at
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Area to which the trilinear sampling refers, A₀ = 1 cm² [m²]
@@ -370,7 +370,8 @@ def pose_rows(
             if square >= v.highest:
                 continue
             r, theta = math.sqrt(square), turn_angle(x, y)
-            depth = _skin(theta, z, v.nodes, v.layout, v.radius) - r
+            skin = _skin(theta, z, v.nodes, v.layout, v.radius)
+            depth = depth_at(skin, r, z, v.limits)
             if depth <= 0.0:
                 continue
             in_contact += 1

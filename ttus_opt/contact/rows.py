@@ -13,7 +13,7 @@ ways, all linear in p (docs/method.md, Contact rows):
 The rows here and the frames of `ttus_opt.haptic.renderer` sample by the same functions
 (`ttus_opt.voxmap.depth_sampling`), so ``render(pose) == N(pose) p``. Beyond the inner
 layer the field continues with that layer's values. Points outside the patient, or
-beyond the grid's ends in z or θ, sample nothing.
+beyond the grid's ends in z or θ, sample nothing; depths fade over the last voxel in z.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ from ttus_opt.voxmap.field import PotentialField
 #: lever of 10 cm, which a hand holds; a scan takes up to about 25 N
 FORCE_LIMIT, TORQUE_LIMIT = 40.0, 4.0
 
-#: The limit that shortened a wrench; none
-Limit = Literal["", "force", "torque"]
+#: What shortened a wrench: nothing, a limit of the renderer, an end of the grid
+Limit = Literal["", "force", "torque", "end"]
 
 #: No drag in the field; drag by a given twist; by a twist estimated from poses and
 #: times; or left out because the motion is unknown
@@ -65,7 +65,9 @@ class Wrench:
             a field with friction and an unknown motion.
         limited_by: The renderer's limit to which the wrench was scaled down, as a whole
             and so with its direction kept: ``force``, ``torque``; "" for none. A
-            wrench that is not finite is zero, ``force``.
+            wrench that is not finite is zero, ``force``. Without these, ``end`` tells
+            of contact in the last voxel at an axial end of the grid, over which the
+            force fades to zero.
         force_std: Standard deviation of the force by a `DoubtMap`; NaN without one [N].
     """
 
@@ -81,7 +83,7 @@ class Wrench:
     @property
     def saturated(self) -> bool:
         """Whether a limit of the renderer acted."""
-        return bool(self.limited_by)
+        return self.limited_by in ("force", "torque")
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ttus_opt.cylindrical import TURN, turn_angle
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
-from ttus_opt.voxmap.grid import GridLimits, around
+from ttus_opt.voxmap.grid import GridLimits, around, depth_at
 
 #: Index of ℓ₀ in `FrameData.limits`
 LENGTH = 11
@@ -173,7 +173,8 @@ def _find_depths(
     met = 0
     for m in range(size):
         r = math.sqrt(squares[m])
-        depth = radius_between(here[m], after[m], a[m], b[m], radius) - r
+        skin = radius_between(here[m], after[m], a[m], b[m], radius)
+        depth = depth_at(skin, r, heights[m], limits)
         is_met = within(squares[m], heights[m], limits)
         radii[m], depths[m] = r, depth if is_met else -1.0
         met += 1 if is_met else 0
@@ -224,6 +225,16 @@ def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
         contact += is_kept
         beyond += is_kept if r < inner else 0
     return contact, beyond
+
+
+@compiled(error_model="numpy", nogil=True)
+def near_end(contact: int, s: FrameData) -> bool:
+    """Whether a point in contact lies in a voxel where forces fade (compiled)."""
+    heights, limits, found = s.spot[2], _extent(s.limits), 0
+    for c in range(contact):
+        voxels = min(heights[c] - limits.z_min, limits.z_max - heights[c])
+        found += 1 if voxels * limits.per_z < 1.0 else 0
+    return found > 0
 
 
 @compiled(error_model="numpy", nogil=True)

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 
 #: Names of what a frame says limited it
-LIMITS: tuple[Limit, ...] = ("", "force", "torque")
+LIMITS: tuple[Limit, ...] = ("", "force", "torque", "end")
 
 
 class Renderer:

@@ -26,7 +26,7 @@ from ttus_opt.haptic.drag import (
     drag_of,
     patch_of,
 )
-from ttus_opt.haptic.frame import touch, wrench_of
+from ttus_opt.haptic.frame import near_end, touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
@@ -85,7 +85,7 @@ class FrameBuffers(NamedTuple):
 BLEND, FORCE, TORQUE, FILTER = 0, 3, 4, 5
 
 #: What limited a wrench; names are in `ttus_opt.haptic.field_wrench.Limit`
-UNLIMITED, BY_FORCE, BY_TORQUE = 0, 1, 2
+UNLIMITED, BY_FORCE, BY_TORQUE, BY_END = 0, 1, 2, 3
 
 
 class FrameLimits(NamedTuple):
@@ -122,7 +122,7 @@ def render_frame(
     Returns:
         Number of points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether any
         shell point is in the grid; number of points beyond the inner layer;
-        `UNLIMITED`, `BY_FORCE` or `BY_TORQUE`.
+        `UNLIMITED`, `BY_FORCE`, `BY_TORQUE` or, without these, `BY_END`.
     """
     R, at, rows, numbers = buffers.R, buffers.at, buffers.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
@@ -157,7 +157,10 @@ def render_frame(
         follow(ledger, R, at, reference)
     for c in range(6):
         wrench[c] += drag[c]
-    return contact, in_grid, beyond, _cut(wrench, numbers[FORCE], numbers[TORQUE])
+    by = _cut(wrench, numbers[FORCE], numbers[TORQUE])
+    if by == UNLIMITED and near_end(contact, data):
+        by = BY_END
+    return contact, in_grid, beyond, by
 
 
 @compiled(inline="always")

@@ -188,6 +188,11 @@ class CylindricalGrid:
         """Heights of the slices, shape (n_z,) [m]."""
         return self.z_min + self.z_step * np.arange(self.shape[2], dtype=float)
 
+    def end_share(self, z: Array) -> Array:
+        """Share of a depth that counts, 0 at both ends, 1 a voxel away (`depth_at`)."""
+        voxels = np.minimum(z - self.z_min, self.z_max - z) / self.z_step
+        return np.asarray(np.clip(voxels, 0.0, 1.0))
+
     @property
     def strides(self) -> tuple[int, int, int]:
         """Flat distance between neighbours in r, θ and z [–]."""
@@ -253,6 +258,18 @@ def nodes_of(
 def flat_index(i: int, j: int, k: int, n_theta: int, n_z: int) -> int:
     """Flat index of voxel (i, j, k): C order (compiled)."""
     return (i * n_theta + j) * n_z + k
+
+
+@compiled(inline="always")
+def depth_at(skin: float, r: float, z: float, limits: GridLimits) -> float:
+    """Depth below the surface, faded to 0 over the voxel at either end (compiled) [m].
+
+    The patient goes on beyond the grid: without this, a force would jump there. The
+    fade is continuous, and 1 elsewhere.
+    """
+    share = min(z - limits.z_min, limits.z_max - z) * limits.per_z
+    faded: float = (skin - r) * min(max(share, 0.0), 1.0)
+    return faded
 
 
 @compiled(inline="always")
