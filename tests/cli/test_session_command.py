@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -68,7 +71,7 @@ def test_the_example(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_recording_of_openigtlink(run: Run, output: Path) -> None:
-    pytest.importorskip("pyigtl", reason="needs ttus-opt[live]")
+    pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
     from tests.sensors.test_open_igt_link import sensor, serving, transform
     from ttus_opt.probe.trajectory import read_trajectory
     from ttus_opt.sensors.streams import read_wrench_stream
@@ -91,3 +94,27 @@ def test_a_recording_of_openigtlink(run: Run, output: Path) -> None:
     refused(run("record 127.0.0.1:nine --poses a.csv"), "HOST or HOST:PORT")
     refused(run("record 127.0.0.1"), "--poses or --wrenches")
     assert empty(output)
+
+
+def test_a_killed_recording_is_readable(output: Path) -> None:
+    """What is on disk after 0.3 s in place of 5 s; nothing half-written beside it."""
+    pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
+    from tests.sensors.test_open_igt_link import serving, transform
+    from ttus_opt.probe.trajectory import read_trajectory
+
+    poses = output / "poses.csv"
+    with serving([transform(i) for i in range(3000)]) as port:
+        code = (
+            "import ttus_opt.sensors.open_igt_link as igt; igt.KEEPING = 0.3\n"
+            "from ttus_opt.cli import main\n"
+            f"main(['record', '127.0.0.1:{port}', '--poses', {str(poses)!r}])"
+        )
+        recording = subprocess.Popen([sys.executable, "-P", "-c", code])
+        try:
+            until = time.monotonic() + 60.0
+            while not poses.exists() and time.monotonic() < until:
+                time.sleep(0.02)
+        finally:
+            recording.kill()
+            recording.wait()
+    assert len(read_trajectory(poses)) > 20

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs
-from ttus_opt.errors import InputError
+from ttus_opt.errors import FileError, InputError, TtusWarning, warn
+
+if TYPE_CHECKING:
+    from ttus_opt.sensors.open_igt_link import Received
 
 
 def record(
@@ -24,7 +30,9 @@ def record(
 ) -> None:
     """Record a tracker's poses and a force sensor's readings over OpenIGTLink.
 
-    The files are written at the end, also after Ctrl-C.
+    Every 5 s, less often in recordings of hours, the files are written anew, and at
+    the end, also after Ctrl-C. Damaged messages and poses that are none are dropped
+    and counted.
 
     Args:
         server: HOST or HOST:PORT of the server.
@@ -37,8 +45,6 @@ def record(
     Example:
         ttus-opt record localhost:18944 --poses tracker.csv --seconds 60
     """
-    import numpy as np
-
     from ttus_opt.sensors import open_igt_link as igt
 
     if poses is None and wrenches is None:
@@ -47,29 +53,74 @@ def record(
     host, _, port = server.partition(":")
     if port and not port.isdigit():
         raise InputError(f"SERVER must be HOST or HOST:PORT, got {server!r}")
-    shown = _counter()
-    received = igt.record(host, int(port or igt.PORT), seconds=seconds, progress=shown)
-    facts: dict[str, object] = {"messages": received.count}
-    lines, failed = [], []
-    # what came cannot be had again: one file is written whatever the other lacks
-    for key, count, file, find in (
-        ("poses", "pose_frames", poses, lambda: received.trajectory(pose_device)),
-        ("wrenches", "wrench_frames", wrenches, lambda: received.wrenches(sensor)),
-    ):
-        if file is None:
-            continue
-        try:
-            stream = find()
-        except InputError as error:
-            failed.append(str(error))
-            continue
-        stream.save(file)
-        frames = len(stream.time)
-        facts |= {key: str(file), count: frames}
-        lines.append(f"{file}: {frames} frames, {np.ptp(stream.time):.1f} s")
-    if failed:
-        raise InputError("; ".join([*failed, *(f"written {line}" for line in lines)]))
+    files = _Files(poses, pose_device, wrenches, sensor)
+    received = igt.record(
+        host,
+        int(port or igt.PORT),
+        seconds=seconds,
+        progress=_counter(),
+        keep=files.keep,
+    )
+    facts, lines, missing = files.write(received)
+    if missing:
+        raise InputError("; ".join([*missing, *(f"written {line}" for line in lines)]))
     tell(facts, *lines, json=json)
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What is written, and from which device."""
+
+    poses: Path | None
+    pose_device: str | None
+    wrenches: Path | None
+    sensor: str | None
+
+    def write(self, got: Received) -> tuple[dict[str, object], list[str], list[str]]:
+        """Write what came; facts, lines, and why a stream is missing.
+
+        Raises:
+            FileError: A file cannot be written.
+        """
+        facts: dict[str, object] = {"messages": got.count}
+        facts |= {"dropped": dict(got.dropped), "ended": got.ended or None}
+        lines, missing = [], []
+        # what came cannot be had again: one file is written whatever the other lacks
+        for key, count, file, find in (
+            (
+                "poses",
+                "pose_frames",
+                self.poses,
+                partial(got.trajectory, self.pose_device),
+            ),
+            (
+                "wrenches",
+                "wrench_frames",
+                self.wrenches,
+                partial(got.wrenches, self.sensor),
+            ),
+        ):
+            if file is None:
+                continue
+            try:
+                stream = find()
+            except InputError as error:
+                missing.append(str(error))
+                continue
+            stream.save(file)
+            frames, seconds = len(stream.time), float(stream.time[-1] - stream.time[0])
+            facts |= {key: str(file), count: frames}
+            lines.append(f"{file}: {frames} frames, {seconds:.1f} s")
+        return facts, lines, missing
+
+    def keep(self, received: Received) -> None:
+        """Write what came so far; only the end of a recording tells what is wrong."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", TtusWarning)
+                self.write(received)
+        except FileError as error:
+            warn(str(error))
 
 
 def _counter() -> Callable[[int], None] | None:

@@ -2,26 +2,24 @@
 
 TRANSFORM messages are poses (translations in mm, as PLUS and 3D Slicer send them);
 SENSOR messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are
-the messages' time stamps. Needs the extra ``live`` (pyigtl).
+the messages' time stamps.
 """
 
 from __future__ import annotations
 
 import contextlib
 import socket
-import struct
-import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, located, warn
-from ttus_opt.optional import load
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.open_igt_message import Message, MessageReader
 from ttus_opt.sensors.streams import WrenchStream
 
 #: Default port of PLUS
@@ -33,10 +31,16 @@ MILLIMETRE = 1e-3
 #: Time limit for a connection and for a first message [s]
 PATIENCE = 5.0
 
+#: Silence that is told, and that ends a recording within a message [s]
+SILENCE = 1.5
+
+#: What came is kept this often, less often where keeping takes a fifth of it [s]
+KEEPING = 5.0
+
 #: Most messages of a recording, hours of them
 MOST_MESSAGES = 5_000_000
 
-#: Polling interval [s]
+#: Longest wait for bytes before the clock is looked at [s]
 PAUSE = 0.02
 
 
@@ -48,28 +52,33 @@ class Received:
         poses: Times [s] and matrices (4, 4) [–, mm].
         readings: Times [s] and numbers.
         others: Message types that are neither, by device.
+        dropped: Numbers of messages that could not be used, by their fault.
         count: Number of messages.
-        broken: Why no further message could be read; None while reading works.
+        ended: Why the recording ended before its time; empty where it did not.
     """
 
     poses: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
     readings: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
     others: dict[str, str] = field(default_factory=dict)
+    dropped: Counter[str] = field(default_factory=Counter)
     count: int = 0
-    broken: str | None = None
+    ended: str = ""
 
-    def take(self, message: Any) -> None:
-        """Keep a message."""
+    def take(self, message: Message) -> None:
+        """Keep a message, or count it as dropped."""
         self.count += 1
-        device, at = str(message.device_name), float(message.timestamp)
-        if message.message_type == "TRANSFORM":
-            kept, value = self.poses, np.array(message.matrix, np.float64)
-        elif message.message_type == "SENSOR":
-            kept, value = self.readings, np.array(message.values, np.float64)
-        else:
-            self.others[device] = str(message.message_type)
+        if message.fault:
+            self.dropped[message.fault] += 1
             return
-        kept.setdefault(device, []).append((at, value))
+        if message.kind not in ("TRANSFORM", "SENSOR"):
+            self.others[message.device] = message.kind
+            return
+        kind = self.poses if message.kind == "TRANSFORM" else self.readings
+        kept = kind.setdefault(message.device, [])
+        if kept and len(kept[0][1]) != len(message.values):
+            self.dropped["fewer or more numbers than the first"] += 1
+            return
+        kept.append((message.time, message.values))
 
     def trajectory(self, device: str | None = None) -> Trajectory:
         """Poses of a device.
@@ -78,16 +87,12 @@ class Received:
             device: May be left out where only one sent poses.
 
         Raises:
-            InputError: No such device, several to choose from, or messages that are not
-                poses.
+            InputError: No such device, or several to choose from.
         """
-        name, time_, values = _stream(self.poses, device, "TRANSFORM", self.others)
-        matrices = np.array(values)
-        if not np.abs(matrices).max() < 1e6:
-            raise InputError(f"{name} sent NaN, infinity or shifts beyond a kilometre")
+        name, at, matrices = _stream(self.poses, device, "TRANSFORM", self.others)
         position = MILLIMETRE * matrices[:, :3, 3]
-        with located(f"{name} sent no rigid motion"):
-            return Trajectory(time_, position, matrices[:, :3, :3].copy())
+        with located(name):
+            return Trajectory(at, position, matrices[:, :3, :3].copy())
 
     def wrenches(self, device: str | None = None) -> WrenchStream:
         """Forces, and torques where sent, of a device.
@@ -96,19 +101,12 @@ class Received:
             device: May be left out where only one sent readings.
 
         Raises:
-            InputError: As `trajectory`, or neither 3 nor 6 numbers.
+            InputError: As `trajectory`, a single reading, or counts for newtons.
         """
-        name, time_, values = _stream(self.readings, device, "SENSOR", self.others)
-        sizes = {len(value) for value in values}
-        if sizes not in ({3}, {6}):
-            raise InputError(
-                f"{name} sent {', '.join(map(str, sorted(sizes)))} numbers, expected "
-                "always 3 forces, or always 3 forces and 3 torques"
-            )
-        numbers = np.array(values)
-        torque = numbers[:, 3:].copy() if sizes == {6} else None
+        name, at, numbers = _stream(self.readings, device, "SENSOR", self.others)
+        torque = numbers[:, 3:].copy() if numbers.shape[1] == 6 else None
         with located(name):
-            return WrenchStream(time_, numbers[:, :3].copy(), torque)
+            return WrenchStream(at, numbers[:, :3].copy(), torque)
 
 
 def record(
@@ -118,8 +116,13 @@ def record(
     seconds: float | None = None,
     patience: float = PATIENCE,
     progress: Callable[[int], None] | None = None,
+    keep: Callable[[Received], None] | None = None,
 ) -> Received:
     """Record the messages of a server.
+
+    A message with a wrong checksum, or numbers that are no pose and no reading, is
+    dropped and counted. A server that sends nothing for `SILENCE` is named at once, and
+    recording goes on: a tracker may say nothing of a probe it does not see.
 
     Args:
         host: Name or address of the server.
@@ -127,14 +130,15 @@ def record(
         seconds: Duration from the first message; None to record until interrupted.
         patience: Time limit for a connection and for a first message [s].
         progress: Called with the number of messages, many times a second.
+        keep: Called every `KEEPING` seconds with what came so far.
 
     Returns:
-        The messages. An interrupt (Ctrl-C) ends the recording without loss; so does
-        data that is not a message, with a warning.
+        The messages. An interrupt (Ctrl-C) ends the recording without loss; so does,
+        with a warning, a server that closes the connection, stops within a message or
+        sends what is none.
 
     Raises:
         InputError: No server, no messages, or not OpenIGTLink.
-        MissingPackageError: pyigtl is not installed.
     """
     if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
         raise InputError(f"a port must be 1 to 65535, got {port}")
@@ -142,134 +146,105 @@ def record(
         raise InputError(
             f"the duration of a recording must be positive [s], got {seconds}"
         )
-    received = Received()
-    igtl: Any = load("pyigtl", "live")
+    server = f"{host}:{port}"
     try:
         connection = socket.create_connection((host, port), timeout=patience)
     except (OSError, UnicodeError) as error:
         raise InputError(
-            f"no server answers at {host}:{port}: check host, port and server"
+            f"no server answers at {server}: check host, port and server"
         ) from error
+    received = Received()
     lasts = np.inf if seconds is None else seconds
-    listening = _listening(igtl, connection, received)
-    with listening, contextlib.suppress(KeyboardInterrupt):
-        _wait(received, lasts, patience, progress)
-    _check(received, f"{host}:{port}")
+    with connection, contextlib.suppress(KeyboardInterrupt):
+        due = np.inf
+        for now in _instants(connection, received, lasts, patience):
+            if progress is not None:
+                progress(received.count)
+            due = min(due, now + KEEPING)
+            if keep is not None and now >= due:
+                keep(received)
+                spent = time.monotonic() - now
+                due = now + spent + max(KEEPING, 4.0 * spent)
+    _check(received, server)
     return received
 
 
-def _wait(
-    received: Received,
-    lasts: float,
-    patience: float,
-    progress: Callable[[int], None] | None,
-) -> None:
-    """Wait until the time is over, nothing comes, or nothing more can be read."""
-    begun: float | None = None
-    asked = time.monotonic()
-    while begun is None or time.monotonic() - begun < lasts:
-        time.sleep(PAUSE)
-        if received.count > MOST_MESSAGES or received.broken is not None:
-            break
-        if begun is None and received.count:
-            begun = time.monotonic()
-        if begun is None and time.monotonic() - asked > patience:
-            break
-        if progress is not None:
-            progress(received.count)
+def _instants(
+    connection: socket.socket, received: Received, lasts: float, patience: float
+) -> Iterator[float]:
+    """The time from the first message on, many times a second, while messages come."""
+    begun, asked, told = np.inf, time.monotonic(), 0.0
+    for heard in _taken(connection, received):
+        now = time.monotonic()
+        if not received.count:
+            if now - asked > patience:
+                return
+            continue
+        begun = min(begun, now)
+        if now - begun >= lasts or received.count > MOST_MESSAGES:
+            return
+        if now - heard > SILENCE and told != heard:
+            told = heard
+            warn(
+                f"nothing came for {SILENCE:g} s after {received.count} messages: is "
+                "the probe in view and the server recording? Ctrl-C ends the recording",
+                3,
+            )
+        yield now
+
+
+def _taken(connection: socket.socket, received: Received) -> Iterator[float]:
+    """Take messages while they come; yields when the last bytes came [s]."""
+    reader = MessageReader()
+    connection.settimeout(PAUSE)
+    heard = time.monotonic()
+    while not received.ended:
+        yield heard
+        try:
+            data = connection.recv(2**16)
+        except TimeoutError:
+            if reader.within_message and time.monotonic() - heard > SILENCE:
+                received.ended = "stopped within a message"
+            continue
+        except OSError as error:
+            received.ended = f"broke the connection ({error.strerror or error})"
+            continue
+        heard = time.monotonic()
+        if not data:
+            within = " within a message" if reader.within_message else ""
+            received.ended = f"closed the connection{within}"
+        try:
+            for message in reader.feed(data):
+                received.take(message)
+        except InputError as error:
+            received.ended = f"sent what is not an OpenIGTLink message ({error})"
 
 
 def _check(received: Received, server: str) -> None:
-    """Warn of a recording that broke off.
+    """Warn of a recording that broke off and of messages that were dropped.
 
     Raises:
         InputError: There are no messages.
     """
-    what = f"{server} sent what is not an OpenIGTLink message ({received.broken})"
     if received.count == 0:
         raise InputError(
-            f"{server} sends nothing: is the server recording?"
-            if received.broken is None
-            else f"{what}: another server or port?"
+            f"{server} {received.ended}: another server or port?"
+            if received.ended
+            else f"{server} sends nothing: is the server recording?"
         )
-    if received.broken is not None:
+    if received.dropped:
+        faults = ", ".join(f"{n} {fault}" for fault, n in received.dropped.items())
         warn(
-            f"{what} after {received.count} messages, where the recording ends: what "
-            "came before is kept",
+            f"{received.dropped.total()} of {received.count} messages were dropped "
+            f"({faults})",
             2,
         )
-
-
-@contextlib.contextmanager
-def _listening(
-    igtl: Any, connection: socket.socket, received: Received
-) -> Iterator[None]:
-    """A client that keeps every message; pyigtl itself keeps only the latest."""
-    _register_sensor(igtl)
-
-    class Messages(dict[str, Any]):
-        """Passes on what the client's thread writes."""
-
-        def __setitem__(self, device: str, message: Any) -> None:
-            received.take(message)
-
-    class Client(igtl.OpenIGTLinkClient):
-        """Stops at a message it cannot read; pyigtl prints a traceback and goes on."""
-
-        def _receive_message_from_socket(self, ssocket: socket.socket) -> bool:
-            try:
-                return bool(super()._receive_message_from_socket(ssocket))
-            except Exception as error:  # struct.error, KeyError, UnicodeError, …
-                received.broken = f"{type(error).__name__}: {error}".splitlines()[0]
-                self.communication_thread_stop_requested = True
-                return False
-
-    client = Client(*connection.getpeername()[:2], start_now=False)
-    client.incoming_messages = Messages()
-    connection.settimeout(PAUSE)
-    client.socket, client._connected = connection, True
-    client.start()
-    try:
-        yield
-    finally:
-        # pyigtl's stop() waits forever for a thread that has died
-        client.communication_thread_stop_requested = True
-        client._client_thread.join(timeout=2.0)
-        connection.close()
-
-
-_REGISTERING = threading.Lock()
-
-
-def _register_sensor(igtl: Any) -> None:
-    """Add SENSOR messages, which pyigtl does not know (OpenIGTLink v2, sensor)."""
-    known = igtl.messages.message_type_to_class_constructor
-    with _REGISTERING:
-        if "SENSOR" not in known:
-            known["SENSOR"] = sensor_message(igtl)
-
-
-def sensor_message(igtl: Any) -> Any:
-    """The class of SENSOR messages, with ``values`` [N, N·m]; igtl is pyigtl itself."""
-
-    class SensorMessage(igtl.messages.MessageBase):
-        """Count, status, unit, then ``count`` doubles."""
-
-        def __init__(self, values: Any = (), **more: Any) -> None:
-            super().__init__(**more)
-            self._message_type = "SENSOR"
-            self.values = np.asarray(values, np.float64).reshape(-1)
-            self._valid_message = True
-
-        def _pack_content(self) -> bytes:
-            head = struct.pack("> B B Q", len(self.values), 0, 0)
-            return head + self.values.astype(">f8").tobytes()
-
-        def _unpack_content(self, content: bytes) -> None:
-            count, _, _ = struct.unpack_from("> B B Q", content)
-            self.values = np.frombuffer(content, ">f8", count, 10).astype(np.float64)
-
-    return SensorMessage
+    if received.ended:
+        warn(
+            f"{server} {received.ended} after {received.count} messages, where the "
+            "recording ends: what came before is kept",
+            2,
+        )
 
 
 def _stream(
@@ -277,8 +252,8 @@ def _stream(
     device: str | None,
     kind: str,
     others: dict[str, str],
-) -> tuple[str, Array, list[Array]]:
-    """Messages of a device by time, one per time stamp.
+) -> tuple[str, Array, Array]:
+    """Messages of a device by time, one per time stamp; a warning where some had one.
 
     Raises:
         InputError: No such device, or several to choose from.
@@ -293,5 +268,12 @@ def _stream(
     if name not in kept:
         raise InputError(f"{name} sent no {kind}: one of {', '.join(kept)}")
     stamps = np.array([at for at, _ in kept[name]], np.float64)
-    stamps, first = np.unique(stamps, return_index=True)
-    return name, stamps, [kept[name][i][1] for i in first]
+    different, first = np.unique(stamps, return_index=True)
+    if more := len(stamps) - len(different):
+        warn(
+            f"{more} of {len(stamps)} {kind} messages of {name} "
+            "have the time stamp of another, the first of which is kept: does the "
+            "server stamp what it sends?",
+            2,
+        )
+    return name, different, np.array([kept[name][i][1] for i in first])
