@@ -3,11 +3,13 @@
 min_p α Σ|L p - b|_free + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  (p - b)_boundary = 0
 
-Source: eq. 10 of Yeung, Black, Salcudean (2025) with the penalty of R. Tibshirani,
-Regression Shrinkage and Selection via the Lasso (1996).
+By default α = 3 λ_f, or 3 λ_τ where λ_f = 0. Source: eq. 10 of Yeung, Black, Salcudean
+(2025) with the penalty of R. Tibshirani, Regression Shrinkage and Selection via the
+Lasso (1996).
 """
 
 from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.errors import InputError
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.force import ForceTerm
@@ -22,8 +24,12 @@ def build(
     torque_length: float | None = None,
     sparsity: float | None = None,
 ) -> Formulation:
-    """Weights λ_f, λ_τ, α (by default 3 λ_f) [–] and torque length ℓ [m]."""
-    weight = 3.0 * force_weight if sparsity is None else sparsity
+    """Weights λ_f, λ_τ, α [–] and torque length ℓ [m]."""
+    weight = 3.0 * (force_weight or torque_weight) if sparsity is None else sparsity
+    if weight == 0.0 < max(force_weight, torque_weight):
+        raise InputError(
+            "sparsity must not be 0: nothing else holds an unmeasured field"
+        )
     return Formulation(
         terms=[
             SparseSourcesTerm(scene, weight),
