@@ -5,8 +5,15 @@ import pytest
 
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.errors import TtusWarning
-from ttus_opt.fitting.contact_spread import contact_spread, warn_of_one_spot
+from ttus_opt.fitting.contact_spread import (
+    USUAL_PLACES,
+    contact_spread,
+    independent_places,
+    told_variance,
+    warn_of_one_spot,
+)
 from ttus_opt.scene import Scene
+from ttus_opt.terms.structure import UncertainMean
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
@@ -57,3 +64,25 @@ def test_frames_in_the_air_do_not_spread_contacts():
     spread = contact_spread(scene)
     assert spread == contact_spread(scene_of(angle[:30], np.full(30, 0.1), depth[:30]))
     assert spread < 1e-3
+
+
+def test_places_far_apart_count_each_and_frames_of_one_place_once():
+    depth = np.full(30, 0.006)
+    angle = np.repeat([0.5, 2.5, 4.5], 10)
+    three = scene_of(angle, np.full(30, 0.1), depth)
+    assert independent_places(three, 0.01) == pytest.approx(3.0, abs=0.05)
+    one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
+    assert independent_places(one, 0.01) == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_place_is_widened_by_bodies_in_general_and_told():
+    depth = np.full(30, 0.006)
+    mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01)
+    one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
+    with pytest.warns(TtusWarning, match="one place only, not how it varies"):
+        variance = told_variance(one, mean)
+    n = USUAL_PLACES
+    assert variance == pytest.approx((1.0 + n * 16.0) / (1.0 + n), rel=0.05)
+    many = scene_of(np.repeat([0.5, 2.5, 4.5], 10), np.full(30, 0.1), depth)
+    assert 1.0 < told_variance(many, mean) < 0.7 * variance
+    assert told_variance(many, replace(mean, deviation=0.8)) == 1.0

@@ -7,10 +7,14 @@ its error has, with X = N C Dᵀ and Q = X R,
     Cov[N p] = v (N C Nᵀ − Q Xᵀ − Q Qᵀ) + Q Σ Qᵀ.
 
 C is only formed among the voxels that the rows touch. A draw is a draw of the prior
-minus its estimate from its own noisy measurements. See docs/method.md, Doubt.
+minus its estimate from its own noisy measurements.
+
+Where the mean has unknown multiples β of fields H, they add the covariance
+v T Tᵀ, T = (N − Q D) H (1 + HᵀDᵀ R D H)^(−1/2): universal kriging. See docs/method.md,
+Doubt.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
-(2006), eq. 2.24.
+(2006), eqs. 2.24 and 2.42.
 """
 
 from __future__ import annotations
@@ -30,6 +34,9 @@ from ttus_opt.terms.structure import (
     known_covariance,
 )
 
+#: Rows whose covariance with all measured voxels is formed at once
+AT_ONCE = 6
+
 
 @dataclass(frozen=True)
 class CovariancePosterior(Posterior):
@@ -40,11 +47,15 @@ class CovariancePosterior(Posterior):
         columns: Its columns at the n voxels that measured rows touch.
         rows: The measured rows over these voxels, times the square roots of their
             weights, (m, n).
+        drift: H (1 + HᵀDᵀ R D H)^(−1/2), shape (V, k).
+        drift_rows: D times it, shape (m, k).
     """
 
     prior: FieldCovariance = field(repr=False)
     columns: CovarianceColumns = field(repr=False)
     rows: sp.csr_array = field(repr=False)
+    drift: Array = field(repr=False)
+    drift_rows: Array = field(repr=False)
 
     @classmethod
     def of(cls, prior: ProgramTerm, terms: list[ProgramTerm]) -> CovariancePosterior:
@@ -69,7 +80,14 @@ class CovariancePosterior(Posterior):
         touching = sp.csr_array(rows.tocsc()[:, columns.voxels])
         weighted = np.ascontiguousarray((touching @ square_root(columns.among)).T)
         measured = WeightedData.of(weighted, target[informative] - rows @ mean)
-        return cls(informative, measured, tag.covariance, columns, touching)
+        drift = np.zeros((rows.shape[1], 0))
+        if tag.mean is not None:
+            seen = rows @ tag.mean.drift
+            told = seen.T @ np.stack([measured.solve(h) for h in seen.T], axis=1)
+            told[np.diag_indices_from(told)] += 1.0
+            drift = tag.mean.drift @ np.linalg.inv(np.linalg.cholesky(told)).T
+        own = tag.covariance, columns, touching, drift, rows @ drift
+        return cls(informative, measured, *own)
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
         """Implements `Posterior`, in closed form."""
@@ -79,11 +97,16 @@ class CovariancePosterior(Posterior):
         filled = np.diff(rows.indptr).reshape(-1, height) > 0
         for k in np.flatnonzero(filled.any(axis=1)).tolist():
             block = sp.csr_array(rows[k * height : (k + 1) * height])
-            cross = self.columns.of_rows(block) @ self.rows.T
+            few = (block[i : i + AT_ONCE] for i in range(0, height, AT_ONCE))
+            cross = np.concatenate(
+                [self.columns.of_rows(some) @ self.rows.T for some in few]
+            )
             half = self.measured.half
             gain = cross - (cross @ half.T) @ half
             noise = self.errors.roots(gain)
-            out[k] += noise @ noise.T - variance * gain @ (cross + gain).T
+            mean = block @ self.drift - gain @ self.drift_rows
+            out[k] += noise @ noise.T
+            out[k] += variance * (mean @ mean.T - gain @ (cross + gain).T)
         return out
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
@@ -92,7 +115,8 @@ class CovariancePosterior(Posterior):
         assert self.errors is not None
         deviation, draws = np.sqrt(self.errors.variance), []
         for _ in range(count):
-            p = deviation * self.prior.draw(rng)
+            mean = self.drift @ rng.standard_normal(self.drift.shape[1])
+            p = deviation * (self.prior.draw(rng) + mean)
             samples = self.rows @ p[self.columns.voxels] + self.errors.draw(rng)
             p -= self.columns.times(self.rows.T @ self.measured.solve(samples))
             draws.append(p[at].astype(np.float32))

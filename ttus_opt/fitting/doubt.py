@@ -25,6 +25,7 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.contact.places import places
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.contact_spread import told_variance
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.posterior import Posterior
@@ -43,7 +44,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.solvers.dual.data import DualData, laplace_prior, root_weights
-from ttus_opt.terms.structure import known_covariance, whitening
+from ttus_opt.terms.structure import UncertainMean, known_covariance, whitening
 from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
@@ -194,10 +195,10 @@ def doubt(
             "doubt needs measured terms with three rows per frame: fit eq10 or another "
             "formulation with measured forces"
         )
-    known = known_covariance(prior.tags) is not None
+    known = known_covariance(prior.tags)
     if method is None:
         method = "exact" if known or scene.n_voxels <= MOST_VOXELS else "samples"
-    near = method == "samples" or (not known and scene.n_voxels > MOST_VOXELS)
+    near = method == "samples" or (known is None and scene.n_voxels > MOST_VOXELS)
     voxels = skin_voxels(scene.voxmap, depth) if near else None
     posterior: LaplacePosterior | CovariancePosterior
     if known:
@@ -210,7 +211,9 @@ def doubt(
             DualData.of(program), root_weights(program), scale, voxels
         )
     potential = solution.field
-    variance, noise, errors = _errors(scene, potential, prior, measured, posterior)
+    mean = None if known is None else known.mean
+    found = _errors(scene, potential, prior, measured, posterior, mean)
+    variance, noise, errors = found
     posterior = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
@@ -246,6 +249,7 @@ def _errors(
     prior: ProgramTerm,
     measured: list[ProgramTerm],
     posterior: Posterior,
+    mean: UncertainMean | None,
 ) -> tuple[float, WrenchNoise, ErrorModel]:
     """The prior's variance, the noise, and both for the weighted rows.
 
@@ -293,5 +297,6 @@ def _errors(
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
     likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
-    variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE))
+    known = None if mean is None else told_variance(scene, mean)
+    variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE), known)
     return variance, noise, seen.errors(variance, noise, mixed, at)

@@ -50,8 +50,8 @@ MOST_SHARE = 0.25
 #: either side of the limit, where the density has a corner
 AT_LIMIT = 0.95
 
-#: Standard deviation of the logarithm of the prior's variance [–]
-VARIANCE_SPREAD = 2.0
+#: Name of the prior's variance, and standard deviation of its logarithm [–]
+VARIANCE, VARIANCE_SPREAD = "variance", 2.0
 
 #: Most frames in the evidence, and most evaluations
 MOST_FRAMES, MOST = 150, 300
@@ -221,7 +221,9 @@ class MeasuredWrenches:
         square = float(gram[-1, -1] - half @ half)
         return -0.5 * (square + m * math.log(2.0 * math.pi)) - size
 
-    def estimate(self, variance: float) -> tuple[float, WrenchNoise]:
+    def estimate(
+        self, variance: float, known: float | None = None
+    ) -> tuple[float, WrenchNoise]:
         """The most likely prior variance and noise.
 
         Where the relative error of places runs to `MOST_SHARE` it keeps the median of
@@ -229,8 +231,10 @@ class MeasuredWrenches:
 
         Args:
             variance: Median of the prior variance [–].
+            known: The prior variance, where it is not estimated [–].
         """
-        found, noise = self._likeliest(variance, {})
+        held = {} if known is None else {VARIANCE: known}
+        found, noise = self._likeliest(variance, held)
         if noise.place_share >= AT_LIMIT * MOST_SHARE:
             usual = PRIORS["place_share"][0]
             warnings.warn(
@@ -240,7 +244,7 @@ class MeasuredWrenches:
                 TtusWarning,
                 stacklevel=3,
             )
-            return self._likeliest(variance, {"place_share": usual})
+            return self._likeliest(variance, held | {"place_share": usual})
         return found, noise
 
     def _likeliest(
@@ -249,16 +253,18 @@ class MeasuredWrenches:
         """The same, with some parts of the noise held."""
         few = self.thinned()
         names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
-        names = [name for name in names if name not in held]
-        priors = np.array([(variance, VARIANCE_SPREAD), *(PRIORS[n] for n in names)])
+        names = [name for name in (VARIANCE, *names) if name not in held]
+        all_priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}
+        priors = np.array([all_priors[name] for name in names])
         medians, spreads = np.log(priors[:, 0]), priors[:, 1]
 
         def values(steps: Array) -> tuple[float, WrenchNoise]:
-            first, *others = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
-            found = dict(zip(names, map(float, others), strict=True))
-            noise = WrenchNoise(**held, **found)
+            at = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
+            found = dict(held) | dict(zip(names, map(float, at), strict=True))
+            own = found.pop(VARIANCE)
+            noise = WrenchNoise(**found)
             share = min(noise.place_share, MOST_SHARE)
-            return float(first), replace(noise, place_share=share)
+            return own, replace(noise, place_share=share)
 
         def log_density(steps: Array) -> float:
             return few.log_density(*values(steps))

@@ -10,7 +10,7 @@ See docs/method.md, Depth map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -19,15 +19,19 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows, Term
-from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.terms.depth_map_estimate import PRIOR, DepthMapEstimate
 from ttus_opt.terms.depth_map_limits import check_depth_map
-from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
+from ttus_opt.terms.depth_profile import REFERENCE_DEPTH, DepthProfile, voxel_depths
 from ttus_opt.terms.matern import SeparableCovariance
-from ttus_opt.terms.structure import KnownCovariance
+from ttus_opt.terms.structure import KnownCovariance, UncertainMean
 
 #: Smallest depth at which φ is evaluated, over a layer's thickness [–]: rows must be
 #: finite at voxels on the surface
 LEAST_DEPTH = 0.1
+
+#: Prior standard deviation of the scale of φ, over the scale: unknown but for the
+#: measurements [–]
+SCALE_DEVIATION = 3.0
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,36 @@ class DepthMapTerm(Term):
             self.length_ratio,
         )
         rows = covariance.rows
-        tags = frozenset({KnownCovariance(covariance)})
+        tags = frozenset({KnownCovariance(covariance, self._uncertain_mean())})
         return AffineRows({"p": rows}, rows @ self.mean, tags)
+
+    def _uncertain_mean(self) -> UncertainMean:
+        """φ with its scale and its exponents unknown, as priors have them.
+
+        The relative deviation of stiffness in bodies in general is the median of its
+        prior, 40 %. Between persons Young's moduli at one site vary by 17 to 73 %
+        (K. Isogai et al., J. Phys. Ther. Sci. 34 (2022) 777-783: subcutaneous tissue
+        and muscle at light and firm load); between places of one abdomen, away from
+        ribs, by less than between persons (R. Remus et al., Front. Bioeng. Biotechnol.
+        12 (2024) 1384062).
+        """
+        log_depth = np.log(voxel_depth(self.scene) / REFERENCE_DEPTH)
+        drift = [SCALE_DEVIATION * self.mean]
+        for a, c in zip(self.profile.exponents, self.profile.coefficients, strict=True):
+            part = replace(self.profile, exponents=(a,), coefficients=(1.0,))
+            power = c * voxel_profile(self.scene, part)
+            drift.append(PRIOR["exponent"][1] * a * log_depth * power)
+        usual = PRIOR["deviation"][0]
+        columns = np.stack(drift, axis=1)
+        return UncertainMean(columns, self.deviation, usual, self.surface_length)
+
+
+def voxel_depth(scene: Scene) -> Array:
+    """Distance of every voxel from the surface, never zero, shape (V,) [m]."""
+    least = LEAST_DEPTH * scene.voxmap.grid.r_step
+    return np.asarray(np.maximum(np.abs(voxel_depths(scene.voxmap)), least))
 
 
 def voxel_profile(scene: Scene, profile: DepthProfile) -> Array:
     """A profile at every voxel, never zero, shape (V,) [unit of p]."""
-    least = LEAST_DEPTH * scene.voxmap.grid.r_step
-    depth = voxel_depths(scene.voxmap)
-    return profile(np.copysign(np.maximum(np.abs(depth), least), depth))
+    return profile(np.copysign(voxel_depth(scene), voxel_depths(scene.voxmap)))

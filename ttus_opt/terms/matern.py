@@ -25,6 +25,9 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: Columns of the surface's covariance computed at once
 AT_ONCE = 256
 
+#: Eigenvalue below which, relative to the largest, a radial mode is rounding [–]
+LEAST_EIGENVALUE = 1e-10
+
 
 def matern(distance: Array, length: float) -> Array:
     """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), of distances of any shape."""
@@ -260,6 +263,8 @@ class SeparableCovariance:
         Returns:
             The blocks, shape (k, height, height).
         """
+        if rows.shape[0] == height:  # a block of many poses touches too many voxels
+            return self._among_all(rows)[None]
         n_spokes = len(self.surface.volumes)
         of_entry = rows.indices.astype(np.int64) % n_spokes
         spokes, spoke = np.unique(of_entry, return_inverse=True)
@@ -280,6 +285,21 @@ class SeparableCovariance:
             place, layer = spoke[part][at], self._layer(voxels.astype(np.int64))
             cov = between[np.ix_(place, place)] * radial[np.ix_(layer, layer)]
             out[k] = own_rows @ (own_rows @ cov).T
+        return out
+
+    def _among_all(self, rows: sp.csr_array) -> Array:
+        """The same of all rows, a mode of the radial part at a time."""
+        n_spokes, k = len(self.surface.volumes), rows.shape[0]
+        touched = rows.indices.astype(np.int64)
+        layers, layer = np.unique(self._layer(touched), return_inverse=True)
+        values, modes = np.linalg.eigh(self.radial.covariance(layers)[layers])
+        out = np.zeros((k, k))
+        for value, mode in zip(values, modes.T, strict=True):
+            if value > LEAST_EIGENVALUE * values.max():
+                data = rows.data * self.scale[touched] * mode[layer]
+                parts = (data, touched % n_spokes, rows.indptr)
+                own = sp.csr_array(parts, (k, n_spokes))
+                out += value * (own @ self.surface.covariance_times(own.T.toarray()))
         return out
 
 

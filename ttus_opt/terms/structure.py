@@ -93,9 +93,29 @@ class KnownCovariance:
 
     Attributes:
         covariance: (RᵀR)⁻¹.
+        mean: What is uncertain about the mean of the prior; None for nothing.
     """
 
     covariance: FieldCovariance = field(repr=False)
+    mean: UncertainMean | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainMean:
+    """A mean μ that the measurements themselves gave, and the deviation from it.
+
+    Attributes:
+        drift: Columns h_j, of which the true mean is μ + Σ β_j h_j with β ~ N(0, 1),
+            shape (V, k).
+        deviation: Relative standard deviation of the field about its mean [–].
+        usual: What it is in bodies in general [–].
+        length: Length over which it varies along the surface [m].
+    """
+
+    drift: Array = field(repr=False)
+    deviation: float
+    usual: float
+    length: float
 
 
 @dataclass(frozen=True, eq=False)
