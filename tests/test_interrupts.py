@@ -9,10 +9,16 @@ import threading
 
 import pytest
 
-from ttus_opt.interrupts import INTERRUPT, STOPPED, ended_at_once, signals_deferred
+from ttus_opt.interrupts import (
+    ALARM,
+    INTERRUPT,
+    STOPPED,
+    ended_at_once,
+    signals_deferred,
+)
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT])
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM])
 def test_a_signal_comes_when_all_is_written(kind: signal.Signals) -> None:
     came: list[str] = []
     before = signal.signal(kind, lambda *_: came.append("signal"))

@@ -12,6 +12,8 @@ from types import FrameType
 #: Signal by which `ttus_opt.cli.supervisor` asks the command it watches to stop
 INTERRUPT = getattr(signal, "SIGUSR1", signal.SIGINT)
 
+#: Signal at the end of a command's time
+ALARM = getattr(signal, "SIGALRM", signal.SIGINT)
 
 #: What a command that was stopped says, and its exit status
 STOPPED, INTERRUPTED = "error: interrupted: nothing further was written", 130
@@ -58,7 +60,7 @@ def signals_deferred() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    deferred = dict.fromkeys((signal.SIGINT, signal.SIGTERM, INTERRUPT))
+    deferred = dict.fromkeys((signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM))
     before = [signal.signal(s, lambda n, _: received.append(n)) for s in deferred]
     try:
         yield

@@ -49,6 +49,14 @@ app = typer.Typer(
 #: Commands that warn of likely mistakes
 JUDGES = (refine_poses, fit, tune, path, evaluate, session, render)
 
+#: Default time limits: of commands that solve many times, and of others [s]
+LONG, USUAL = 3600.0, 600.0
+MANY_SOLVES = (refine_poses, tune, path, session, experiment)
+
+#: A benchmark limits every solve, a recording lasts as long as is asked for, and the
+#: others are over in a moment
+UNLIMITED = (benchmark, record, solvers, formulations, warm_up)
+
 # in the order in which help lists them
 for function in (
     *(demo, record, synchronise, compensate, surface, refine_poses, fit, tune, path),
@@ -65,7 +73,9 @@ for function in (
     ),
     warm_up,
 ):
-    add_command(app, function, judges=function in JUDGES)
+    usual = LONG if function in MANY_SOLVES else USUAL
+    limit = None if function in UNLIMITED else usual
+    add_command(app, function, judges=function in JUDGES, time_limit=limit)
 cameras = typer.Typer(
     help="Find markers in a photo, or a camera's place from pairs of poses.",
     epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "
@@ -73,7 +83,7 @@ cameras = typer.Typer(
     rich_markup_mode=None,
 )
 for finder in (board, markers, hand_eye):
-    add_command(cameras, finder)
+    add_command(cameras, finder, time_limit=USUAL)
 app.add_typer(cameras, name="register")
 
 

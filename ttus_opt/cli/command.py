@@ -21,19 +21,25 @@ from typing import Annotated, Any
 
 import typer
 
+from ttus_opt.cli.time_limit import time_limited
 from ttus_opt.errors import MistakeWarning
 
 #: Options that say the same in every command
 COMMON = {
     "force": "Allow an output to replace one of the inputs.",
     "json": "Print JSON on stdout, for other programs.",
+    "time_limit": "Time limit of the command [s]; what is complete by then is kept.",
     "strict": "End with an error where a mistake in what was given is likely, instead "
     "of a warning.",
 }
 
 
 def add_command(
-    app: typer.Typer, function: Callable[..., None], *, judges: bool = False
+    app: typer.Typer,
+    function: Callable[..., None],
+    *,
+    judges: bool = False,
+    time_limit: float | None = None,
 ) -> None:
     """Make a function a command of its name.
 
@@ -41,6 +47,7 @@ def add_command(
         app: Gets the command.
         function: What it does. Its parameters are options and groups of options.
         judges: Whether it warns of likely mistakes; it then has the option --strict.
+        time_limit: Default of its option --time-limit [s]; None for no limit.
     """
     signature = inspect.signature(function, eval_str=True)
     about, words, example = _words(function)
@@ -52,18 +59,24 @@ def add_command(
             parameters += _of_group(groups[name])
         else:
             parameters.append(_option(name, parameter.annotation, parameter, words))
-    if judges:
-        strict = inspect.Parameter(
-            "strict", inspect.Parameter.KEYWORD_ONLY, default=False
-        )
-        parameters.append(_option("strict", bool, strict, words))
+    added: dict[str, Any] = {"strict": False} if judges else {}
+    own_limit = "time_limit" in signature.parameters
+    if time_limit is not None and not own_limit:
+        added |= {"time_limit": time_limit}
+    for name, default in added.items():
+        kind = inspect.Parameter.KEYWORD_ONLY
+        parameter = inspect.Parameter(name, kind, default=default)
+        parameters.append(_option(name, type(default), parameter, words))
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
         for name, group in groups.items():
             own = {f.name: given.pop(f.name) for f in dataclasses.fields(group)}
             given[name] = group(**own)
-        with warnings.catch_warnings():
+        limit = None
+        if time_limit is not None:
+            limit = given["time_limit"] if own_limit else given.pop("time_limit")
+        with warnings.catch_warnings(), time_limited(limit):
             if judges and given.pop("strict"):
                 warnings.simplefilter("error", MistakeWarning)
             function(**given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +36,12 @@ BYTES_PER_VOXEL = 9
 
 #: Most that a field file is taken to need before the work [byte]
 LARGEST_FILE = 2**31
+
+#: Share of the command's time after which a solver stops by itself [–]
+SOLVING = 0.9
+
+#: Shortest time limit of a solve [s]
+SHORTEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,8 @@ def fit(
         rate: Use at most this many frames per second of a recording [Hz].
         torque_length: Length ℓ that scales torques to forces [m]. By default the
             probe's.
-        time_limit: Time limit of every solve [s].
+        time_limit: Time limit of the command [s]; the solver is given what is left of
+            it when the weights are chosen.
         picture: Draw the probe on the skin with the measured forces here.
         doubt: Save the field's uncertainty in the field file, for ttus-opt evaluate
             --doubt and for rendering.
@@ -123,6 +131,7 @@ def fit(
 
     if weighting.paper and weighting.weights == "auto":
         raise InputError("--paper sets the weights: leave --weights out")
+    deadline = time.monotonic() + SOLVING * time_limit
     options = weighting.options(problem, torque_length)
     if weighting.paper:
         grid = grid.as_in_the_paper()
@@ -161,16 +170,19 @@ def fit(
             strict=strict,
         )
         begin("solving")
-        solution = _solved(choice, problem, time_limit)
+        solution = _solved(choice, problem, deadline)
         report = None
         if solution.verified_field is not None:
             found = solution.field
             origin = sources(surface, probe, recordings, context.params)
             draws = doubt or doubt_picture is not None
             begin("checking the recordings")
-            names = recordings.names
             report = check_recordings(
-                choice.scene, found, names, written=as_written, conventions=conventions
+                choice.scene,
+                found,
+                recordings.names,
+                written=as_written,
+                conventions=conventions,
             )
             if report.mistake is not None:
                 warn(str(report.mistake), kind=MistakeWarning)
@@ -187,9 +199,7 @@ def fit(
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
 
 
-def _solved(
-    choice: WeightChoice, problem: ProblemOptions, time_limit: float
-) -> Solution:
+def _solved(choice: WeightChoice, problem: ProblemOptions, deadline: float) -> Solution:
     from ttus_opt.fitting.batch import fit as fit_scene
 
     solution = fit_scene(
@@ -197,7 +207,7 @@ def _solved(
         choice.formulation,
         solver=problem.solver,
         tolerance=problem.tolerance,
-        time_limit=time_limit,
+        time_limit=max(deadline - time.monotonic(), SHORTEST),
     )
     return replace(solution, chosen=choice.lines)
 

@@ -3,15 +3,18 @@
 Python handles a signal between two of its own instructions: a factorisation in a
 library keeps it waiting for minutes, and some solvers catch the interrupt themselves.
 The process the user started only waits. It passes an interrupt on, gives
-the child a moment to clean up, and then ends it.
+the child a moment to clean up, and then ends it; likewise when its time is over.
 """
 
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
 import signal
+import struct
 import sys
+import time
 from types import FrameType
 
 from ttus_opt.interrupts import INTERRUPT, INTERRUPTED, STOPPED, raise_interrupt
@@ -25,7 +28,24 @@ GRACE = 1.0
 #: A path writes the points it has, when its solver listens; a recording what came [s]
 LONGER = {"path": 10.0, "record": 10.0}
 
-TERMINATED = 143
+BAD_INPUT, TERMINATED = 2, 143
+
+#: How often the clock is looked at [s]
+TICK = 1.0
+
+#: When a child's time is over, by `time.monotonic` [s], 0 for never; it writes, its
+#: parent reads
+_END = mmap.mmap(-1, 8)
+
+
+def end_within(seconds: float) -> None:
+    """Have the waiting process end this one when its time is over, if it does not.
+
+    Args:
+        seconds: Its time from now, 0 for any [s].
+    """
+    end = time.monotonic() + seconds if seconds else 0.0
+    struct.pack_into("d", _END, 0, end)
 
 
 def run_supervised(command: str) -> None:
@@ -63,6 +83,13 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
         mask: Signals to be blocked once those are handled that were blocked.
     """
     stopped: list[int] = []
+    late: list[float] = []
+
+    def look(*_: object) -> None:
+        (end,) = struct.unpack_from("d", _END)
+        if stopped or 0.0 < end < time.monotonic() - grace:
+            late.append(end)
+            os.kill(child, signal.SIGKILL)
 
     def stop(number: int, _frame: FrameType | None) -> None:
         if stopped:
@@ -75,10 +102,17 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGALRM, lambda *_: os.kill(child, signal.SIGKILL))
+    signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, TICK, TICK)
     signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
+    if late and not stopped:
+        sys.stderr.write(
+            "\nerror: the time limit is over: nothing further was written\n"
+        )
+        sys.stderr.flush()
+        return BAD_INPUT
     if not stopped:
         return code if code >= 0 else _like_the_child(-code)
     if code == -signal.SIGKILL and stopped[0] == INTERRUPTED:

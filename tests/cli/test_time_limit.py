@@ -1,0 +1,83 @@
+"""Time limits: a command ends with one line, and nothing is half-written."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import typer
+
+from tests.cli.conftest import Run, empty, fit_words, refused
+from tests.cli.test_interrupts import deaf_at_work
+from ttus_opt.cli.app import MANY_SOLVES, UNLIMITED, app
+from ttus_opt.cli.time_limit import time_limited
+from ttus_opt.errors import InputError, TtusError
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(signal, "setitimer"), reason="the system has no alarm"
+)
+
+
+def test_every_command_states_its_limit() -> None:
+    group = typer.main.get_command(app)
+    for name, command in group.commands.items():  # type: ignore[attr-defined]
+        for own in getattr(command, "commands", {name: command}).values():
+            limits = [o.default for o in own.params if o.name == "time_limit"]
+            many = name.replace("-", "_") in [f.__name__ for f in MANY_SOLVES]
+            if name.replace("-", "_") not in [f.__name__ for f in UNLIMITED]:
+                assert limits == [3600.0 if many else 600.0], name
+
+
+def test_a_command_ends_in_time(run: Run, files: Path, output: Path) -> None:
+    fit = fit_words(files, output / "f.nc")
+    for words in (fit, fit.replace("fit ", "tune ", 1).partition(" -o")[0]):
+        told = "time limit of 0.05 s is over: nothing further was written"
+        refused(run(f"{words} --time-limit 0.05"), told)
+    assert empty(output)
+    refused(run(f"{fit} --time-limit 0"), "--time-limit must be positive")
+
+
+def test_a_partial_result_is_no_success() -> None:
+    """What a command does at Ctrl-C, it does when its time is over."""
+    kept = []
+
+    def act() -> None:
+        try:
+            time.sleep(10.0)
+        except KeyboardInterrupt:
+            kept.append("what is complete")
+            raise typer.Exit(130) from None
+
+    begun = time.monotonic()
+    with pytest.raises(TtusError, match=r"time limit of 0\.1 s"), time_limited(0.1):
+        act()
+    assert kept and time.monotonic() - begun < 5.0
+    with pytest.raises(InputError), time_limited(float("inf")):
+        pass
+
+
+def test_other_interrupts_and_statuses_stay() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    for kind in (KeyboardInterrupt, typer.Exit):
+        with pytest.raises(kind), time_limited(100.0):
+            raise kind
+    with time_limited(None):
+        pass
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert signal.getsignal(signal.SIGALRM) is before
+
+
+@pytest.mark.slow
+def test_a_solver_that_never_listens_is_ended(files: Path, tmp_path: Path) -> None:
+    process = deaf_at_work("fit --time-limit 8", files, tmp_path)
+    try:
+        _, told = process.communicate(timeout=60.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    assert process.returncode == 2
+    assert told.strip().splitlines()[-1].startswith("error: the time limit is over")
+    assert empty(tmp_path / "output")

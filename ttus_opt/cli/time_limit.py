@@ -1,0 +1,67 @@
+"""Time limits of commands: at the end of its time a command stops as at Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from typing import NoReturn
+
+import typer
+
+from ttus_opt.cli.supervisor import end_within
+from ttus_opt.errors import InputError, TtusError
+
+
+@contextlib.contextmanager
+def time_limited(seconds: float | None) -> Iterator[None]:
+    """Interrupt what is done within when its time is over.
+
+    Args:
+        seconds: The limit [s]; None for none.
+
+    Raises:
+        InputError: The limit is not a positive number.
+        TtusError: The time is over; what was interrupted may have kept a part.
+    """
+    if seconds is None:
+        yield
+        return
+    if not 0.0 < seconds < math.inf:
+        raise InputError(f"--time-limit must be positive [s], got {seconds:g}")
+    over: list[int] = []
+
+    def stop(number: int, _frame: object) -> NoReturn:
+        over.append(number)
+        raise KeyboardInterrupt
+
+    try:
+        with _alarm(seconds, stop):
+            yield
+    except (KeyboardInterrupt, typer.Exit):
+        if not over:
+            raise
+        raise TtusError(
+            f"the time limit of {seconds:g} s is over: nothing further was written: "
+            "allow more with --time-limit"
+        ) from None
+
+
+@contextlib.contextmanager
+def _alarm(seconds: float, stop: Callable[[int, object], NoReturn]) -> Iterator[None]:
+    """Call ``stop`` in time, where the system and the thread can."""
+    main = threading.current_thread() is threading.main_thread()
+    if not (main and hasattr(signal, "setitimer")):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    end_within(seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        end_within(0.0)
+        signal.signal(signal.SIGALRM, before)
