@@ -172,6 +172,7 @@ def test_probe_never_in_contact_is_refused(
     answer = run(words)
     assert answer.status == 2
     assert "in none of 5 poses: there is nothing to fit" in answer.errors[-1]
+    assert "Laplace field alone" not in answer.err
     assert not (tmp_path / "f.nc").exists()
     fitted = run(f"{words} --inner fit")
     assert fitted.status == 2

@@ -6,12 +6,16 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Run, empty, refused
 from tests.session.recordings import changed, copied
+from tests.session.test_mistakes import jumped
+from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
+from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session.results import STEPS
 
 
@@ -118,3 +122,50 @@ def test_a_killed_recording_is_readable(output: Path) -> None:
             recording.kill()
             recording.wait()
     assert len(read_trajectory(poses)) > 20
+
+
+def thousandfold(recording: Path) -> None:
+    """Torques in N·mm under the unit N·m."""
+    read = read_netcdf_wrenches(recording / "force.nc")
+    assert read.torque is not None
+    torque = 1e3 * read.torque
+    wrenches = WrenchStream(read.time, read.force, torque)
+    write_netcdf_wrenches(wrenches, recording / "force.nc")
+
+
+def offset(recording: Path) -> None:
+    changed(recording, "clock", {"by": "offset", "offset": 1.33})
+
+
+def point(recording: Path) -> None:
+    changed(recording, "force.sensor.point", [0.05, 0.0, -0.08])
+
+
+def sign(recording: Path) -> None:
+    changed(recording, "force.sensor.sign", "by-probe")
+
+
+def axes(recording: Path) -> None:
+    changed(recording, "force.sensor.axes", [0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (offset, "check clock.offset in the description"),
+        (point, "check force.sensor.point in the description"),
+        (thousandfold, "check the unit of force.file in the description"),
+        (jumped, "the poses jump by 50 mm"),
+        (sign, "give sign on-probe"),
+        (axes, "the readings lie 45° from the stated axes"),
+    ],
+)
+def test_strict_refuses_a_named_mistake(
+    run: Run, tmp_path: Path, output: Path, spoil: Callable[[Path], None], told: str
+) -> None:
+    recording = copied(tmp_path)
+    spoil(recording)
+    answer = run(f"session {recording} -o {output} --strict")
+    assert answer.status == 2
+    assert answer.errors[-1].startswith("error: ") and told in answer.errors[-1]
+    assert not (output / "field.nc").exists() and not (output / "report.md").exists()

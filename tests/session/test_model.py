@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.errors import InputError
+from ttus_opt import example
+from ttus_opt.errors import InputError, MistakeWarning
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError
 from ttus_opt.report.metrics import evaluate
+from ttus_opt.scan.surface import Surface
+from ttus_opt.session import model
 from ttus_opt.session.description import FitPlan
-from ttus_opt.session.model import fit_model, judge
+from ttus_opt.session.model import KEYS, fit_model, judge
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -61,12 +68,15 @@ def test_the_field_is_that_of_the_stretches_that_are_fitted() -> None:
 
 def test_every_stretch_is_judged_with_both_fields() -> None:
     """In the order of the description, with whether it was fitted."""
-    model = fit_model(session(), SURFACE, SHELL, RECORDINGS)
-    found = judge(session(), model, SHELL, RECORDINGS)
+    both = fit_model(session(), SURFACE, SHELL, RECORDINGS)
+    found = judge(session(), both, SHELL, RECORDINGS)
     assert [(c.recording, c.seen) for c in found] == list(USE.items())
     for each in found:
         own = RECORDINGS[each.recording]
-        for solution, seen in ((model.before, each.before), (model.after, each.after)):
+        for solution, seen in (
+            (fitted.before, each.before),
+            (fitted.after, each.after),
+        ):
             assert seen.errors == evaluate(solution.field, SHELL, own).errors
         if each.seen:
             after, before = each.after.errors, each.before.errors
@@ -89,3 +99,53 @@ def test_a_field_that_fails_its_check_is_no_model() -> None:
         fit_model(session(solver=Wrong()), SURFACE, SHELL, RECORDINGS)
     with pytest.raises(InputError, match="unknown formulation"):
         fit_model(session(formulation="eq11"), SURFACE, SHELL, RECORDINGS)
+
+
+def spoilt(press: Trajectory, cause: str) -> Trajectory:
+    """A recording as one wrong line of the description reads it."""
+    assert press.force is not None and press.torque is not None
+    turn = Rotation.from_euler("x", 90.0, degrees=True).as_matrix()
+    R, Rt = press.rotation, press.rotation.transpose(0, 2, 1)
+
+    def turned(matrices: np.ndarray) -> dict[str, np.ndarray]:
+        both = {"force": press.force, "torque": press.torque}
+        return {k: (matrices @ v[..., None])[..., 0] for k, v in both.items()}
+
+    arm = np.cross((R @ [0.05, 0.0, 0.0]), press.force)
+    late = np.maximum(np.arange(len(press)) - int(0.5 / np.diff(press.time)[0]), 0)
+    changes: dict[str, dict[str, np.ndarray]] = {
+        "flip_wrench": {"force": -press.force, "torque": -press.torque},
+        "wrench_frame": turned(Rt),
+        "wrench_axes": turned(R @ turn @ Rt),
+        "probe_axes": {"rotation": R @ turn, **turned(R @ turn @ Rt)},
+        "wrench_delay": {"force": press.force[late], "torque": press.torque[late]},
+        "torque_about": {"torque": press.torque + arm},
+        "torque_unit": {"torque": 1e3 * press.torque},
+    }
+    return replace(press, **changes[cause])
+
+
+class JudgedError(Exception):
+    """Instead of a solve."""
+
+
+def no_solve(*_: Any, **__: Any) -> None:
+    raise JudgedError
+
+
+@pytest.mark.parametrize("cause", KEYS)
+@pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
+def test_a_likely_mistake_is_named_by_its_key(
+    cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is solved, with a warning that --strict makes an error."""
+    press = spoilt(read_trajectory(example.path("press_fit.csv")), cause)
+    plan = replace(session().fit, shape=(16, 36, 16), r_inner=0.03)
+    parts = [SimpleNamespace(name="press", fitted=True)]
+    told: Any = SimpleNamespace(fit=plan, recordings=parts)
+    surface = Surface.load(example.path("surface.nc"))
+    shell = tt.PointShell.from_spec(example.PROBE, n_points=300)
+    monkeypatch.setattr(model, "fit", no_solve)
+    named = re.escape(f"check {KEYS[cause]} in the description")
+    with pytest.warns(MistakeWarning, match=named), pytest.raises(JudgedError):
+        fit_model(told, surface, shell, {"press": press})

@@ -33,11 +33,11 @@ def built_scene(
         InputError: As in `ScenePlan.build`, or no pose touches the patient.
     """
     from ttus_opt.fitting.contact_spread import warn_of_one_spot
-    from ttus_opt.fitting.frame_check import require_contact
+    from ttus_opt.fitting.frame_check import scene_in_contact
     from ttus_opt.fitting.sanity import likely_mistake
 
     try:
-        built = plan.build(*parts)
+        built = scene_in_contact(plan, *parts)
     except InputError as error:
         try:
             with warnings.catch_warnings():
@@ -50,7 +50,6 @@ def built_scene(
         if mistake is None:
             raise
         raise InputError(f"{error}; {mistake}") from error
-    require_contact(built)
     warn_of_one_spot(built)
     return built
 

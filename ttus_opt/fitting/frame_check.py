@@ -6,19 +6,20 @@ away from the skin, and near it once they are transformed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.errors import InputError, MistakeWarning, warn
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning, warn
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
+from ttus_opt.scene import Scene, ScenePlan
 
 #: Distance of a probe's centroid from the skin up to which it is near [m]
 NEAR = 0.1
@@ -139,17 +140,34 @@ def jumps(position: Array, time: Array) -> tuple[Mask, Array]:
     return off > np.maximum(plausible, JUMPS * np.median(off[1:])), off
 
 
-def require_contact(scene: Scene) -> None:
-    """Refuse recordings with forces that never touch the patient.
+def scene_in_contact(
+    plan: ScenePlan,
+    surface: Surface,
+    shell: PointShell,
+    recorded: Trajectory | Sequence[Trajectory],
+) -> Scene:
+    """A scene whose recordings, if they have forces, touch the patient.
+
+    Args:
+        plan: How it is built.
+        surface: The patient's surface.
+        shell: The probe.
+        recorded: The recordings.
 
     Raises:
-        InputError: No shell point of any pose is inside the patient.
+        InputError: As in `ScenePlan.build`, or no shell point of any pose is inside the
+            patient.
     """
+    with warnings.catch_warnings():
+        untouched = "the probe touches the patient in none"  # below that is an error
+        warnings.filterwarnings("ignore", untouched, TtusWarning)
+        scene = plan.build(surface, shell, recorded)
     if scene.trajectory.has_wrench and not (scene.rows.contact_points > 0).any():
         raise InputError(
-            f"the probe touches the patient in none of {len(scene.trajectory)} poses: "
-            "there is nothing to fit; check the poses' frame, unit and registration"
+            f"{untouched} of {len(scene.trajectory)} poses: there is nothing to fit; "
+            "check the poses' frame, unit and registration"
         )
+    return scene
 
 
 def _others(conventions: Conventions) -> Iterator[tuple[Conventions, str, str]]:

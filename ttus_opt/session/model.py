@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from ttus_opt.errors import MistakeWarning, warn
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.contact_spread import warn_of_one_spot
-from ttus_opt.fitting.frame_check import require_contact
+from ttus_opt.fitting.frame_check import scene_in_contact
 from ttus_opt.fitting.other_readings import contact_readings
 from ttus_opt.fitting.sanity import likely_mistake
 from ttus_opt.fitting.weight_choice import WeightChoice
@@ -65,12 +65,13 @@ def fit_model(
         recordings: All stretches, by name.
 
     Raises:
-        InputError: An invalid grid, formulation or solver.
+        InputError: An invalid grid, formulation or solver, or no pose touches the
+            patient.
         NoSolutionError: The answer failed its verification.
     """
     plan = ScenePlan(session.fit.shape, session.fit.r_inner)
     fitted = [recordings[part.name] for part in session.recordings if part.fitted]
-    scene = plan.build(surface, shell, fitted)
+    scene = scene_in_contact(plan, surface, shell, fitted)
     _judge_recordings(scene)
     before = fit(scene, "laplace_only")
     wanted = session.fit
@@ -83,12 +84,7 @@ def fit_model(
 
 
 def _judge_recordings(scene: Scene) -> None:
-    """Warn of likely mistakes in the description, by its keys.
-
-    Raises:
-        InputError: No pose touches the patient.
-    """
-    require_contact(scene)
+    """Warn of likely mistakes in the description, by its keys."""
     warn_of_one_spot(scene)
     if not scene.trajectory.has_wrench:
         return
