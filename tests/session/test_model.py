@@ -74,8 +74,8 @@ def test_every_stretch_is_judged_with_both_fields() -> None:
     for each in found:
         own = RECORDINGS[each.recording]
         for solution, seen in (
-            (fitted.before, each.before),
-            (fitted.after, each.after),
+            (both.before, each.before),
+            (both.after, each.after),
         ):
             assert seen.errors == evaluate(solution.field, SHELL, own).errors
         if each.seen:
