@@ -35,3 +35,5 @@ static void *run(void *pointer) {
 int loop_start(loop *l) { return pthread_create(&l->thread, 0, run, l); }
 
 int loop_join(loop *l) { return pthread_join(l->thread, 0); }
+
+int32_t last_limit(const void *context) { return ttus_limit(context); }

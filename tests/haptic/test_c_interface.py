@@ -22,7 +22,7 @@ from ttus_opt.errors import TtusError
 from ttus_opt.haptic import c_interface
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.c_interface import DONE, HEADER, WAITING, frame_address
-from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.haptic.renderer import LIMITS, Renderer
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
@@ -138,6 +138,29 @@ def test_frames_from_c_are_those_from_python(
     assert (c.count > 0).sum() > 10
     assert (c.count == -1).sum() >= 1
     assert sum(0.0 < share < 1.0 for share in shares) > 10
+
+
+def test_a_caller_in_c_sees_what_limited_a_frame(
+    scene: Scene, library: ctypes.CDLL
+) -> None:
+    """The header's function against `Wrench.limited_by`, frame by frame."""
+    R, at = deepest_pose(scene)
+    zero = (ctypes.c_double * 6)()
+    seen = set()
+    for force, torque in ((40.0, 4.0), (0.1, 4.0), (40.0, 1e-4)):
+        renderer = Renderer(
+            pressing(scene), scene.shell, force_limit=force, torque_limit=torque
+        )
+        given, wrench = renderer.c_function(), (ctypes.c_double * 6)()
+        for shift in (0.0, 7.0):
+            position = at + np.array([0.0, 0.0, shift])
+            pose = [(ctypes.c_double * v.size)(*v.ravel()) for v in (R, position)]
+            given.call(given.context, *pose, zero, float("nan"), wrench)
+            expected = renderer.render(R, position).limited_by
+            code = library.last_limit(ctypes.c_void_p(given.context))
+            assert LIMITS[code] == expected
+            seen.add(expected)
+    assert {"", "force", "torque"} <= seen
 
 
 def test_one_function_for_all_and_one_context_for_each(scene: Scene) -> None:

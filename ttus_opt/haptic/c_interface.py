@@ -57,8 +57,9 @@ HEADER = Path(__file__).with_name("ttus_frame.h")
 OFF_GRID = -1
 
 #: Words of a context: frames begun and done, 1 while an update waits, the address of
-#: the fields' table, 1 for trilinear sampling; then the table of the frame's arrays
-BEGUN, DONE, WAITING, FIELDS, TRILINEAR, ARRAYS = 0, 1, 2, 3, 4, 5
+#: the fields' table, 1 for trilinear sampling, what limited the last frame; then the
+#: table of the frame's arrays
+BEGUN, DONE, WAITING, FIELDS, TRILINEAR, LIMIT, ARRAYS = 0, 1, 2, 3, 4, 5, 6
 
 #: Longest wait of an update for a frame to end [s]
 PATIENCE = 5.0
@@ -193,7 +194,10 @@ def _frame(
         for i in range(6):
             buffers.rows[TWIST, i] = given[i]
     trilinear = words[TRILINEAR] != 0
-    contact, in_grid, _, _ = render_tables(table, fields, trilinear, time, may_write)
+    contact, in_grid, _, limit = render_tables(
+        table, fields, trilinear, time, may_write
+    )
+    words[LIMIT] = limit
     if contact >= 0:
         out = carray(wrench, 6)
         for i in range(6):

@@ -21,6 +21,18 @@ enum {
   TTUS_BAD_TIME = -4   /* infinite, or before the last one */
 };
 
+/* What limited a frame: the wrench was scaled down, as a whole, to the renderer's
+ * force_limit or torque_limit, or it fades at an axial end of the grid. */
+enum { TTUS_UNLIMITED = 0, TTUS_BY_FORCE = 1, TTUS_BY_TORQUE = 2, TTUS_BY_END = 3 };
+
+/* Word of a context that says what limited its last frame. */
+enum { TTUS_LIMIT = 5 };
+
+/* Returns what limited the last frame of a context, for the thread that rendered it. */
+static inline int32_t ttus_limit(const void *context) {
+  return (int32_t)((const int64_t *)context)[TTUS_LIMIT];
+}
+
 /* Renders one pose.
  *
  * context   the address from Python
@@ -30,8 +42,7 @@ enum {
  *           zeros at rest; only read if time is NAN
  * time      time of the pose [s], from which the twist is estimated; NAN to pass it
  * wrench    out: force on the probe [N], torque about the point shell's reference
- *           point [N m], patient axes; scaled down as a whole to the renderer's
- *           force_limit and torque_limit
+ *           point [N m], patient axes; within the renderer's limits, see ttus_limit
  *
  * Returns the number of shell points in contact, or a code above.
  */
