@@ -120,15 +120,25 @@ def test_covariance_is_that_of_dense_algebra() -> None:
 
 
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_another_torque_length_with_its_weight_is_the_same_fit() -> None:
+@pytest.mark.parametrize("sized", [1.0, 0.0])
+def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> None:
+    """Also where every measured torque is zero, which tells no length."""
     scene = three_presses()
-    options = {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE}
-    found = doubt(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
-    assert found.variance == pytest.approx(exact().variance, rel=1e-3)
+    assert scene.trajectory.torque is not None
+    measured = replace(scene.trajectory, torque=sized * scene.trajectory.torque)
+    scene = replace(scene, trajectory=measured)
+    lengths = [
+        doubt(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
+        for options in (
+            {"torque_length": scene.torque_length, "torque_weight": TORQUE},
+            {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE},
+        )
+    ]
+    assert lengths[1].variance == pytest.approx(lengths[0].variance, rel=1e-3)
     for name in PRIORS:
-        own, other = (getattr(one.noise, name) for one in (found, exact()))
+        own, other = (getattr(one.noise, name) for one in lengths)
         assert own == pytest.approx(other, rel=1e-3)
-    own, other = (one.std(unseen()).covariance for one in (found, exact()))
+    own, other = (one.std(unseen()).covariance for one in lengths)
     np.testing.assert_allclose(own, other, atol=1e-3 * np.abs(other).max())
 
 

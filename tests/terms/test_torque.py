@@ -9,6 +9,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.errors import InputError
+from ttus_opt.terms.structure import whitening
 from ttus_opt.terms.torque import LENGTHS, TorqueTerm
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=5)
@@ -49,3 +50,9 @@ def test_without_torques_there_are_no_rows() -> None:
 def test_a_length_that_is_none_is_refused(length: float) -> None:
     with pytest.raises(InputError, match="torque_length must lie between"):
         TorqueTerm(SCENE, length=length)
+
+
+def test_the_tag_says_what_the_rows_were_divided_by() -> None:
+    by = whitening(TorqueTerm(SCENE, length=0.02).assembled.tags)
+    assert by is not None
+    np.testing.assert_array_equal(by, np.tile(50.0 * np.eye(3), (5, 1, 1)))

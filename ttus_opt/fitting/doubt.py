@@ -266,13 +266,9 @@ def _errors(
     wrench, n = np.zeros((frames, 6)), 3 * len(measured)
     mixed = np.zeros((frames, n, n))  # from wrenches to weighted rows
     for k, term in enumerate(measured):
-        unit, by = 1.0, whitening(term.tags)
-        if term.name == "torque":  # its rows are divided by a length
-            size = float(np.linalg.norm(term.target))
-            measured_size = float(np.linalg.norm(scene.tau))
-            unit = measured_size / size if size > 0.0 else scene.torque_length
+        by = whitening(term.tags)
         if by is None:
-            by = np.broadcast_to(np.eye(3) / unit, (frames, 3, 3))
+            by = np.broadcast_to(np.eye(3), (frames, 3, 3))
         rows = (term.matrix @ values).reshape(frames, 3, 1)
         wrench[:, COMPONENTS[term.name]] = np.linalg.solve(by, rows)[:, :, 0]
         part = slice(3 * k, 3 * k + 3)

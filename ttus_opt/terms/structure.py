@@ -122,6 +122,8 @@ class UncertainMean:
 class Whitened:
     """Rows of measured wrenches, three per frame, multiplied by matrices of the frames.
 
+    Without this tag they are the wrenches themselves [N, N·m].
+
     Attributes:
         by: These matrices, shape (T, 3, 3) [1/N or 1/N·m, up to a factor].
     """
