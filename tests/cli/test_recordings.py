@@ -12,6 +12,8 @@ import pytest
 
 from tests.cli.conftest import Run
 from ttus_opt import example
+from ttus_opt.cli.evaluate_command import warn_of_poses
+from ttus_opt.errors import MistakeWarning
 from ttus_opt.probe.trajectory import read_trajectory
 
 NAMES = {
@@ -107,8 +109,10 @@ def test_strict_judges_before_a_picture_or_a_rendering(
     shared = f"--field {field} --points 300 --trajectory {press} --strict"
     picture, poses = tmp_path / "p.png", tmp_path / "r.csv"
     flipped = f"--probe {example.PROBE} --flip-wrench --picture {picture}"
+    about = f"{shared} --probe {example.PROBE} --torque-about origin"
     for answer, expected in (
         (run(f"evaluate {shared} {flipped}"), "opposite sign"),
+        (run(f"evaluate {about} --picture {picture}"), "is --torque-about right?"),
         (run(f"render {shared} --probe sphere:0.02 -o {poses}"), "another probe"),
     ):
         assert answer.status == 2
@@ -181,3 +185,19 @@ def test_a_boundary_that_cannot_be_fitted_names_the_mistake(
     assert "push into the patient" in answer.err
     assert "read them with --flip-wrench" in answer.err
     assert not output.exists()
+
+
+def test_poses_off_a_field_s_grid_are_a_likely_mistake() -> None:
+    inside, none = np.array([True, False]), np.zeros(2, np.int64)
+    with pytest.warns(MistakeWarning, match="1 of 2 poses lie outside the field's"):
+        warn_of_poses(inside, none, none > 0)
+
+
+def test_a_tracker_s_jump_is_a_likely_mistake(run: Run, tmp_path: Path) -> None:
+    press, jumped = read_trajectory(example.path("press_fit.csv")), tmp_path / "j.csv"
+    late = (np.arange(len(press)) >= 50)[:, None]
+    replace(press, position=press.position + late * [0.05, 0.0, 0.0]).save(jumped)
+    own = words(jumped, tmp_path / "f.nc", "--strict")
+    answer = run(own.replace("--columns t=__time", ""))
+    assert answer.status == 2
+    assert "the poses jump by 50 mm" in answer.errors[-1]

@@ -10,8 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
-from ttus_opt.errors import TtusWarning
-from ttus_opt.fitting.frame_check import share_near_skin, warn_of_another_frame
+from ttus_opt.errors import MistakeWarning
+from ttus_opt.fitting.frame_check import (
+    jumps,
+    share_near_skin,
+    warn_of_another_frame,
+)
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
@@ -50,18 +54,22 @@ def test_nothing_is_said_of_the_right_frame() -> None:
 
 
 def test_the_frame_that_fits_is_named() -> None:
-    with pytest.warns(TtusWarning, match=r"100 % .* in the scan frame: .*--frame scan"):
+    with pytest.warns(
+        MistakeWarning, match=r"100 % .* in the scan frame: .*--frame scan"
+    ):
         told(OWN.transformed(inverse(PLACE)), Conventions())
-    with pytest.warns(TtusWarning, match="read them with --frame patient"):
+    with pytest.warns(MistakeWarning, match="read them with --frame patient"):
         told(OWN, Conventions(frame="scan"))
 
 
 def test_recordings_near_no_skin_at_all() -> None:
     away = replace(OWN, position=OWN.position + 3.0)
-    with pytest.warns(TtusWarning, match="only 0 % .* within 10 cm .*--base-to-scan"):
+    with pytest.warns(
+        MistakeWarning, match="only 0 % .* within 10 cm .*--base-to-scan"
+    ):
         told(away, Conventions())
     motion = as_rows(np.eye(4))
-    with pytest.warns(TtusWarning, match="is --base-to-scan right"):
+    with pytest.warns(MistakeWarning, match="is --base-to-scan right"):
         told(away, Conventions(frame="base", base_to_scan=motion))
 
 
@@ -73,5 +81,36 @@ def test_a_motion_the_wrong_way_round_is_told() -> None:
     right = Conventions(frame="base", base_to_scan=as_rows(base_to_scan))
     told(written, right)
     wrong = replace(right, base_to_scan=as_rows(inverse(base_to_scan)))
-    with pytest.warns(TtusWarning, match="with the inverse of base_to_scan"):
+    with pytest.warns(MistakeWarning, match="with the inverse of base_to_scan"):
         told(written, wrong)
+
+
+def path(n: int, step: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+    """A slow circle of 5 cm, in n frames with jitter of a tenth of a millimetre."""
+    time = step * np.arange(n)
+    turned = np.stack([np.cos(time), np.sin(time), 0.0 * time], axis=1)
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, (n, 3))
+    return 0.05 * turned + noise, time
+
+
+def test_a_jump_is_where_it_is_and_as_large() -> None:
+    position, time = path(100)
+    position[40:] += [0.0, 0.02, 0.0]
+    at, size = jumps(position, time)
+    assert np.flatnonzero(at).tolist() == [40]
+    assert size[40] == pytest.approx(0.02, rel=0.1)
+
+
+def test_what_is_no_jump() -> None:
+    """A few frames, a brisk start between sparse frames, and steps as all others."""
+    for n in (1, 3):
+        assert not jumps(*path(n))[0].any()
+    position, time = path(12, step=0.1)
+    position[6:, 0] += 0.08 * np.arange(1, 7)  # 0.8 m/s within 0.1 s
+    assert not jumps(position, time)[0].any()
+    rough, time = path(100)
+    rough += np.random.default_rng(1).normal(0.0, 0.02, rough.shape)
+    assert not jumps(rough, time)[0].any()
+    position, time = path(100)
+    position[50] += [0.0, 0.0, 0.02]  # there and back: two steps, each unlike its own
+    assert np.flatnonzero(jumps(position, time)[0]).tolist() == [50, 51]

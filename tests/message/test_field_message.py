@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from ttus_opt.errors import InputError, TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.message.field_message import sampled
+from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.voxmap.field import PotentialField
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
@@ -204,18 +206,30 @@ def test_large_fields_are_refused_unless_asked_for() -> None:
         decode(message, base=surface, max_voxels=1000)
 
 
-def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request() -> None:
+def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its time is that of one solve, counted in V-cycles; its memory is traced."""
     surface = torso()
     base = encode(surface)
     voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
     rough = np.random.default_rng(0).normal(0.0, 0.05, voxmap.grid.shape)
     message = encode(PotentialField(voxmap, rough, "trilinear"), base=base)
+    solve, cycles = Multigrid.solve, []
+
+    def counted(self: Multigrid, *given: Any, **named: Any) -> MultigridResult:
+        found = solve(self, *given, **named)
+        cycles.append(found.iterations)
+        return found
+
+    monkeypatch.setattr(Multigrid, "solve", counted)
     tracemalloc.start()
     try:
         decode(message, base=base)
         assert tracemalloc.get_traced_memory()[1] < 64 * 2**20
     finally:
         tracemalloc.stop()
+    assert len(cycles) == 1 and cycles[0] <= 12
     larger = tt.Voxmap.from_surface(surface, shape=(56, 120, 60), r_inner=0.03)
     flat = PotentialField(larger, np.zeros(larger.grid.shape), "trilinear")
     with pytest.raises(InputError, match=r"403,200 voxels, at most 400,000 are"):
