@@ -202,7 +202,9 @@ TARGETS = (
     Target("fitting/agreement.py", ("fitting/test_agreement.py",)),
     Target("fitting/posterior.py", ("fitting/test_posterior.py",)),
     Target("fitting/posterior_draws.py", ("fitting/test_posterior_draws.py",)),
-    Target("fitting/hyperparameters.py", ("fitting/test_hyperparameters.py",)),
+    Target("fitting/place_left_out.py", ("fitting/test_place_left_out.py",)),
+    Target("fitting/presses.py", ("fitting/test_presses.py",)),
+    Target("fitting/tuning_rows.py", ("fitting/test_tuning_rows.py",)),
     Target(
         "fitting/measured_rows.py",
         ("fitting/test_measured_rows.py", "fitting/test_dual_recursion.py"),
@@ -233,7 +235,7 @@ TARGETS = (
             ),
             "contact": ("point_drag", "pose_rows", "shell_blocks"),
             "fitting": (
-                *("breakdown", "contact_spread", "left_out", "pose_error_step"),
+                *("breakdown", "contact_spread", "pose_error_step"),
                 *("pose_refinement", "skin_doubt"),
             ),
             "probe": ("tracker_noise",),

@@ -12,9 +12,8 @@ import ttus_opt as tt
 #: A public path and a name it gives; users' files import them.
 KEPT = {
     "ttus_opt.constraints.sign": "Sign",
-    "ttus_opt.friction": "coulomb_rows",
-    "ttus_opt.metrics": "evaluate",
-    "ttus_opt.plots": "overview",
+    "ttus_opt.report.metrics": "evaluate",
+    "ttus_opt.report.plots": "overview",
     "ttus_opt.problem.formulation": "Formulation",
     "ttus_opt.scene": "Scene",
     "ttus_opt.solvers.registry": "solvers",
@@ -27,7 +26,7 @@ OTHERWISE = {
     "constraints": "ttus_opt.constraints",
     "load_formulation": "load",
     "paper": "ttus_opt.paper",
-    "plots": "ttus_opt.plots",
+    "plots": "ttus_opt.report.plots",
     "terms": "ttus_opt.terms",
 }
 

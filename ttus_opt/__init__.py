@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from ttus_opt import constraints as constraints
     from ttus_opt import paper as paper
-    from ttus_opt import plots as plots
     from ttus_opt import terms as terms
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from ttus_opt.problem.solution import NoSolutionError as NoSolutionError
     from ttus_opt.problem.solution import Solution as Solution
     from ttus_opt.problem.solution import Status as Status
+    from ttus_opt.report import plots as plots
     from ttus_opt.report.metrics import evaluate as evaluate
     from ttus_opt.scan.cloud import read_cloud as read_cloud
     from ttus_opt.scan.extraction import extract_surface as extract_surface
@@ -87,7 +87,12 @@ _HOME = {
 }
 
 #: Modules whose content is found by name, such as ``tt.terms.LaplaceTerm``
-_SHELVES = ("constraints", "paper", "plots", "terms")
+_SHELVES = {
+    "constraints": "constraints",
+    "paper": "paper",
+    "plots": "report.plots",
+    "terms": "terms",
+}
 
 __all__ = [*_HOME, *_SHELVES]
 
@@ -100,7 +105,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         value = _version()
     elif name in _SHELVES:
-        value = importlib.import_module(f"ttus_opt.{name}")
+        value = importlib.import_module(f"ttus_opt.{_SHELVES[name]}")
     elif name in _HOME:
         value = getattr(importlib.import_module(f"ttus_opt.{_HOME[name]}"), name)
     else:

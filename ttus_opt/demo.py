@@ -19,7 +19,7 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_words import AUTO, checked_word, choice_of
+from ttus_opt.fitting.weight_choice import AUTO, checked_word, choice_of
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory

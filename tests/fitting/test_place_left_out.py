@@ -1,4 +1,4 @@
-"""Weights for a place left out, against dense algebra and against draws."""
+"""Places left out, against dense fits without them."""
 
 from __future__ import annotations
 
@@ -9,140 +9,105 @@ import numpy as np
 import pytest
 
 from ttus_opt.fitting import place_left_out
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
 from ttus_opt.fitting.place_left_out import PlaceLeftOut
-from ttus_opt.fitting.series_noise import SeriesNoise
+from ttus_opt.fitting.tuning_rows import BasisRows
 
-WEIGHTS = np.array([0.3, 0.2])
-
-TIME = 2.0
-
-NOISE = SeriesNoise(TIME, np.array([0.1, 0.3]))
+WEIGHTS = np.array([20.0, 3.0])
 
 
 @functools.cache
-def series() -> MeasuredSeries:
-    """Twelve frames of two presses at four places, over a basis of five fields.
-
-    Close frames have similar images, so that one place predicts another.
-    """
-    rng, n = np.random.default_rng(5), 12
-    time = 0.1 * np.arange(n) + np.repeat([0.0, 3.0], 6)
-    smooth = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / 4.0) ** 2))
-    images = np.einsum("ij,ktjc->ktic", smooth, rng.normal(size=(5, 2, n, 3)))
-    empty = np.zeros((2, n, 3))
-    press, place = np.repeat([0, 1], 6), np.repeat([0, 1, 2, 3], 3)
-    terms = ("force", "torque")
-    return MeasuredSeries(terms, images, empty, empty, time, press, place)
+def judge(free_scale: bool = False) -> PlaceLeftOut:
+    """Rows of two terms at four places, which a field of six parts explains."""
+    rng, n = np.random.default_rng(5), 24
+    place = np.tile(np.repeat([4, 7, 8, 9], 3), 2)
+    images = rng.normal(size=(6, 2, 4, 3)).cumsum(axis=2).reshape(6, n)
+    base = 3.0 + rng.normal(size=n)
+    target = 1.3 * base + rng.normal(size=6) @ images + 0.2 * rng.normal(size=n)
+    term, every = np.repeat([0, 1], 12), np.full(n, 2.0)
+    slope = 0.1 * images[:, ::-1], np.zeros(n)
+    rows = BasisRows(images, base, target, term, place, every, slope)
+    return PlaceLeftOut(rows, 2, 6.0, 1e3, 1.0, free_scale)
 
 
-def flat(values: np.ndarray) -> np.ndarray:
-    return values.reshape(*values.shape[:-3], -1)
-
-
-def dense() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """B and Σ of weighted rows, and the place and term of every row."""
-    own = series()
-    B = flat(np.sqrt(WEIGHTS)[:, None, None] * own.images)
-    R = np.zeros((B.shape[1], B.shape[1]))
-    together = own.press[:, None] == own.press
-    slow = np.exp(-np.abs(own.time[:, None] - own.time) / TIME) * together
-    for term, w in enumerate(NOISE.sensor):
-        at = slice(36 * term, 36 * term + 36)
-        R[at, at] = np.kron((slow + w * np.eye(12)) / (1.0 + w), np.eye(3))
-    place = np.tile(np.repeat(own.place, 3), 2)
-    return B, R, place, np.repeat([0, 1], 36)
-
-
-def residuals(shares: np.ndarray) -> np.ndarray:
-    """The matrix from measurements to errors on places left out."""
-    B, _, place, term = dense()
-    V, out = shares[term], np.eye(B.shape[1])
-    for f in range(4):
-        own, rest = place == f, place != f
-        M = np.eye(len(B)) + (B[:, rest] * V[rest]) @ B[:, rest].T
-        out[np.ix_(own, rest)] = -B[:, own].T @ np.linalg.solve(M, B[:, rest] * V[rest])
+def refitted(scale: float, coefficient: float = 0.0) -> np.ndarray:
+    """The errors of every place by a fit without it."""
+    rows = judge().rows.at(coefficient)
+    W, out = WEIGHTS[rows.term] * rows.every, np.empty(len(rows.target))
+    misfit = rows.target - scale * rows.base
+    for place in np.unique(rows.place):
+        own = rows.place == place
+        K, w = rows.images[:, ~own], W[~own]
+        c = np.linalg.solve(np.eye(6) + (K * w) @ K.T, (K * w) @ misfit[~own])
+        out[own] = misfit[own] - c @ rows.images[:, own]
     return out
 
 
-def expected(shares: np.ndarray) -> float:
-    """Squared error over all places, without that of their own noise."""
-    B, R, *_ = dense()
-    out = residuals(shares)
-    return float(np.trace(out @ (B.T @ B + R) @ out.T) - np.trace(R))
+@pytest.mark.parametrize("coefficient", [0.0, 0.6])
+def test_errors_are_those_of_fits_without_the_place(coefficient: float) -> None:
+    found = judge().predicted(WEIGHTS, coefficient)
+    assert (found.scale, found.scale_error) == (1.0, 0.0)
+    np.testing.assert_allclose(found.errors, refitted(1.0, coefficient), rtol=1e-8)
 
 
-@pytest.mark.parametrize("shares", [(0.2, 0.7), (1.0, 1.0), (0.01, 0.5)])
-def test_the_error_is_that_of_dense_algebra(shares: tuple[float, float]) -> None:
-    found = PlaceLeftOut.of(series(), WEIGHTS, NOISE).error(np.array(shares))
-    assert found == pytest.approx(expected(np.array(shares)), rel=1e-9)
+def test_the_scale_is_that_of_generalised_least_squares() -> None:
+    """By dense algebra; outside its range, or with a large error, it is 1."""
+    found, rows = judge(True).predicted(WEIGHTS), judge().rows
+    covariance = np.diag(1.0 / (WEIGHTS[rows.term] * rows.every))
+    precision = np.linalg.inv(covariance + rows.images.T @ rows.images)
+    bend = rows.base @ precision @ rows.base
+    scale = rows.base @ precision @ rows.target / bend
+    assert found.scale == pytest.approx(scale)
+    off = rows.target - scale * rows.base
+    # three rows of a frame and term: one frame per place here
+    error = np.sqrt(off @ precision @ off / len(off) / bend)
+    assert found.scale_error == pytest.approx(error)
+    assert abs(scale - 1.3) < 3.0 * error
+    np.testing.assert_allclose(found.errors, refitted(found.scale), rtol=1e-7)
+    for target in (5.0 * rows.target, np.random.default_rng(0).normal(size=24)):
+        kept = replace(judge(True), rows=replace(rows, target=target))
+        assert kept.predicted(WEIGHTS).scale == 1.0
+        assert np.isnan(kept.predicted(WEIGHTS).scale_error)
 
 
-def test_the_slope_is_that_of_differences() -> None:
-    places, shares, h = PlaceLeftOut.of(series(), WEIGHTS, NOISE), [0.2, 0.7], 1e-5
-    error, slope = places.with_slope(np.array(shares))
-    assert error == places.error(np.array(shares))
-    for term, step in enumerate(h * np.eye(2)):
-        up, down = (places.error(shares + sign * step) for sign in (1.0, -1.0))
-        assert slope[term] == pytest.approx((up - down) / (2.0 * h), rel=1e-6)
+def test_the_density_counts_places_not_rows() -> None:
+    errors, rows = refitted(1.0), judge().rows
+    expected = [-2.0 * np.log(np.mean(errors[rows.term == t] ** 2)) for t in (0, 1)]
+    assert judge().log_density(WEIGHTS) == pytest.approx(sum(expected))
 
 
-def test_the_shares_err_least() -> None:
-    found = PlaceLeftOut.of(series(), WEIGHTS, NOISE).shares()
-    assert ((found > 0.02) & (found < 0.95)).all()  # a minimum inside
-    least = expected(found)
-    for term in range(2):
-        for factor in (0.7, 1.0 / 0.7):
-            moved = found.copy()
-            moved[term] *= factor
-            assert expected(moved) > least * (1.0 - 1e-4)
+def test_no_other_hyperparameters_are_more_likely() -> None:
+    steps, spread = judge().best()
+
+    def log_posterior(steps: np.ndarray) -> float:
+        density = judge().log_density(*judge().values(steps))
+        return float(density - 0.5 * steps @ steps)
+
+    best = log_posterior(steps)
+    for move in (*np.eye(3), *-np.eye(3)):
+        assert log_posterior(steps + 0.5 * move) < best + 0.1
+    assert (spread > 0.0).all() and (spread <= 2.0).all()
 
 
-def test_draws_have_that_error() -> None:
-    """Fields and errors of the stated covariances, predicted place by place."""
-    (B, R, *_), rng = dense(), np.random.default_rng(0)
-    shares, n = np.array([0.3, 0.6]), 20_000
-    noise = np.linalg.cholesky(R) @ rng.normal(size=(len(R), n))
-    data = B.T @ rng.normal(size=(len(B), n)) + noise
-    mean = float(((residuals(shares) @ data) ** 2).sum(axis=0).mean())
-    found = PlaceLeftOut.of(series(), WEIGHTS, NOISE).error(shares)
-    assert found + np.trace(R) == pytest.approx(mean, rel=0.02)
+def test_values_are_signal_ratio_and_coefficient() -> None:
+    weights, coefficient = judge().values(np.array([0.5, -1.0, 0.8]))
+    signal, ratio = place_left_out.SIGNAL, place_left_out.RATIO
+    first = signal[0] * np.exp(0.5 * signal[1]) / 6.0
+    np.testing.assert_allclose(weights, [first, first * np.exp(-ratio[1])])
+    assert coefficient == pytest.approx(0.8 * place_left_out.COEFFICIENT)
+    weights, coefficient = judge().values(np.array([6.0, 6.0, -1.0]))
+    np.testing.assert_allclose(weights, 1e3 / 6.0)  # the basis bears no more
+    assert coefficient == 0.0
+    assert judge().values(np.array([0.0, 0.0, 9.0]))[1] == 1.0
 
 
-def test_independent_frames_keep_their_weights() -> None:
-    noise = SeriesNoise(1e-9, np.zeros(2))
-    found = PlaceLeftOut.of(series(), WEIGHTS, noise).shares()
-    np.testing.assert_allclose(found, 1.0, rtol=0.1)
-    assert (found <= 1.0).all()
+def test_the_search_may_start_at_given_weights() -> None:
+    """And then does no worse than these."""
+    given = np.array([90.0, 0.02])
+    steps, _ = judge().best([given])
 
+    def log_posterior(steps: np.ndarray) -> float:
+        return judge().log_density(*judge().values(steps)) - 0.5 * float(steps @ steps)
 
-def test_a_single_place_keeps_the_weights() -> None:
-    alone = replace(series(), place=np.zeros(12, dtype=np.int64))
-    found = PlaceLeftOut.of(alone, WEIGHTS, NOISE).shares()
-    np.testing.assert_array_equal(found, [1.0, 1.0])
-
-
-def test_one_frame_may_stand_for_several(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of copies in quick succession, each n-th one has the same sums."""
-    own, several = series(), 4
-
-    def copied(values: np.ndarray, axis: int = 0) -> np.ndarray:
-        return np.repeat(values, several, axis=axis)
-
-    quick = copied(own.time) + 1e-6 * np.tile(np.arange(several), own.frames)
-    dense_series = replace(
-        own,
-        images=copied(own.images, 2),
-        base=copied(own.base, 1),
-        target=copied(own.target, 1),
-        time=quick,
-        press=copied(own.press),
-        place=copied(own.place),
-    )
-    whole = PlaceLeftOut.of(dense_series, WEIGHTS, NOISE)
-    monkeypatch.setattr(place_left_out, "MOST_FRAMES", own.frames)
-    few = PlaceLeftOut.of(dense_series, WEIGHTS, NOISE)
-    for name in ("gram", "inner", "cross"):
-        np.testing.assert_allclose(
-            getattr(few, name), getattr(whole, name), rtol=1e-4, atol=1e-4
-        )
+    start = judge()._steps(given, 3)
+    np.testing.assert_allclose(judge().values(start)[0], given)
+    assert log_posterior(steps) >= log_posterior(start)

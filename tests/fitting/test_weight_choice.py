@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +16,14 @@ from tests.fitting.test_contact_spread import scene_of
 from tests.fitting.test_tuning import drawn, tuned
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting import weight_choice
-from ttus_opt.fitting.hyperparameters import Hyperparameter
-from ttus_opt.fitting.left_out import LeftOut
-from ttus_opt.fitting.tuning import Tuning
 from ttus_opt.fitting.weight_choice import (
+    WORDS,
     WeightChoice,
-    choose_weights,
+    choice_of,
     has_choice,
     has_weights,
     resampled,
+    word_for,
 )
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
@@ -39,43 +39,49 @@ def weights(choice: WeightChoice) -> dict[str, float]:
 def refused(scene: Scene, told: str) -> WeightChoice:
     """The choice for a scene that cannot bear one; it has the formulation's own."""
     with pytest.warns(TtusWarning, match=told):
-        choice = choose_weights(scene, "eq10")
+        choice = choice_of("auto", scene, "eq10")
     assert choice.tuning is None and choice.scene is scene
     assert weights(choice) == OWN
     assert choice.as_dict()["by"] == "formulation"
     assert choice.reason in choice.as_dict()["reason"]
-    assert choice.lines == tuple(map(str, choice.checks))
+    assert choice.lines == ()
     return choice
 
 
 def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
-    choice = choose_weights(drawn(), "eq10")
+    choice = choice_of("auto", drawn(), "eq10")
     assert weights(choice) == tuned().weights
     assert choice.scene.inner == tuned().scene.inner
     told = choice.as_dict()
-    assert told["by"] == "marginal likelihood" and told["weights"] == tuned().weights
-    spread = {h.name: h.spread for h in tuned().hyperparameters if h.determined}
-    assert told["weight_factors"]["force"] == np.exp(spread["signal_to_noise"])
-    assert told["weight_factors"]["torque"] >= told["weight_factors"]["force"]
+    assert told["by"] == "places left out" and told["weights"] == tuned().weights
+    assert told["weight_factors"] == tuned().weight_factors
+    assert told["weight_factors"]["torque"] >= told["weight_factors"]["force"] > 1.0
     assert told["hyperparameters"].keys() == {h.name for h in tuned().hyperparameters}
+    assert told["held_out"] == [tuned().check.as_dict()]
     assert choice.lines[0].startswith("weights chosen from the recordings: force ")
+    assert choice.lines[-1] == str(tuned().check)
 
 
 def test_what_stays_open_is_told_with_the_value_that_is_kept() -> None:
-    """A boundary scale has a fitted value, another hyperparameter the prior's."""
-    choice = choose_weights(drawn(), "eq10")
+    """As is a hyperparameter that ran to the end of its range."""
+    choice = choice_of("auto", drawn(), "eq10")
     assert choice.tuning is not None
-    first, scale = tuned().hyperparameters[0], "boundary_scale"
+    first = replace(tuned().hyperparameters[0], determined=True)
+    scale = "boundary_scale"
     lines = {}
     for names in ((), ("mu",), (scale,), ("mu", scale)):
         open_ones = (replace(first, name=name, determined=False) for name in names)
         tuning = replace(choice.tuning, hyperparameters=(first, *open_ones))
-        lines[names] = replace(choice, tuning=tuning, checks=()).lines[1:]
+        lines[names] = replace(choice, tuning=tuning).lines[1:-1]
     assert lines[()] == ()
-    assert lines["mu",] == ("not determined by the recordings, prior value kept: mu",)
+    assert lines["mu",] == ("hardly determined by the recordings: mu",)
     (told,) = lines[scale,]
     assert told.startswith("boundary_scale kept as the Laplace field alone fits")
     assert lines["mu", scale] == (*lines["mu",], told)
+    ended = replace(first, determined=True, at_bound=True)
+    tuning = replace(choice.tuning, hyperparameters=(ended,))
+    (told,) = replace(choice, tuning=tuning).lines[1:-1]
+    assert told == f"signal_to_noise ended at its bound, {first.value:.3g}"
 
 
 def test_without_contact() -> None:
@@ -115,90 +121,6 @@ def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
     refused(scene_of(angle, np.full(30, 0.1), depth), told)
 
 
-def changed(name: str, **how: object) -> Tuning:
-    """What is found, but for one hyperparameter."""
-
-    def change(one: Hyperparameter) -> Hyperparameter:
-        return replace(one, **how) if one.name == name else one  # type: ignore[arg-type]
-
-    return replace(tuned(), hyperparameters=tuple(map(change, tuned().hyperparameters)))
-
-
-@pytest.mark.parametrize(
-    ("found", "told"),
-    [
-        (("signal_to_noise", {"determined": False}), "do not determine how far"),
-        (("correlation_time", {"at_bound": True}), "correlation_time ended at its"),
-    ],
-)
-def test_what_the_evidence_does_not_bear(
-    found: tuple[str, dict[str, object]], told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    doubtful = changed(found[0], **found[1])
-    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: doubtful)
-    refused(drawn(), told)
-
-
-def off_by(factor: float, one: LeftOut) -> LeftOut:
-    return replace(one, errors=factor * one.errors)
-
-
-def test_weights_that_predict_presses_left_out_worse_are_not_used(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    worse = replace(tuned(), left_out=off_by(3.0, tuned().left_out))
-    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: worse)
-    choice = refused(drawn(), "worse than eq10 with its own weights.*are used")
-    (told,) = choice.as_dict()["held_out"]
-    assert told["made"] and not told["holds"]
-    assert told["richer_error"] > told["simpler_error"]
-
-
-def test_drag_that_predicts_presses_left_out_worse_is_not_used(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rich = replace(
-        tuned(),
-        formulation=tuned().formulation.named("coulomb_global"),
-        left_out=replace(off_by(1.1, tuned().left_out), model="coulomb_global"),
-        simpler=tuned(),
-    )
-    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: rich)
-    with pytest.warns(TtusWarning, match="coulomb_global predicts.*eq10 is used"):
-        choice = choose_weights(drawn(), "coulomb_global")
-    assert choice.formulation is tuned().formulation
-    assert [check.holds for check in choice.checks] == [False, True]
-    assert "worse than eq10 with the weights chosen" in choice.lines[-2]
-
-
-def test_two_presses_leave_the_weights_unchecked() -> None:
-    scene = drawn()
-    kept = scene.trajectory.select(np.arange(len(scene.trajectory)) < 10)
-    few = Scene.assemble(scene.voxmap, scene.shell, kept, inner="fit")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(weight_choice, "LEAST_FRAMES", 8)
-        choice = choose_weights(few, "eq10")
-    (check,) = choice.checks
-    assert check.presses == 2 and not check.made and choice.tuning is not None
-    assert choice.lines[-1].endswith("2 of them are fewer than 3")
-
-
-@pytest.mark.slow
-def test_forces_without_noise_end_at_the_bound() -> None:
-    scene = drawn()
-    p = scene.laplace.solve(scene.b)
-    bumps = np.random.default_rng(2).normal(size=len(scene.b))
-    p += 30.0 * scene.laplace.solve(np.where(scene.laplace.free, bumps, 0.0))
-    exact = replace(
-        scene.trajectory,
-        force=(scene.N @ p).reshape(-1, 3),
-        torque=(scene.W @ p).reshape(-1, 3),
-    )
-    silent = Scene.assemble(scene.voxmap, scene.shell, exact, inner="fit")
-    with pytest.warns(TtusWarning, match="signal_to_noise ended at its bound"):
-        choose_weights(silent, "eq10")
-
-
 @pytest.mark.slow
 def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
     with warnings.catch_warnings():
@@ -212,7 +134,7 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
         torque=clean.trajectory.torque + rng.normal(0.0, 1e-3, (n, 3)),
     )
     scene = Scene.assemble(clean.voxmap, clean.shell, noisy)
-    choice = choose_weights(scene, "coulomb_global")
+    choice = choice_of("auto", scene, "coulomb_global")
     assert choice.tuning is not None
     named = {h.name: h for h in choice.tuning.hyperparameters}
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
@@ -220,7 +142,7 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
 
 def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
     """The same by name in that scene; with drag where the recordings show it."""
-    choice = choose_weights(drawn())
+    choice = choice_of("auto", drawn())
     assert choice.formulation.name == "depth_map" and choice.tuning is None
     assert "by marginal likelihood" in choice.lines[0]
     assert choice.as_dict()["by"] == "marginal likelihood"
@@ -230,15 +152,17 @@ def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
     }
     assert choice.scene.sampling == max(likely, key=likely.__getitem__)
     assert all(f"{each} {e:.1f}" in choice.lines[-1] for each, e in likely.items())
-    named = choose_weights(choice.scene, "depth_map")
+    named = choice_of("auto", choice.scene, "depth_map")
     assert str(named.formulation) == str(choice.formulation)
-    assert choose_weights(drawn(), sampling="voxel-mean").scene.sampling == "voxel-mean"
+    assert (
+        choice_of("auto", drawn(), sampling="voxel-mean").scene.sampling == "voxel-mean"
+    )
     found = tt.fit(drawn(), weights="auto")
     assert found.field.sampling == choice.scene.sampling
     assert found.chosen == choice.lines
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)
-        dragged = choose_weights(dragged_scene("contact"))
+        dragged = choice_of("auto", dragged_scene("contact"))
     assert dragged.formulation.name == "depth_map_coulomb"
 
 
@@ -246,18 +170,18 @@ def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
     pulling = replace(drawn().trajectory, force=-drawn().f.reshape(-1, 3))
     scene = Scene.assemble(drawn().voxmap, drawn().shell, pulling, inner=1.0)
     with pytest.warns(TtusWarning, match="pull the probe in.*weights of eq10"):
-        choice = choose_weights(scene)
+        choice = choice_of("auto", scene)
     assert choice.formulation.name == "eq10" and "pull" in choice.reason
 
 
 def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:
     with pytest.warns(TtusWarning, match=r"coulomb_drag cannot be tuned.*are used"):
-        choice = choose_weights(drawn(), "coulomb_drag", strict=False)
+        choice = choice_of("auto", drawn(), "coulomb_drag", strict=False)
     assert choice.tuning is None and weights(choice) == OWN
     with pytest.raises(InputError, match="cannot be tuned"):
-        choose_weights(drawn(), "coulomb_drag")
+        choice_of("auto", drawn(), "coulomb_drag")
     with pytest.raises(InputError, match="has no option"):
-        choose_weights(drawn(), "eq10", {"strength": 1.0})
+        choice_of("auto", drawn(), "eq10", {"strength": 1.0})
 
 
 def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -272,7 +196,7 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # typ
     declared = tt.load_formulation("eq10", drawn())
     assert isinstance(declared, Formulation) and not has_weights(declared)
     with pytest.raises(InputError, match="chooses force_weight"):
-        choose_weights(drawn(), "eq10", {"force_weight": 1.0})
+        choice_of("auto", drawn(), "eq10", {"force_weight": 1.0})
 
 
 def test_a_library_fit_has_the_weights_it_names() -> None:
@@ -280,3 +204,67 @@ def test_a_library_fit_has_the_weights_it_names() -> None:
     scene = Scene.assemble(small_scene("trilinear").voxmap, drawn().shell, poses)
     solution = tt.fit(scene, "eq10")
     assert {n: solution.weights[n] for n in OWN} == OWN
+
+
+WEIGHT = {"force_weight": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("formulation", "options", "word"),
+    [
+        (None, {}, "auto"),
+        ("eq10", {}, "auto"),
+        ("depth_map", {}, "auto"),
+        ("laplace_only", {}, "own"),
+        ("eq10", WEIGHT, "own"),
+        (None, WEIGHT, "own"),
+    ],
+)
+def test_the_word_where_none_is_given(
+    formulation: str | None, options: dict[str, float], word: str
+) -> None:
+    assert word_for(None, formulation, options) == word
+    assert word_for("own", formulation, options) == "own"
+
+
+@pytest.mark.parametrize(
+    ("word", "formulation", "options", "told"),
+    [
+        (
+            "recipe",
+            None,
+            {},
+            "weights='recipe' is not known: take auto or own",
+        ),
+        ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
+    ],
+)
+def test_words_that_cannot_be_followed(
+    word: Any, formulation: str | None, options: dict[str, float], told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        word_for(word, formulation, options)
+    with pytest.raises(InputError, match=told):
+        tt.fit(small_scene("trilinear"), formulation, weights=word, **options)
+
+
+def test_own_weights() -> None:
+    scene = small_scene("trilinear")
+    choice = choice_of("own", scene, options=WEIGHT)
+    assert choice.formulation.name == "eq10" and choice.tuning is None
+    assert {t.name: t.weight for t in choice.formulation.terms}["force"] == 1.0
+    assert tt.fit(scene).formulation == "eq10"
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_fit_takes_what_the_word_chose(
+    word: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def choose(scene: Scene, *_: object, **__: object) -> WeightChoice:
+        other = scene.with_boundary(2.0, 1.0)
+        return WeightChoice(other, tt.load_formulation("tikhonov", other))
+
+    monkeypatch.setattr(weight_choice, "default_model", choose)
+    names = {"own": "eq10", "auto": "tikhonov"}
+    scene = small_scene("trilinear")
+    assert tt.fit(scene, weights=word).formulation == names[word]

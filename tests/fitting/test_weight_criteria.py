@@ -9,11 +9,11 @@ import pytest
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.conftest import small_scene
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import weight_criteria
+from ttus_opt.fitting.presses import presses
 from ttus_opt.fitting.weight_criteria import Criteria, criteria_of
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 
 FORCE, TORQUE = 30.0, 3.0
@@ -70,7 +70,7 @@ def test_evidence_and_gcv_are_those_of_dense_algebra(path: object) -> None:
 
 def test_presses_left_out_are_fits_without_them(path: object) -> None:
     scene = three_presses()
-    numbers = weight_criteria.presses(scene)
+    numbers = presses(scene)
     touching = scene.rows.contact_points > 0
     off = []
     for number in np.unique(numbers[touching]):
@@ -110,19 +110,6 @@ def test_one_press_cannot_be_left_out() -> None:
     )
     assert np.isnan(path["left_out_force_error"]).all()
     assert np.isfinite(path["log_evidence"]).all()
-
-
-def test_recordings_and_air_part_presses() -> None:
-    scene = three_presses()
-    inside = scene.rows.contact_points > 0
-    assert not inside[4::5].any()
-    numbers = weight_criteria.presses(scene)
-    assert len(np.unique(numbers[inside])) == 3
-    two = Trajectory.concatenate(
-        [presses(torso(), 5, np.random.default_rng(k)) for k in (1, 2)]
-    )
-    joined = Scene.assemble(scene.voxmap, ellipsoid(), two, sampling="trilinear")
-    assert len(np.unique(weight_criteria.presses(joined))) == 2
 
 
 def test_without_contact_there_is_nothing_to_tell() -> None:

@@ -125,7 +125,7 @@ def fit(
         --trajectory press_fit.csv -o field.nc
     """
     from ttus_opt.fitting.sanity import check_recordings
-    from ttus_opt.fitting.weight_words import OWN, choice_of, word_for
+    from ttus_opt.fitting.weight_choice import OWN, choice_of, word_for
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
 

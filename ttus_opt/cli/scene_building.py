@@ -75,7 +75,7 @@ def scene_of_field(
 
     None where a coarse grid does not resolve the patient.
     """
-    from ttus_opt.fitting.tuning_series import coarse_shape
+    from ttus_opt.fitting.coarse_scene import coarse_shape
     from ttus_opt.scene import ScenePlan
 
     grid = voxmap.grid

@@ -1,4 +1,4 @@
-"""``ttus-opt tune``: weights, boundary scale and friction by marginal likelihood."""
+"""``ttus-opt tune``: weights, boundary scale and friction by places left out."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from ttus_opt.cli.scene_options import SceneOptions, further_options
 from ttus_opt.errors import warn
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.hyperparameters import Hyperparameter
-    from ttus_opt.fitting.tuning import Tuning
+    from ttus_opt.fitting.tuning import Hyperparameter, Tuning
 
 
 #: What comparisons are called
 CRITERIA = {
-    "left_out_force_error": "presses left out",
+    "log_evidence": "the evidence of independent frames",
     "gcv": "generalised cross-validation",
 }
 
@@ -40,7 +39,8 @@ def tune(
     Args:
         surface: Surface file (.nc).
         formulation: A formulation's name, or the path of your own file; of several, the
-            most likely is taken. By default eq10 and coulomb_global.
+            one that predicts places left out best is taken. By default eq10 and
+            coulomb_global.
         option: A fixed option of the formulations; may be repeated.
 
     Example:
@@ -49,7 +49,7 @@ def tune(
     """
     from ttus_opt.fitting.tuning import CANDIDATES
     from ttus_opt.fitting.tuning import tune as tune_scene
-    from ttus_opt.fitting.weight_choice import too_little, why_not
+    from ttus_opt.fitting.weight_choice import too_little
     from ttus_opt.scan.surface import Surface
 
     options, plan = further_options(option or ()), grid.plan
@@ -64,7 +64,7 @@ def tune(
         warn_of_mistake(scene, reading)
         found = tune_scene(scene, candidates, progress=begin, **options)
     tell(_summary(found), *_lines(found), json=json)
-    reason = too_little(scene) or why_not(found)
+    reason = too_little(scene)
     if reason:
         warn(f"ttus-opt fit would not choose these weights: {reason}")
 
@@ -78,8 +78,9 @@ def _summary(found: Tuning) -> dict[str, Any]:
         "hyperparameters": {h.name: asdict(h) for h in found.hyperparameters},
         "not_determined": found.not_determined,
         "noise_N": found.noise,
-        "log_marginal": found.candidates,
+        "candidates_left_out_force_error_N": found.candidates,
         "left_out_force_error_N": found.left_out_force_error,
+        "held_out": [found.check.as_dict()],
         "comparisons": [asdict(one) for one in found.comparisons],
         "tuned_on": found.shape,
         "seconds": found.seconds,
@@ -100,18 +101,17 @@ def _fit_options(found: Tuning) -> str:
 
 def _lines(found: Tuning) -> list[str]:
     shape = " x ".join(map(str, found.shape))
-    less = {name: found.log_marginal - m for name, m in found.candidates.items()}
     return [
         f"{found.formulation.name}: {_weights(found.weights)}, tuned on {shape} voxels "
         f"in {found.seconds:.1f} s",
         *(
-            f"{name}: less likely by a factor of e^{factor:.1f}"
-            for name, factor in less.items()
-            if factor > 0.0
+            f"{name}: {error:.3f} N at places left out"
+            for name, error in found.candidates.items()
+            if name != found.formulation.name
         ),
         *map(_line, found.hyperparameters),
         f"error of a force component: {found.noise:.3f} N",
-        f"forces of presses left out: {found.left_out_force_error:.3f} N",
+        f"forces of places left out: {found.left_out_force_error:.3f} N",
         *(
             f"by {CRITERIA[other.criterion]}: {_weights(other.weights)}, which leaves "
             f"{other.left_out_force_error:.3f} N"
@@ -126,9 +126,5 @@ def _weights(weights: Any) -> str:
 
 
 def _line(one: Hyperparameter) -> str:
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    if not one.determined:
-        return (
-            f"{one.name}: not determined by the recordings, {one.value:.3g}{unit} kept"
-        )
-    return f"{one.name}: {one.value:.3g}{unit}"
+    unsure = "" if one.determined else ", not determined by the recordings"
+    return f"{one.name}: {one.value:.3g}{unsure}"

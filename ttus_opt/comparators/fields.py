@@ -21,7 +21,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Comparator, Given
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import choose_weights
+from ttus_opt.fitting.weight_choice import choice_of
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
@@ -102,7 +102,7 @@ class Tuned(FieldModel):
     turns = False  # its searches end within a tolerance
 
     def _solved(self, scene: Scene) -> Solution:
-        choice = choose_weights(scene, "eq10", strict=False)
+        choice = choice_of("auto", scene, "eq10", strict=False)
         return fit(choice.scene, choice.formulation)
 
 

@@ -19,7 +19,7 @@ from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.pose_refinement import refine_poses
-from ttus_opt.fitting.weight_words import choice_of
+from ttus_opt.fitting.weight_choice import choice_of
 from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory

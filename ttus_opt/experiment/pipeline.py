@@ -36,7 +36,7 @@ from ttus_opt.experiment.settings import (
     without_torque,
 )
 from ttus_opt.experiment.side_by_side import do_ahead
-from ttus_opt.fitting.weight_words import checked_word
+from ttus_opt.fitting.weight_choice import checked_word
 from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.report.metrics import as_rendered, compare
 from ttus_opt.scan.surface import Surface

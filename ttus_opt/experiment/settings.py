@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from ttus_opt import io, paper
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import weight_words
+from ttus_opt.fitting import weight_choice
 from ttus_opt.fitting.weight_choice import has_weights
 from ttus_opt.problem.formulation import available, option_names
 
@@ -22,7 +22,7 @@ WEIGHT = 1.0
 
 #: Values of `Plan.weights`: given weights only, also by marginal likelihood, also the
 #: default model
-WEIGHTS = (GIVEN, AUTO, DEFAULT) = ("given", weight_words.AUTO, "default")
+WEIGHTS = (GIVEN, AUTO, DEFAULT) = ("given", weight_choice.AUTO, "default")
 
 #: Suffix of settings whose weights are chosen from the recordings
 CHOSEN = "_auto"

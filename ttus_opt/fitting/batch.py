@@ -27,7 +27,7 @@ from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.weight_words import Word
+    from ttus_opt.fitting.weight_choice import Word
 
 #: KKT tolerance of the fits during a search; the final fit has the requested one
 SEARCH_TOLERANCE = 1e-4
@@ -59,10 +59,10 @@ def fit(
             `ttus_opt.solvers.base.Solver`.
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most time of every call of the solver [s].
-        weights: "auto" chooses weights and boundary scale by marginal likelihood
-            (`ttus_opt.tune`). Where the recordings do not determine them, or they
-            predict left-out presses worse, the formulation's own weights are used with
-            a `TtusWarning`. Without a formulation it takes the default model, that of
+        weights: "auto" chooses weights and boundary scale by how places left out are
+            predicted (`ttus_opt.tune`), those of a formulation of your own too.
+            Recordings of one place determine none: its own weights are used with a
+            `TtusWarning`. Without a formulation it takes the default model, that of
             ``ttus-opt fit``: a depth map, sampled by contact size, with drag where the
             recordings show it (`ttus_opt.fitting.weight_choice.default_model`). "own"
             or None takes the formulation's own weights.
@@ -81,7 +81,7 @@ def fit(
     expect(scene, Scene, "the scene")
     usual = DEFAULT_FORMULATION if formulation is None else formulation
     if weights not in (None, "own"):
-        from ttus_opt.fitting.weight_words import choice_of
+        from ttus_opt.fitting.weight_choice import choice_of
 
         watch = Stopwatch()
         choice = choice_of(weights, scene, formulation, options)

@@ -30,7 +30,7 @@ from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.posterior import Posterior
 from ttus_opt.fitting.posterior_draws import PosteriorDraws, checked_depth, skin_voxels
-from ttus_opt.fitting.weight_criteria import presses
+from ttus_opt.fitting.presses import presses
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.wrench_noise import (
     ErrorModel,

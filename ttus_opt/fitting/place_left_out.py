@@ -1,165 +1,186 @@
-"""Weights that predict the wrenches at a place left out best, in expectation.
+"""How well weights predict what was measured at places left out.
 
-A formulation assumes independent frames of equal accuracy, but errors are correlated
-along a press (`marginal_likelihood`). Its best weights are therefore not those of the
-likelihood. With the errors' covariance Σ known, the expected error of predicting one
-place F from all others has a closed form. With B the images times the roots of the
-most likely weights and V the shares of these that a fit uses, by row,
+With the rows' misfit d = t - s u to the prior's mean times a scale s, the prediction of
+the rows of one place from all others has a closed form (`weight_criteria`); s is that
+of generalised least squares. A place counts as one observation of a term's error,
+whatever its number of frames, so that over P places
 
-    M = 1 + Σ_G V B_G B_Gᵀ,    S = cov Σ_G V B_G e_G,    C = cov(Σ_G V B_G e_G, e_F),
-    E‖error‖² = tr B_Fᵀ M⁻¹(1 + S)M⁻¹ B_F - 2 tr B_Fᵀ M⁻¹ C + const,
+    log p = -½ Σ P log (mean square of the errors of a term)
 
-G over all other places. The sum over all places is minimised. A place is a run of
-frames of one press within the probe's own size: contacts nearer than that overlap, and
-the next examination meets the same skin about as near to fitted places as one place of
-this examination is to the others. See docs/method.md, "Tuning".
+stands for the likelihood of the weights: that of errors whose size is not known. Weak
+priors keep weights that the places hardly tell near usual ones. See docs/method.md,
+"Tuning".
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Self
 
 import numpy as np
-import scipy.optimize
 
-from ttus_opt.arrays import Array
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
-from ttus_opt.fitting.series_noise import SeriesNoise
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.fitting.posterior import WeightedData
+from ttus_opt.fitting.tuning_rows import BasisRows
+from ttus_opt.fitting.weight_criteria import left_out_errors
+from ttus_opt.terms.posterior_mode import posterior_mode
 
-#: Least share of a most likely weight that a fit uses [–]
-LEAST_SHARE = 1e-4
+#: Prior variance of a force row over that of its noise: median, and standard deviation
+#: of its logarithm. Tissue varies by 40 %, which is 1 N of 3 N, and a frame is accurate
+#: to 0.15 N; frames of one press repeat each other's errors, so that each counts less
+SIGNAL = (3.0, 2.0)
 
-#: Slope by the logarithm of a share at which the search ends, and its last gain, both
-#: over the error; most evaluations
-ACCURACY, RELATIVE_ACCURACY, MOST = 1e-4, 1e-6, 80
+#: Weight of a further term over the first's, likewise [–]
+RATIO = (1.0, 1.5)
 
-#: Share at which the search starts
-START = 0.1
+#: Prior standard deviation of a coefficient such as friction, around 0 [–]
+COEFFICIENT = 0.5
 
-#: Most frames; each of fewer stands for several, whose sensor noise is averaged
-MOST_FRAMES = 1000
+#: Largest distance from the medians, in prior standard deviations [–]
+FARTHEST = 6.0
+
+#: Most evaluations, and steps of the first term's weight at which the search may start
+CALLS, STARTS = 60, (-2.0, -1.0, 1.0, 2.0, 3.0)
+
+#: Step of the second differences, in prior standard deviations [–]
+STEP = 0.3
+
+#: Range of boundary scales, over the scene's own, and their largest relative standard
+#: error; otherwise the scene's is kept [–]
+SCALES, SCALE_ERROR = (0.5, 2.0), 0.2
+
+#: Rows of one frame and term [–]
+COMPONENTS = 3
+
+#: Least mean square of a term's errors, over that of its measurements: rounding [–]
+LEAST_SQUARE = 1e-12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What all other places predict with some weights.
+
+    Attributes:
+        errors: Measured minus predicted, shape (m,).
+        scale: s [–].
+        scale_error: Its standard error; NaN where it is not determined [–].
+    """
+
+    errors: Array = field(repr=False)
+    scale: float
+    scale_error: float
 
 
 @dataclass(frozen=True)
 class PlaceLeftOut:
-    """Sums over the rows of every place, k images and n places.
+    """Measured rows, of which one place is left out after the other.
 
     Attributes:
-        gram: B_F B_Fᵀ by place and term, shape (n, terms, k, k).
-        inner: B_F Σ_FF B_Fᵀ, likewise.
-        cross: B_F Σ Bᵀ with the rows of all places, likewise.
+        rows: The rows over a basis.
+        n_terms: Number of terms [–].
+        variance: Mean prior variance of the first term's rows.
+        largest: Largest signal to noise that the basis is made for [–].
+        highest: Largest value of their coefficient; 0 without one.
+        free_scale: Whether the scale of the prior's mean is estimated.
     """
 
-    gram: Array = field(repr=False)
-    inner: Array = field(repr=False)
-    cross: Array = field(repr=False)
+    rows: BasisRows
+    n_terms: int
+    variance: float
+    largest: float
+    highest: float = 0.0
+    free_scale: bool = False
 
-    @classmethod
-    def of(cls, series: MeasuredSeries, weights: Array, noise: SeriesNoise) -> Self:
-        """Sums for the most likely weights and noise.
+    def predicted(self, weights: Array, coefficient: float = 0.0) -> Prediction:
+        """The errors with some weights by term.
 
         Args:
-            series: Rows without a coefficient.
             weights: λ by term, shape (terms,) [–].
-            noise: Correlation of their errors.
+            coefficient: Of the rows.
         """
-        every = -(-series.frames // MOST_FRAMES)
-        series = series.thinned(every)
-        _, place = np.unique(series.place, return_inverse=True)
-        k, terms, n = len(series.images), len(series.terms), int(place.max()) + 1
-        gram, inner, cross = (np.zeros((n, terms, k, k)) for _ in range(3))
-        for t in range(terms):
-            # one mean of several frames: their sensor noise over their number
-            sensor = noise.sensor[t] / every
-            correlation = noise.correlation(series.time, series.press, t)
-            correlation *= every
-            diagonal = np.diag_indices_from(correlation)
-            correlation[diagonal] *= (1.0 + sensor) / (1.0 + noise.sensor[t])
-            B = np.sqrt(weights[t]) * np.moveaxis(series.images[:, t], 1, 0)
-            spread = _times(correlation, B)
-            for f in range(n):
-                at = np.flatnonzero(place == f)
-                own = _flat(B[at])
-                gram[f, t] = every * own @ own.T
-                within = correlation[np.ix_(at, at)]
-                inner[f, t] = every * own @ _flat(_times(within, B[at])).T
-                cross[f, t] = every * own @ _flat(spread[at]).T
-        return cls(gram, inner, cross)
-
-    def error(self, shares: Array) -> float:
-        """Expected squared error over all places, up to a constant [–].
-
-        In units of the variance of the rows' errors.
-
-        Args:
-            shares: Of the weights, by term, shape (terms,) [–].
-        """
-        return self.with_slope(shares)[0]
-
-    def with_slope(self, shares: Array) -> tuple[float, Array]:
-        """The same and its derivatives by the shares, shape (terms,)."""
-        error, slope = 0.0, np.zeros(len(shares))
-        one = np.eye(self.gram.shape[-1])
-        for own, rest, noise, shared in zip(*self._of_others, strict=True):
-            inverse = np.linalg.inv(one + np.tensordot(shares, rest, axes=1))
-            S = one + np.tensordot(shares**2, noise, axes=1)
-            C = np.tensordot(shares, shared, axes=1)
-            half = inverse @ own
-            mean, turned = half @ inverse, S @ half
-            error += float((S * mean).sum() - 2.0 * (C * inverse).sum())
-            # M changes as rest, and its inverse by -inverse rest inverse
-            both = inverse @ (2.0 * C - turned - turned.T) @ inverse
-            for t in range(len(shares)):
-                slope[t] += 2.0 * shares[t] * float((noise[t] * mean).sum())
-                slope[t] += float((rest[t] * both).sum())
-                slope[t] -= 2.0 * float((shared[t] * inverse).sum())
-        return error, slope
+        own = self.rows.at(coefficient)
+        root = np.sqrt(np.maximum(weights, 1e-300)[own.term] * own.every)
+        data = WeightedData.of(own.images * root, root)
+        both = root[:, None] * np.stack([own.target, own.base], axis=1)
+        rest = data.solve(both)
+        off = left_out_errors(data.half, rest, own.place)
+        t, u = (off / root[:, None]).T
+        if not self.free_scale:
+            return Prediction(t - u, 1.0, 0.0)
+        (tt, tu), (_, uu) = both.T @ rest
+        if uu <= 0.0:
+            return Prediction(t - u, 1.0, np.nan)
+        scale = float(tu / uu)
+        square = max(float(tt - 2.0 * scale * tu + scale**2 * uu), 0.0) / len(t)
+        # frames of one place repeat each other's errors
+        alike = max(len(t) / (COMPONENTS * self.n_terms * self.places), 1.0)
+        error = float(np.sqrt(square * alike / uu))
+        low, high = SCALES
+        if error > SCALE_ERROR * abs(scale) or not low <= scale <= high:
+            return Prediction(t - u, 1.0, np.nan)
+        return Prediction(t - scale * u, scale, error)
 
     @cached_property
-    def _of_others(self) -> tuple[Array, Array, Array, Array]:
-        """By place: own B Bᵀ, and by term those of M, of S and of C (symmetric)."""
-        turned = np.swapaxes(self.cross, -1, -2)
-        whole, spread = self.gram.sum(axis=0), self.cross.sum(axis=0)
-        noise = spread - self.cross - turned + self.inner
-        shared = 0.5 * (self.cross + turned) - self.inner
-        return self.gram.sum(axis=1), whole - self.gram, noise, shared
+    def _place(self) -> IntArray:
+        """Numbers of the places from 0."""
+        return np.unique(self.rows.place, return_inverse=True)[1]
 
-    def shares(self) -> Array:
-        """Shares of the weights that err least, by term, shape (terms,) [–].
+    @property
+    def places(self) -> int:
+        """Number of places [–]."""
+        return int(self._place.max()) + 1
 
-        All 1 with a single place, which nothing predicts.
+    def log_density(self, weights: Array, coefficient: float = 0.0) -> float:
+        """The log p above; arguments as for `predicted`."""
+        term, target = self.rows.term, self.rows.target
+        errors, count = self.predicted(weights, coefficient).errors, np.bincount(term)
+        square = np.bincount(term, errors**2) / count
+        least = LEAST_SQUARE * np.bincount(term, target**2) / count
+        square = np.maximum(np.maximum(square, least), 1e-300)
+        return -0.5 * self.places * float(np.log(square).sum())
+
+    def values(self, steps: Array) -> tuple[Array, float]:
+        """Weights by term and coefficient at steps from the priors' medians."""
+        steps = np.clip(steps, -FARTHEST, FARTHEST)
+        n = self.n_terms
+        signal = min(SIGNAL[0] * math.exp(SIGNAL[1] * steps[0]), self.largest)
+        ratio = np.concatenate([[1.0], RATIO[0] * np.exp(RATIO[1] * steps[1:n])])
+        weights = np.minimum(signal * ratio, self.largest) / self.variance
+        own = COEFFICIENT * float(steps[n]) if len(steps) > n else 0.0
+        return weights, min(max(own, 0.0), self.highest)
+
+    def best(self, starts: Sequence[Array] = ()) -> tuple[Array, Array]:
+        """Most likely steps and their posterior standard deviations, shape (n,) each.
+
+        Args:
+            starts: Weights from which the search may start too, shape (terms,) each.
         """
-        n = self.gram.shape[1]
-        if len(self.gram) < 2:
-            return np.ones(n)
-        start = np.full(n, START)
-        size = abs(self.error(start))
+        n = self.n_terms + (self.highest > 0.0)
 
-        def cost(logs: Array) -> tuple[float, Array]:
-            shares = np.exp(logs)
-            error, slope = self.with_slope(shares)
-            return error / size, slope * shares / size
+        def log_density(steps: Array) -> float:
+            return self.log_density(*self.values(steps))
 
-        found = scipy.optimize.minimize(
-            cost,
-            np.log(start),
-            method="L-BFGS-B",
-            jac=True,
-            bounds=[(np.log(LEAST_SHARE), 0.0)] * n,
-            options={"gtol": ACCURACY, "ftol": RELATIVE_ACCURACY, "maxfun": MOST},
-        )
-        return np.asarray(np.exp(found.x))
+        begins = [np.eye(n)[0] * step for step in STARTS]
+        begins += [self._steps(weights, n) for weights in starts]
+        mode = posterior_mode(log_density, n, CALLS, begins)
+        found = np.clip(mode.steps, -FARTHEST, FARTHEST)
 
+        def cost(steps: Array) -> float:
+            return 0.5 * float(steps @ steps) - log_density(steps)
 
-def _times(correlation: Array, values: Array) -> Array:
-    """Frames mixed, (n, n) times (n, k, 3)."""
-    return np.asarray(
-        (correlation @ values.reshape(len(values), -1)).reshape(values.shape)
-    )
+        middle, spread = cost(found), np.empty(n)
+        for i, step in enumerate(STEP * np.eye(n)):
+            bend = (cost(found + step) - 2.0 * middle + cost(found - step)) / STEP**2
+            # the prior alone has curvature 1: much less is rounding, or no minimum
+            spread[i] = 1.0 / math.sqrt(max(bend, 0.25))
+        return found, spread
 
-
-def _flat(values: Array) -> Array:
-    """Rows of images: (frames, k, 3) to (k, rows)."""
-    return np.asarray(np.moveaxis(values, 1, 0).reshape(values.shape[1], -1))
+    def _steps(self, weights: Array, n: int) -> Array:
+        """The steps of given weights."""
+        out = np.zeros(n)
+        own = np.maximum(weights, 1e-12 / self.variance)
+        out[0] = math.log(own[0] * self.variance / SIGNAL[0]) / SIGNAL[1]
+        out[1 : self.n_terms] = np.log(own[1:] / own[0] / RATIO[0]) / RATIO[1]
+        return np.clip(out, -FARTHEST, FARTHEST)

@@ -31,8 +31,8 @@ from ttus_opt.arrays import Array
 from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError, MistakeWarning, warn
+from ttus_opt.fitting.coarse_scene import coarser
 from ttus_opt.fitting.pose_error_step import PoseErrorProblem, State
-from ttus_opt.fitting.tuning_series import coarser
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import FORCES, Scene

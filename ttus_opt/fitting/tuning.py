@@ -1,47 +1,86 @@
-"""Weights, boundary scale, friction and options by marginal likelihood, without a grid.
+"""Weights, boundary scale and friction by how places left out are predicted.
 
-The evidence of a formulation (`marginal_likelihood`) has a closed form over a reduced
-basis, so that a search over all hyperparameters at once takes a second. Presses left
-out in turn and generalised cross-validation (`weight_criteria`) are given for
-comparison. See docs/method.md, "Tuning".
+Over a reduced basis the prediction of one place from all others has a closed form
+(`place_left_out`), so that the search takes a second. The evidence of independent
+frames and generalised cross-validation (`weight_criteria`) are given for comparison:
+errors persist along a press, and both take weights that are too large. See
+docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.arrays import Array
 from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.hyperparameters import Hyperparameter
-from ttus_opt.fitting.left_out import LeftOut
-from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
+from ttus_opt.fitting.coarse_scene import coarser
 from ttus_opt.fitting.one_sense import warn_of_one_sense
-from ttus_opt.fitting.place_left_out import PlaceLeftOut
-from ttus_opt.fitting.tuning_candidate import (
-    MISSING,
-    SIGNAL_TO_NOISE,
-    Candidate,
-    KeptSeries,
-    candidate,
-    ratio_name,
+from ttus_opt.fitting.place_left_out import (
+    COEFFICIENT,
+    FARTHEST,
+    RATIO,
+    SIGNAL,
+    PlaceLeftOut,
+    Prediction,
 )
-from ttus_opt.fitting.tuning_series import TuningRows, coarser
+from ttus_opt.fitting.tuning_rows import TuningRows
 from ttus_opt.fitting.weight_criteria import Criteria
+from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
 #: Formulations compared by default: drag first, whose rows include those without it
 CANDIDATES = ("coulomb_global", "eq10")
 
+#: Options tuned beside the weights, by formulation, with a range over which their
+#: logarithm is about uniform; values of it that are tried
+VARIED: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "free_surface": {"skin": (1e-6, 1e-1)}
+}
+TRIED = 6
+
+#: Largest signal to noise of the first basis; factor for a second one, and the share
+#: of it from which the second is made [–]
+FIRST_SIGNAL, LARGER, NEARLY = 300.0, 30.0, 0.5
+
 #: Factors on the weights, for comparison with other criteria [–]
 FACTORS = np.geomspace(1e-3, 1e3, 13)
+
+#: Largest posterior standard deviation of a determined hyperparameter, over its prior's
+#: [–]
+DETERMINED = 0.7
+
+#: Name of the hyperparameter that stands for the first term's weight
+SIGNAL_TO_NOISE = "signal_to_noise"
+
+
+@dataclass(frozen=True)
+class Hyperparameter:
+    """An estimated hyperparameter.
+
+    Attributes:
+        name: Its name.
+        value: The value that is used.
+        prior_value: The prior's median.
+        spread: Posterior standard deviation of the logarithm; of the value itself for a
+            coefficient or a boundary scale [–].
+        determined: Whether the data tell more than its prior.
+        at_bound: Whether the value lies at the end of its range.
+    """
+
+    name: str
+    value: float
+    prior_value: float
+    spread: float
+    determined: bool
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,14 +88,49 @@ class Comparison:
     """The choice by another criterion.
 
     Attributes:
-        criterion: ``left_out_force_error`` or ``gcv``.
+        criterion: ``log_evidence`` or ``gcv``.
         weights: λ by term: the tuned ones times a common factor [–].
-        left_out_force_error: Mean error of forces on presses left out with them [N].
+        left_out_force_error: Mean error of forces at places left out with them [N].
     """
 
     criterion: str
     weights: Mapping[str, float]
     left_out_force_error: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """Errors at places left out, with the weights chosen and the formulation's own.
+
+    Attributes:
+        model: The formulation.
+        places: Number of places [–].
+        chosen_error: Mean over places of the mean length of f - f̂ [N].
+        own_error: The same with the formulation's own weights [N].
+        difference_error: Standard error of their difference, over the places [N].
+    """
+
+    model: str
+    places: int
+    chosen_error: float
+    own_error: float
+    difference_error: float
+
+    def __str__(self) -> str:
+        gain = self.own_error - self.chosen_error
+        what = "better than" if gain > 0.0 else "worse than"
+        if abs(gain) <= self.difference_error:
+            what = "about as well as"
+        return (
+            f"{self.model} with the weights chosen predicts places left out {what} with"
+            f" its own weights ({self.chosen_error:.3f} N, {self.own_error:.3f} N, "
+            f"their difference ± {self.difference_error:.2g} N over {self.places} "
+            "places)"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it by name, for JSON."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -68,18 +142,14 @@ class Tuning:
         scene: With the chosen boundary scale.
         hyperparameters: All estimated hyperparameters.
         weights: λ by term, for a fit that assumes independent frames [–].
-        noise: Standard deviation of a force component's error [N].
-        variance: σ², variance of a row of weight 1, for independent frames [N²].
-        log_marginal: The figure by which formulations are compared [–].
-        left_out_force_error: Mean error on presses left out in turn; NaN with one
-            press [N].
+        noise: Root mean square error of a component of the first term's rows at places
+            left out; of forces, in N.
+        check: Comparison with the formulation's own weights.
         comparisons: The choices by other criteria.
-        candidates: ``log_marginal`` of all candidates, by name [–].
+        candidates: Mean error of forces at places left out of all candidates, by name
+            [N].
         shape: Shape of the grid for tuning.
         seconds: Time spent [s].
-        left_out: Errors on presses left out in turn.
-        own_left_out: The same with the formulation's own weights and boundary scale.
-        simpler: The likeliest of the candidates after this one, if there is one.
     """
 
     formulation: Formulation
@@ -87,30 +157,35 @@ class Tuning:
     hyperparameters: tuple[Hyperparameter, ...]
     weights: Mapping[str, float]
     noise: float
-    variance: float
-    log_marginal: float
-    left_out_force_error: float
+    check: Check
     comparisons: tuple[Comparison, ...]
     candidates: Mapping[str, float]
     shape: tuple[int, ...]
     seconds: float = field(compare=False)
-    left_out: LeftOut = field(compare=False, repr=False)
-    own_left_out: LeftOut = field(compare=False, repr=False)
-    simpler: Tuning | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def left_out_force_error(self) -> float:
+        """Mean error of forces at places left out in turn [N]."""
+        return self.check.chosen_error
 
     @property
     def not_determined(self) -> tuple[str, ...]:
-        """Hyperparameters that the data do not determine, at their prior values."""
+        """Hyperparameters that the data hardly tell."""
         return tuple(h.name for h in self.hyperparameters if not h.determined)
 
     @property
     def weight_factors(self) -> Mapping[str, float]:
         """Exponential of the standard deviation of the logarithm of λ, by term [–]."""
-        spread = {h.name: h.spread for h in self.hyperparameters if h.determined}
-        own = spread.get(SIGNAL_TO_NOISE, np.nan)
+        spread = {h.name: h.spread for h in self.hyperparameters}
         first = next(iter(self.weights), "")
         return {
-            name: float(np.exp(np.hypot(own, spread.get(ratio_name(name, first), 0.0))))
+            name: float(
+                np.exp(
+                    np.hypot(
+                        spread[SIGNAL_TO_NOISE], spread.get(_ratio(name, first), 0.0)
+                    )
+                )
+            )
             for name in self.weights
         }
 
@@ -128,24 +203,25 @@ def tune(
     progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Tuning:
-    """Choose weights, boundary scale, friction and options by marginal likelihood.
+    """Choose weights, boundary scale, friction and options by places left out.
 
-    Limits such as p ≥ 0 are left out: the evidence is that of the Gaussian without
-    them. A grid of more than 60,000 voxels is replaced by a coarser one for tuning,
-    except for a Formulation object.
+    Any formulation of squares can be tuned: the weights are those of its terms that
+    measure. Limits such as p ≥ 0 are left out. A grid of more than 60,000 voxels is
+    replaced by a coarser one for tuning, except for a Formulation object and for a
+    prior that is not Laplace's.
 
     Args:
         scene: With measured wrenches.
-        formulations: One, or several, richer ones first; the likeliest is taken, but
-            one with an undetermined coefficient only where there is no other.
+        formulations: One, or several; the one that predicts best is taken, but one with
+            an undetermined coefficient only where there is no other.
         vary: Ranges of options to choose, one after the other; `VARIED` by default.
         compare: Whether to evaluate the other criteria too.
         progress: Called with a message for every formulation.
         options: Options of the formulations; each gets those that it has.
 
     Raises:
-        InputError: No contact, no measured force, or a formulation whose prior is not
-            Laplace's.
+        InputError: No contact, no measured force, or a formulation that is no sum of
+            squares.
     """
     begin = progress or (lambda _: None)
     start = time.perf_counter()
@@ -156,150 +232,254 @@ def tune(
             "tuning needs forces measured in contact: check the recordings' frame and "
             "unit, or give weights"
         )
-    small, kept = coarser(scene), KeptSeries()
     tried = []
     for one in formulations:
         begin(f"tuning {one.name if isinstance(one, Formulation) else one}")
-        tried.append(candidate(one, scene, small, vary, options, kept))
+        tried.append(_candidate(one, scene, vary, options))
     if len(tried) > 1:
         for each in tried:
             warn_of_one_sense(each.declared, "it is left out")
-    found = _finished(tried, compare)
-    return replace(found, seconds=time.perf_counter() - start)
-
-
-def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
-    """The result for the likeliest candidate."""
-    determined = [each for each in tried if each.bears_coefficient] or tried
-    best = max(determined, key=lambda each: each.log_marginal)
-    after = tried[[one is best for one in tried].index(True) + 1 :]
-    rows, values, evidence = best.rows, best.values, best.evidence()
-    series = best.series.at(values.coefficient)
-    few = series.condensed(values.weights, MISSING)
-    left_out = PlaceLeftOut.of(few, values.weights, values.noise)
-    independent = values.weights * left_out.shares()
-    grid = 1.0
-    if best.declared.scene is not rows.declared.scene:
-        # rescale the weights to the prior variance on the grid of the fit
-        grid = best.variance / TuningRows.of(best.declared).variance()
-    final = dict(zip(rows.terms, map(float, grid * independent), strict=True))
-    scene, scale = _scaled(best, evidence)
-    declared = best.declared if best.build is None else best.build(scene)
-    name, frames = declared.name, rows.declared.scene.rows.contact_points
-    judge = _Judge(series, evidence.scale, np.flatnonzero(frames > 0))
-    predicted = judge.predicted(independent)
-    own = {t.name: t.weight for t in best.declared.terms if t.measures}
-    own_weights = np.array([own[term] for term in rows.terms]) / grid
-    known = replace(judge, series=best.reaching(own_weights), scale=1.0)
-    force = rows.terms.index("force") if "force" in rows.terms else 0
-    return Tuning(
-        declared.with_weights(**final),
-        scene,
-        (*best.maximum.found, *scale, *best.varied),
-        final,
-        float(np.sqrt(evidence.variance / values.weights[force])),
-        evidence.variance * grid,
-        best.log_marginal,
-        judge.magnitude_error(predicted),
-        judge.others(independent, grid) if compare else (),
-        {one.declared.name: one.log_marginal for one in tried},
-        tuple(map(int, rows.declared.scene.voxmap.grid.shape)),
-        0.0,
-        judge.left_out(f"{name} with the weights chosen", predicted),
-        known.left_out(f"{name} with its own weights", known.predicted(own_weights)),
-        _finished(after, False) if after else None,
-    )
-
-
-def _scaled(
-    best: Candidate, evidence: Evidence
-) -> tuple[Scene, tuple[Hyperparameter, ...]]:
-    """The scene with its estimated boundary scale, and that hyperparameter."""
-    scene = best.declared.scene
-    if not best.free_scale:
-        return scene, ()
-    determined = bool(np.isfinite(evidence.scale_error))
-    inner = evidence.scale * scene.inner
-    error = float(evidence.scale_error * scene.inner)
-    found = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, error, determined)
-    if not determined:
-        return scene, (found,)
-    scaled = replace(
-        scene.with_boundary(inner, evidence.scale * scene.outer),
-        parameters={**scene.parameters, BOUNDARY_SCALE: inner},
-        standard_errors={**scene.standard_errors, BOUNDARY_SCALE: error},
-        not_identified=scene.not_identified,
-    )
-    return scaled, (found,)
+    known = [each for each in tried if each.bears_coefficient] or tried
+    best = max(known, key=lambda each: each.log_density)
+    errors = {each.declared.name: each.force_error for each in tried}
+    found = best.tuning(compare)
+    return replace(found, candidates=errors, seconds=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)
-class _Judge:
-    """Criteria other than the evidence, for independent frames.
+class _Candidate:
+    """A formulation with its most likely hyperparameters.
 
     Attributes:
-        series: All frames in contact.
-        scale: Factor on the boundary values.
-        frames: Their numbers in the trajectory, shape (frames,) [–].
+        build: Builds it over a scene, with the chosen options; None for an object.
+        declared: The formulation over the scene of the fit.
+        rows: Its rows on the grid for tuning.
+        judge: These over a basis.
+        steps: Most likely steps from the priors' medians, shape (n,) [–].
+        spread: Their posterior standard deviations, shape (n,) [–].
+        own: Its own weights on the grid for tuning, shape (terms,) [–].
+        grid: Factor from weights on the grid for tuning to those of the fit [–].
+        varied: The chosen options.
     """
 
-    series: MeasuredSeries = field(repr=False)
-    scale: float
-    frames: IntArray = field(repr=False)
-
-    def __call__(self, weights: Array) -> dict[str, float]:
-        """All criteria for weights by term."""
-        return self._criteria.values(*self._at(weights))
-
-    def predicted(self, weights: Array) -> Array:
-        """Forces that all other presses predict, shape (n, 3) [N]."""
-        return self._criteria.left_out(*self._at(weights))
-
-    def left_out(self, model: str, predicted: Array) -> LeftOut:
-        """The errors of these; ``model`` is the name of what predicted them."""
-        error = self._force - predicted
-        return LeftOut(model, self.frames, np.linalg.norm(error, axis=1))
-
-    def magnitude_error(self, predicted: Array) -> float:
-        """Mean error of their magnitudes; NaN with one press [N]."""
-        if len(np.unique(self.series.press)) < 2:
-            return np.nan
-        sizes = (np.linalg.norm(v, axis=1) for v in (self._force, predicted))
-        return float(np.abs(np.subtract(*sizes)).mean())
+    build: Callable[[Scene], Formulation] | None
+    declared: Formulation
+    rows: TuningRows
+    judge: PlaceLeftOut
+    steps: Array
+    spread: Array
+    own: Array
+    grid: float
+    varied: tuple[Hyperparameter, ...] = ()
 
     @property
-    def _force(self) -> Array:
-        """Measured forces, shape (n, 3) [N]."""
-        return self._criteria.force.reshape(-1, 3)
+    def log_density(self) -> float:
+        """The figure by which formulations are compared [–]."""
+        prior = 0.5 * float(self.steps @ self.steps)
+        return self.judge.log_density(*self.judge.values(self.steps)) - prior
 
     @property
-    def _criteria(self) -> Criteria:
-        series, n = self.series, 3 * self.series.frames
-        force = series.terms.index("force") if "force" in series.terms else 0
-        return Criteria(
-            np.tile(np.repeat(series.press, 3), len(series.terms)),
-            np.arange(force * n, (force + 1) * n),
-            series.target[force].reshape(-1),
+    def bears_coefficient(self) -> bool:
+        """Whether the data determine its coefficient, if it has one."""
+        if not self.rows.coefficient:
+            return not self.declared.not_identifiable()
+        found = self.hyperparameters[-1]
+        return found.determined and found.value > 0.0
+
+    @property
+    def prediction(self) -> Prediction:
+        """What it predicts at places left out."""
+        return self.judge.predicted(*self.judge.values(self.steps))
+
+    @property
+    def force_error(self) -> float:
+        """Mean error of forces at places left out [N]."""
+        return float(self._by_place(self.prediction).mean())
+
+    @property
+    def hyperparameters(self) -> tuple[Hyperparameter, ...]:
+        """Those of weights and the coefficient."""
+        weights, coefficient = self.judge.values(self.steps)
+        first, *others = self.rows.terms
+        medians = {SIGNAL_TO_NOISE: SIGNAL} | {_ratio(n, first): RATIO for n in others}
+        signal = float(weights[0]) * self.judge.variance
+        values = [signal, *(float(w / weights[0]) for w in weights[1:])]
+        found = [
+            Hyperparameter(
+                name,
+                value,
+                median,
+                float(spread * width),
+                bool(spread <= DETERMINED),
+                bool(abs(step) >= FARTHEST)
+                or (name == SIGNAL_TO_NOISE and value >= self.judge.largest),
+            )
+            for (name, (median, width)), value, step, spread in zip(
+                medians.items(), values, self.steps, self.spread, strict=False
+            )
+        ]
+        if self.rows.coefficient:
+            told = bool(self.spread[-1] <= DETERMINED)
+            error = float(COEFFICIENT * self.spread[-1])
+            name, bound = self.rows.coefficient, coefficient >= self.rows.highest
+            found.append(Hyperparameter(name, coefficient, 0.0, error, told, bound))
+        return tuple(found)
+
+    def tuning(self, compare: bool) -> Tuning:
+        """The result, alone."""
+        weights, coefficient = self.judge.values(self.steps)
+        prediction = self.prediction
+        scene, scale = self._scaled(prediction)
+        declared = self.declared if self.build is None else self.build(scene)
+        final = dict(zip(self.rows.terms, map(float, self.grid * weights), strict=True))
+        chosen = self._by_place(prediction)
+        own = self._by_place(self.judge.predicted(self.own, coefficient))
+        spread = np.nan
+        if len(chosen) > 1:
+            spread = float((chosen - own).std(ddof=1) / np.sqrt(len(chosen)))
+        means = float(chosen.mean()), float(own.mean())
+        first = prediction.errors[self.judge.rows.term == 0]
+        return Tuning(
+            declared.with_weights(**final),
+            scene,
+            (*self.hyperparameters, *scale, *self.varied),
+            final,
+            float(np.sqrt(np.mean(first**2))),
+            Check(declared.name, len(chosen), *means, spread),
+            self._others(weights, coefficient) if compare else (),
+            {},
+            tuple(map(int, self.rows.declared.scene.voxmap.grid.shape)),
+            0.0,
         )
 
-    def _at(self, weights: Array) -> tuple[Array, Array, Array]:
-        """Images, misfit and roots of the weights, as `Criteria` takes them."""
-        series = self.series
-        misfit = (series.target - self.scale * series.base).reshape(-1)
-        root = np.repeat(np.sqrt(weights), 3 * series.frames)
-        return series.images.reshape(len(series.images), -1), misfit, root
+    def _by_place(self, prediction: Prediction) -> Array:
+        """Mean length of the error by place, of forces or else the first term."""
+        names, rows = self.rows.terms, self.judge.rows
+        at = rows.term == (names.index("force") if "force" in names else 0)
+        errors, place = prediction.errors[at], rows.place[at]
+        if "force" in names and len(errors) % 3 == 0:
+            errors = np.linalg.norm(errors.reshape(-1, 3), axis=1)
+            place = place[::3]
+        _, number, count = np.unique(place, return_inverse=True, return_counts=True)
+        return np.asarray(np.bincount(number, abs(errors)) / count)
 
-    def others(self, weights: Array, grid: float) -> tuple[Comparison, ...]:
+    def _scaled(
+        self, prediction: Prediction
+    ) -> tuple[Scene, tuple[Hyperparameter, ...]]:
+        """The scene with its estimated boundary scale, and that hyperparameter."""
+        scene = self.declared.scene
+        if not self.judge.free_scale:
+            return scene, ()
+        error = float(prediction.scale_error * scene.inner)
+        inner = prediction.scale * scene.inner
+        told = bool(np.isfinite(error))
+        found = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, error, told)
+        if not told:
+            return scene, (found,)
+        scaled = replace(
+            scene.with_boundary(inner, prediction.scale * scene.outer),
+            parameters={**scene.parameters, BOUNDARY_SCALE: inner},
+            standard_errors={**scene.standard_errors, BOUNDARY_SCALE: error},
+            not_identified=scene.not_identified,
+        )
+        return scaled, (found,)
+
+    def _others(self, weights: Array, coefficient: float) -> tuple[Comparison, ...]:
         """The choices by other criteria, among multiples of the weights."""
-        criteria = [self(factor * weights) for factor in FACTORS]
+        rows = self.judge.rows.at(coefficient)
+        scale = self.prediction.scale
+        none = np.zeros(0, dtype=np.int64)
+        criteria, misfit = Criteria(rows.place, none, np.zeros(0)), rows.target
+        scores = [
+            criteria.values(
+                rows.images,
+                misfit - scale * rows.base,
+                np.sqrt((factor * weights)[rows.term] * rows.every),
+            )
+            for factor in FACTORS
+        ]
         found = []
-        for name in ("left_out_force_error", "gcv"):
-            scores = np.array([one[name] for one in criteria])
-            if np.isnan(scores).all():
-                continue
-            at = int(np.nanargmin(scores))
-            final = map(float, grid * FACTORS[at] * weights)
-            chosen = dict(zip(self.series.terms, final, strict=True))
-            error = criteria[at]["left_out_force_error"]
-            found.append(Comparison(name, chosen, error))
+        for name, sign in (("log_evidence", -1.0), ("gcv", 1.0)):
+            best = FACTORS[int(np.argmin([sign * one[name] for one in scores]))]
+            final = map(float, self.grid * best * weights)
+            error = self._by_place(self.judge.predicted(best * weights, coefficient))
+            chosen = dict(zip(self.rows.terms, final, strict=True))
+            found.append(Comparison(name, chosen, float(error.mean())))
         return tuple(found)
+
+
+def _ratio(term: str, first: str) -> str:
+    """Name of the hyperparameter that is a term's weight over the first's."""
+    return f"{term}_over_{first}_weight"
+
+
+def _candidate(
+    formulation: str | Path | Formulation,
+    scene: Scene,
+    vary: Mapping[str, tuple[float, float]] | None,
+    options: Mapping[str, Any],
+) -> _Candidate:
+    """A formulation with its most likely options and hyperparameters.
+
+    Raises:
+        InputError: It cannot be tuned.
+    """
+    if isinstance(formulation, Formulation):
+        shelf.load(formulation, scene, **options)  # it takes none
+        return _tuned(None, formulation, formulation)
+    known = shelf.option_names(formulation)
+    given = {k: v for k, v in options.items() if known is None or k in known}
+    if vary is None:
+        vary = VARIED.get(str(formulation), {})
+
+    def tuned(given: Mapping[str, Any], alone: bool) -> _Candidate:
+        def build(place: Scene) -> Formulation:
+            return shelf.load(formulation, place, **given)
+
+        whole = build(scene)
+        small = build(coarser(scene)) if TuningRows.of(whole).is_laplace else whole
+        return _tuned(build, small if alone else whole, small)
+
+    found: tuple[Hyperparameter, ...] = ()
+    for name, (low, high) in vary.items():
+        if name in options:
+            continue
+        values = np.geomspace(low, high, TRIED).tolist()
+        scores = [tuned({**given, name: one}, True).log_density for one in values]
+        best, median = values[int(np.argmax(scores))], float(np.sqrt(low * high))
+        told = max(scores) - min(scores) > 0.5
+        one = Hyperparameter(f"option_{name}", best, median, np.nan, told)
+        given, found = given | {name: best}, (*found, one)
+    return replace(tuned(given, False), varied=found)
+
+
+def _tuned(
+    build: Callable[[Scene], Formulation] | None, whole: Formulation, small: Formulation
+) -> _Candidate:
+    """The most likely hyperparameters, over a basis that is large enough for them."""
+    rows = TuningRows.of(small)
+    variance, largest = rows.variance(), FIRST_SIGNAL
+    grid = 1.0
+    if whole.scene is not small.scene:
+        # rescale the weights to the prior variance on the grid of the fit
+        grid = variance / TuningRows.of(whole).variance()
+    weights = {t.name: t.weight for t in whole.terms if t.measures}
+    own = np.array([weights[name] for name in rows.terms]) / grid
+    free = build is not None and _fits_scale(whole)
+    while True:
+        judge = PlaceLeftOut(
+            rows.over_basis(largest / variance),
+            *(len(rows.terms), variance, largest, rows.highest, free),
+        )
+        steps, spread = judge.best([own])
+        most = float(judge.values(steps)[0].max()) * variance
+        if most < NEARLY * largest or largest > FIRST_SIGNAL:
+            break
+        largest *= LARGER
+    return _Candidate(build, whole, rows, judge, steps, spread, own, grid)
+
+
+def _fits_scale(declared: Formulation) -> bool:
+    """Whether its boundary values count and their scale was fitted to the forces."""
+    fitted = declared.scene_parameters.keys() - declared.scene.not_identified.keys()
+    return BOUNDARY_SCALE in fitted

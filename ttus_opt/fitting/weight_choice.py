@@ -1,31 +1,28 @@
 """The weights of a fit: chosen from its recordings where possible, else its own.
 
-Without a formulation, `default_model` takes a depth map, which chooses its own
-hyperparameters. Of others, `tune` finds the likeliest weights. They are used
-unsupervised only with enough frames at more than one place, a weight that the
-recordings determine, no hyperparameter at its bound, and left-out presses that the
-richer model predicts no worse than the simpler one. Otherwise a `TtusWarning` gives the
-reason, and the simpler model is used.
+The values of the option ``weights`` are the same for a fit, a session, the demo and the
+experiment: "auto" chooses, "own" keeps the weights of the formulation. Without a
+formulation, `default_model` takes a depth map, which chooses its own hyperparameters.
+Of others, `tune` finds the weights that predict places left out best. Recordings of too
+few frames or of one place cannot: a `TtusWarning` gives the reason, and the
+formulation's own weights are used.
 """
 
 from __future__ import annotations
 
-import math
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
-from ttus_opt.fitting.left_out import Check, LeftOut
+from ttus_opt.fitting.presses import pressed_places, presses
 from ttus_opt.fitting.tuning import Tuning, tune
-from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
-from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
@@ -33,6 +30,13 @@ from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.force import ForceTerm
+
+Word = Literal["auto", "own"]
+
+AUTO: Literal["auto"] = "auto"
+OWN: Literal["own"] = "own"
+
+WORDS: tuple[Word, ...] = (AUTO, OWN)
 
 #: Fewest frames in contact for three or four hyperparameters [–]
 LEAST_FRAMES = 12
@@ -52,8 +56,6 @@ class WeightChoice:
         formulation: With the chosen weights, or its own.
         tuning: The tuning behind them; None for the formulation's own weights.
         reason: Why its own weights are used; empty where they were tuned or requested.
-        checks: Comparisons of a richer with a simpler model on left-out presses.
-        left_out: Errors of the chosen model on these; None where not computed.
         reasons: A model that chooses its own hyperparameters, in words.
     """
 
@@ -61,24 +63,21 @@ class WeightChoice:
     formulation: Formulation
     tuning: Tuning | None = field(default=None, repr=False)
     reason: str = ""
-    checks: tuple[Check, ...] = ()
-    left_out: LeftOut | None = field(default=None, repr=False)
     reasons: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The choice and its uncertainty, for JSON."""
         weights = {t.name: t.weight for t in self.formulation.terms if t.measures}
-        checks = [each.as_dict() for each in self.checks]
         if self.tuning is None:
             return {
                 "by": "marginal likelihood" if self.reasons else "formulation",
                 "weights": weights,
                 "model": list(self.reasons),
                 "reason": self.reason,
-                "held_out": checks,
+                "held_out": [],
             }
         return {
-            "by": "marginal likelihood",
+            "by": "places left out",
             "reason": "",
             "weights": weights,
             "weight_factors": dict(self.tuning.weight_factors),
@@ -86,8 +85,7 @@ class WeightChoice:
             "not_determined": list(self.tuning.not_determined),
             "noise_N": self.tuning.noise,
             "left_out_force_error_N": self.tuning.left_out_force_error,
-            "log_marginal": dict(self.tuning.candidates),
-            "held_out": checks,
+            "held_out": [self.tuning.check.as_dict()],
             "tuned_on": list(self.tuning.shape),
             "seconds": self.tuning.seconds,
         }
@@ -95,9 +93,8 @@ class WeightChoice:
     @property
     def lines(self) -> tuple[str, ...]:
         """The same in words."""
-        checked = tuple(map(str, self.checks))
         if self.tuning is None:
-            return (*self.reasons, *checked)
+            return self.reasons
         factors = self.tuning.weight_factors
         weights = ", ".join(
             f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
@@ -105,18 +102,20 @@ class WeightChoice:
         )
         lines = [
             f"weights chosen from the recordings: {weights}, for an error of a force "
-            f"component of {self.tuning.noise:.2f} N"
+            f"component of {self.tuning.noise:.2f} N at places left out"
         ]
         unknown = self.tuning.not_determined
         names = ", ".join(name for name in unknown if name != BOUNDARY_SCALE)
         if names:
-            lines.append(f"not determined by the recordings, prior value kept: {names}")
+            lines.append(f"hardly determined by the recordings: {names}")
         if BOUNDARY_SCALE in unknown:
             lines.append(
                 f"{BOUNDARY_SCALE} kept as the Laplace field alone fits the forces; "
-                "with errors that persist along a press the recordings leave it open"
+                "places left out leave it open"
             )
-        return (*lines, *checked)
+        ends = [h for h in self.tuning.hyperparameters if h.at_bound]
+        lines += [f"{h.name} ended at its bound, {h.value:.3g}" for h in ends]
+        return (*lines, str(self.tuning.check))
 
 
 def has_weights(formulation: str | Path | Formulation) -> bool:
@@ -132,8 +131,45 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
 
 
 def has_choice(formulation: str | Path) -> bool:
-    """Whether `choose_weights` applies: it has weights, or is a depth map."""
+    """Whether `choice_of` chooses: it has weights, or is a depth map."""
     return formulation in DEPTH_MAPS or has_weights(formulation)
+
+
+def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
+    """Return a known word.
+
+    Raises:
+        InputError: It is not among ``words``.
+    """
+    if word not in words:
+        choices = f"{', '.join(words[:-1])} or {words[-1]}"
+        raise InputError(f"weights={word!r} is not known: take {choices}")
+    return word
+
+
+def word_for(
+    word: str | None,
+    formulation: str | Path | Formulation | None,
+    options: Mapping[str, Any],
+) -> str:
+    """The given word; by default "auto" where that is possible, else "own".
+
+    Args:
+        word: One of `WORDS`, or None.
+        formulation: The given formulation, or None.
+        options: The given options of the formulation.
+
+    Raises:
+        InputError: Another word, "auto" with a weight, or an unknown formulation.
+    """
+    if word is not None:
+        if checked_word(word) == AUTO:
+            refuse_weights(options)
+        return word
+    can = formulation is None or (
+        not isinstance(formulation, Formulation) and has_choice(formulation)
+    )
+    return AUTO if can and not any(map(is_weight, options)) else OWN
 
 
 def is_weight(option: str) -> bool:
@@ -152,7 +188,8 @@ def refuse_weights(options: Mapping[str, Any]) -> None:
         raise InputError(f'weights="auto" chooses {given}: give one or the other')
 
 
-def choose_weights(
+def choice_of(
+    word: str,
     scene: Scene,
     formulation: str | Path | Formulation | None = None,
     options: Mapping[str, Any] | None = None,
@@ -161,23 +198,28 @@ def choose_weights(
     strict: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> WeightChoice:
-    """Choose weights and boundary scale by marginal likelihood, or say why not.
+    """The problem to fit.
 
     Args:
+        word: One of `WORDS`.
         scene: Patient, probe and measurements.
-        formulation: The formulation; None for the default model (`default_model`).
-        options: Options of the formulation, without weights.
+        formulation: The formulation; None for the default model (`default_model`), or
+            with own weights for the default formulation.
+        options: Options of the formulation.
         sampling: Of the default model; None for the more likely one.
         strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
-        progress: As in `tune`.
+        progress: Called with a message for every step.
 
     Raises:
-        InputError: Weights among the options, an unknown formulation or option, or one
-            that cannot be tuned.
+        InputError: As in `word_for`, or an unknown formulation or option, or one that
+            cannot be tuned.
     """
     options = options or {}
-    refuse_weights(options)
+    word_for(word, formulation, options)
+    if word == OWN:
+        usual = DEFAULT_FORMULATION if formulation is None else formulation
+        return WeightChoice(scene, shelf.load(usual, scene, **options))
     if formulation is None:
         return default_model(scene, options, sampling, progress=progress)
     own = shelf.load(formulation, scene, **options)
@@ -192,15 +234,7 @@ def choose_weights(
         if strict:
             raise
         return _own(scene, own, str(error))
-    reason = why_not(found)
-    if reason:
-        return _own(scene, own, reason)
-    found, checks = _simplest(scene, found)
-    if checks[-1].holds:
-        choice = WeightChoice(found.scene, found.formulation, found, checks=checks)
-        return replace(choice, left_out=found.left_out)
-    choice = _own(scene, own, str(checks[-1]), checks)
-    return replace(choice, left_out=found.own_left_out)
+    return WeightChoice(found.scene, found.formulation, found)
 
 
 def default_model(
@@ -280,9 +314,7 @@ def resampled(scene: Scene, sampling: str) -> Scene:
     )
 
 
-def _own(
-    scene: Scene, own: Formulation, reason: str, checks: tuple[Check, ...] = ()
-) -> WeightChoice:
+def _own(scene: Scene, own: Formulation, reason: str) -> WeightChoice:
     """A formulation with its own weights, and a warning with the reason."""
     weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
     warnings.warn(
@@ -291,29 +323,7 @@ def _own(
         TtusWarning,
         stacklevel=3,
     )
-    return WeightChoice(scene, own, reason=reason, checks=checks)
-
-
-def _simplest(scene: Scene, found: Tuning) -> tuple[Tuning, tuple[Check, ...]]:
-    """The richest candidate that predicts left-out presses no worse than the next.
-
-    Returns:
-        Its tuning, and all comparisons; the last one compares its weights with the
-        formulation's own.
-    """
-    press, checks = presses(scene), []
-    while found.simpler is not None:
-        checks.append(Check.between(found.left_out, found.simpler.left_out, press))
-        if checks[-1].holds:
-            break
-        _warn_of_simpler(checks[-1], found.simpler.formulation.name)
-        found = found.simpler
-    checks.append(Check.between(found.left_out, found.own_left_out, press))
-    return found, tuple(checks)
-
-
-def _warn_of_simpler(check: Check, name: str) -> None:
-    warnings.warn(f"{check}: {name} is used", TtusWarning, stacklevel=4)
+    return WeightChoice(scene, own, reason=reason)
 
 
 def too_little(scene: Scene) -> str:
@@ -337,14 +347,9 @@ def too_little(scene: Scene) -> str:
         )
     if spread < SPOT:
         return f"all presses within {1e3 * spread:.1f} mm: press at several places"
-    return ""
-
-
-def why_not(found: Tuning) -> str:
-    """Why a tuning is not used; empty where it is."""
-    for one in found.hyperparameters:
-        if one.name == SIGNAL_TO_NOISE and not one.determined:
-            return "they do not determine how far to trust them (signal_to_noise)"
-        if one.at_bound or not math.isfinite(one.value):
-            return f"{one.name} ended at its bound, {one.value:.3g}"
+    if len(np.unique(pressed_places(scene)[touching])) == 1:
+        return (
+            "all frames are of one place, which nothing predicts: lift the probe and "
+            "press at several"
+        )
     return ""

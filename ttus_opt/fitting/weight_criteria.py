@@ -24,8 +24,8 @@ import numpy as np
 import scipy.linalg
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.contact.places import runs
 from ttus_opt.fitting.posterior import WeightedData
+from ttus_opt.fitting.presses import presses
 from ttus_opt.scene import Scene
 
 #: Unit and meaning of every criterion, by name, in the order of `Criteria.values`
@@ -37,9 +37,6 @@ CRITERIA = {
         "mean error of the force's magnitude over frames of presses left out in turn",
     ),
 }
-
-#: Least root of a weight, where it is divided by [–]
-LEAST_ROOT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -78,16 +75,6 @@ class Criteria:
         left_out = self._magnitude_error(data.half, rest, root)
         return dict(zip(CRITERIA, (float(evidence), gcv, left_out), strict=True))
 
-    def left_out(self, images: Array, misfit: Array, root: Array) -> Array:
-        """Force that all other presses predict for every frame, (f/3, 3) [N].
-
-        With one press, the prior predicts it. Arguments are those of `values`; square
-        roots of weights are at least `LEAST_ROOT`.
-        """
-        root = np.maximum(root, LEAST_ROOT)
-        data = WeightedData.of(images * root, root * misfit)
-        return self._predicted(data.half, data.solve(data.misfit), root)
-
     def _predicted(self, half: Array, rest: Array, root: Array) -> Array:
         error = left_out_errors(half, rest, self.press) / root
         return (self.force - error[self.force_rows]).reshape(-1, 3)
@@ -107,7 +94,7 @@ def left_out_errors(half: Array, rest: Array, press: IntArray) -> Array:
 
     Args:
         half: X with R = 1 - XᵀX, shape (k, m).
-        rest: R W d, shape (m,).
+        rest: R W d, shape (m,) or (m, n).
         press: Which press a row belongs to, shape (m,) [–].
     """
     error = np.empty_like(rest)
@@ -124,14 +111,6 @@ def _without(half: Array, rest: Array) -> Array:
         return np.asarray(scipy.linalg.solve(np.eye(n) - half.T @ half, rest))
     inner = scipy.linalg.solve(np.eye(k) - half @ half.T, half @ rest)
     return np.asarray(rest + half.T @ inner)
-
-
-def presses(scene: Scene) -> IntArray:
-    """Number of every frame's press, shape (T,).
-
-    A press is a run of frames in contact within one recording.
-    """
-    return runs(scene.rows.contact_points > 0, scene.trajectory.segment)
 
 
 def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Criteria:

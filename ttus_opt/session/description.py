@@ -17,7 +17,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.fitting.weight_words import word_for
+from ttus_opt.fitting.weight_choice import word_for
 from ttus_opt.io import shortened
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.sensors.clock import LARGEST_OFFSET

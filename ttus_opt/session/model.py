@@ -11,8 +11,7 @@ from ttus_opt.fitting.contact_spread import warn_of_one_spot
 from ttus_opt.fitting.frame_check import scene_in_contact
 from ttus_opt.fitting.other_readings import contact_readings
 from ttus_opt.fitting.sanity import likely_mistake
-from ttus_opt.fitting.weight_choice import WeightChoice
-from ttus_opt.fitting.weight_words import choice_of
+from ttus_opt.fitting.weight_choice import WeightChoice, choice_of
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
