@@ -15,7 +15,7 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import batch, weight_words
+from ttus_opt.fitting import batch, weight_choice
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
 from ttus_opt.fitting.weight_choice import WeightChoice
 from ttus_opt.problem.formulation import Formulation, Search, available, load
@@ -420,7 +420,7 @@ def test_the_choice_of_weights_counts_as_search(
 
     scene = dragged_scene("contact", 0.0, 40.0, (7, 12, 8), n=30)
     choice = WeightChoice(scene, load(name, scene))
-    monkeypatch.setattr(weight_words, "choice_of", lambda *_: choice)
+    monkeypatch.setattr(weight_choice, "choice_of", lambda *_: choice)
     monkeypatch.setattr(batch, "Stopwatch", Watch)
     found = fit(scene, name, weights="auto")
     assert bool(found.standard_errors) == (name == "viscous_drag")

@@ -17,7 +17,7 @@ from ttus_opt.contact.places import places
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.doubt import Doubt, doubt
 from ttus_opt.fitting.laplace_posterior import SCALE_DEVIATION
-from ttus_opt.fitting.weight_criteria import presses as press_numbers
+from ttus_opt.fitting.presses import presses as press_numbers
 from ttus_opt.fitting.wrench_noise import PRIORS
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution

@@ -48,7 +48,7 @@ TRIED = 6
 
 #: Largest signal to noise of the first basis; factor for a second one, and the share
 #: of it from which the second is made [–]
-FIRST_SIGNAL, LARGER, NEARLY = 300.0, 30.0, 0.5
+FIRST_SIGNAL, LARGER, NEARLY = 30.0, 300.0, 0.5
 
 #: Factors on the weights, for comparison with other criteria [–]
 FACTORS = np.geomspace(1e-3, 1e3, 13)
