@@ -6,7 +6,8 @@ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² (N p − f)‖² + λ
 RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance along the surface
 and along the depth. c, a, σ, both lengths and the noise of normal forces, which grows
 with the force, are chosen by their evidence unless they are given. Tangential forces
-and torques have ten times that noise (`ttus_opt.terms.part_noise`).
+and torques have an error of 0.2 rad besides, and a tracker's error of depth lasts a
+second (`ttus_opt.terms.part_noise`).
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006); the precision after F. Lindgren, H. Rue, J. Lindström, J. R. Stat. Soc. B 73

@@ -42,10 +42,11 @@ def dense() -> np.ndarray:
     R = np.sqrt(prior.weight) * prior.matrix.toarray()
     C, scene = np.linalg.inv(R.T @ R), three_presses()
     by = [  # what the rows of each frame are multiplied by
-        np.sqrt(term.weight) * block
+        np.sqrt(term.weight)
+        * by.toarray()
+        * (scene.torque_length if term.name == "torque" else 1.0)
         for term in fitted().program.terms
-        if (blocks := whitening(term.tags)) is not None
-        for block in blocks * (scene.torque_length if term.name == "torque" else 1.0)
+        if (by := whitening(term.tags)) is not None
     ]
     mixed = scipy.linalg.block_diag(*by)
     rows = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])

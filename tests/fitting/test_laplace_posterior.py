@@ -29,7 +29,8 @@ def errors_of(n_rows: int) -> ErrorModel:
     own = np.tril(rng.normal(0.0, 0.3, (n, 3, 3))) + 0.5 * np.eye(3)
     shared = rng.normal(0.0, 0.2, (n, 3, 7))
     at = np.arange(3 * n).reshape(n, 3)
-    return ErrorModel(VARIANCE, own, shared, np.arange(n) // 2, at)
+    rows = sp.eye_array(3 * n, format="csr")
+    return ErrorModel(VARIANCE, own, shared, np.arange(n) // 2, at, rows)
 
 
 def noise_of(errors: ErrorModel) -> Array:

@@ -23,7 +23,7 @@ from ttus_opt.terms.depth_map_estimate import (
     least_squares_profile,
 )
 from ttus_opt.terms.depth_profile import voxel_depths
-from ttus_opt.terms.part_noise import contact_directions
+from ttus_opt.terms.part_noise import PartNoise, contact_directions
 from ttus_opt.terms.posterior_mode import PosteriorMode
 
 
@@ -60,7 +60,7 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04)
+CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04, 3e-4)
 
 
 def dense(scene: Scene, chosen: _Chosen) -> float:
@@ -83,10 +83,11 @@ def dense(scene: Scene, chosen: _Chosen) -> float:
     stretched = np.sqrt(chosen.length_ratio) ** np.array([-1.0, -1.0, 1.0]) * place
     prior = matern(cdist(stretched, stretched), chosen.surface_length)
     prior *= matern(cdist(d, d), chosen.depth_length)
+    per_depth = chosen.exponent / np.maximum(d[:, 0], 5e-4)
     N = N[:, touched] * (d[:, 0] / 0.01) ** chosen.exponent
     G = N.sum(axis=1)
-    mean = (G @ f) / (G @ G) * G
-    scale = chosen.deviation * (G @ f) / (G @ G)
+    c = (G @ f) / (G @ G)
+    mean, scale, slope = c * G, chosen.deviation * c, c * N @ per_depth
     at = scene.trajectory.position[frames]
     same = (np.diff(frames) == 1) & (np.diff(scene.trajectory.segment[frames]) == 0)
     press = np.concatenate([[0], np.cumsum(~same)])
@@ -94,6 +95,9 @@ def dense(scene: Scene, chosen: _Chosen) -> float:
     cov = scale**2 * N @ prior @ N.T + chosen.shared_error**2 * shared * np.outer(
         mean, mean
     )
+    time, recording = scene.trajectory.time[frames], scene.trajectory.segment[frames]
+    late = np.exp(-np.abs(time[:, None] - time)) * (recording[:, None] == recording)
+    cov += chosen.depth_error**2 * late * np.outer(slope, slope)
     cov += np.diag(chosen.noise**2 + (chosen.relative_noise * mean) ** 2)
     density = multivariate_normal(mean, cov).logpdf(f)
     return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
@@ -165,26 +169,30 @@ def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch.setattr(depth_map_estimate, "posterior_mode", climbed)
     scene = drawn(0, 40)
     found = estimate_depth_map(scene)
-    medians = np.array([1.3, 0.03, 0.4, 0.01, 0.05, 0.05, 1.0, 0.03])
-    factors = np.exp([0.35, 0.5, 0.7, 0.5, 1.0, 1.0, 0.5, 0.7])
-    assert found.profile.exponents == (1.3,)
-    assert (found.surface_length, found.deviation, found.depth_length) == pytest.approx(
-        (0.03, 0.4, 0.01)
+    medians = np.array(
+        [1.3, 2.6 * scene.shell.rms_radius, 0.4, 0.01, 0.05, 0.05, 1.0, 0.03, 1e-4]
     )
+    factors = np.exp([0.35, 0.35, 0.7, 0.5, 1.0, 1.0, 0.5, 0.7, 1.0])
+    assert found.profile.exponents == (1.3,)
+    assert found.surface_length == pytest.approx(medians[1])
+    assert (found.deviation, found.depth_length) == pytest.approx((0.4, 0.01))
     mean = _Problem.of(scene, scene.N).mean(1.3)[1]
     noise = np.sqrt(np.mean(0.05**2 + (0.05 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
     (evidence, n, starts), problem = asked[0], _Problem.of(scene, scene.N)
-    assert n == 8
-    for steps in (np.zeros(8), *np.eye(8)):
+    assert n == 9
+    for steps in (np.zeros(9), *np.eye(9)):
         chosen = _Chosen(*(medians * factors**steps))
         assert evidence(steps) == pytest.approx(problem.evidence(chosen))
     begun = medians * factors ** np.array(starts)
+    radius = scene.shell.rms_radius
     assert begun[:, 3] == pytest.approx([0.02, 0.002, 0.01, 0.01])
     assert begun[:, 6] == pytest.approx([1.0, 1.0, 5.0, 0.2])
-    assert begun[:, 1] == pytest.approx([0.03, 0.03, 0.015, 0.015])
+    assert begun[:, 1] / radius == pytest.approx([2.6, 2.6, 0.75, 0.75])
     estimate_depth_map(scene, depth_length=0.02)
-    assert asked[1][1] == 7
+    assert asked[1][1] == 8
+    exact = estimate_depth_map(scene, depth_error=0.0)
+    assert asked[2][1] == 8 and exact.depth_error == 0.0
 
 
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
@@ -275,26 +283,29 @@ def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     depth = np.array([0.004])
     assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
     assert 0.15 < found.deviation < 0.6
-    alone = replace(found, shared_error=0.0)
-    np.testing.assert_allclose(
-        np.sqrt(np.mean(alone.sizes(scene) ** 2)), found.noise, rtol=0.05
-    )
+    own = replace(found, depth_error=0.0).part_noise(scene)
+    assert own.level == pytest.approx(found.noise, rel=0.05)
 
 
-def test_frames_that_share_an_error_count_less() -> None:
-    """The number of frames of the press alike, a tenth of their common variance."""
+def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence() -> None:
     scene = drawn(0, 30)
-    found = replace(estimate_depth_map(scene), shared_error=0.2)
-    own, at = scene.trajectory, scene.trajectory.position
-    touching = scene.rows.contact_points > 0
-    begins = (np.diff(touching.astype(int)) != 0) | (np.diff(own.segment) != 0)
-    press = np.concatenate([[0], np.cumsum(begins)])
-    alike = matern(cdist(at, at), 0.005) * (press[:, None] == press)
+    found = replace(estimate_depth_map(scene), depth_error=5e-4, relative_noise=0.1)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
-    force = np.linalg.norm((scene.N @ found.profile(depth)).reshape(-1, 3), axis=1)
-    alone = replace(found, shared_error=0.0).sizes(scene) ** 2
-    expected = alone + 0.1 * (0.2 * force) ** 2 * alike.sum(axis=1)
-    np.testing.assert_allclose(found.sizes(scene) ** 2, expected)
+    u = contact_directions(scene)
+
+    def normal(p: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ti,ti->t", u, (scene.N @ p).reshape(-1, 3)))
+
+    force = normal(found.profile(depth))
+    deeper = normal(found.profile(np.where(depth > 0.0, depth + 1e-7, 0.0)))
+    drift = (deeper - force) / 1e-7 * 5e-4
+    own = np.hypot(found.sensor_noise, 0.1 * force)
+    expected = PartNoise.of(scene, own, force, drift)
+    noise = found.part_noise(scene)
+    assert noise.level == pytest.approx(expected.level, rel=1e-2)
+    np.testing.assert_allclose(noise.across, expected.across, rtol=1e-2)
+    left = abs(noise.normal - expected.normal).max() / abs(expected.normal).max()
+    assert left < 0.02 and noise.normal.nnz > len(u)
 
 
 @pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
@@ -312,6 +323,28 @@ def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
     assert found.noise == pytest.approx(
         np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.35
     )
+
+
+def test_a_trackers_error_is_not_taken_for_tissue() -> None:
+    """Depths that are wrong by 0.5 mm for a second, which 20 frames share."""
+    scene = drawn(3, 120)
+    step = np.random.default_rng(6).standard_normal(120)
+    wrong = np.zeros(120)
+    kept = np.exp(-0.05)
+    for t in range(1, 120):
+        wrong[t] = kept * wrong[t - 1] + np.sqrt(1.0 - kept**2) * step[t]
+    slope = (scene.N @ (200.0 * (voxel_depths(scene.voxmap) > 0.0))).reshape(-1, 3)
+    off = (5e-4 * wrong[:, None] * slope).ravel()
+    assert np.sqrt(np.mean(off**2)) > 0.05
+    time = replace(scene.trajectory, time=0.05 * np.arange(120))
+    exact = estimate_depth_map(replace(scene, trajectory=time))
+    moved = estimate_depth_map(
+        replace(
+            with_forces(scene, scene.f + off),
+            trajectory=replace(time, force=(scene.f + off).reshape(-1, 3)),
+        )
+    )
+    assert exact.depth_error < 2e-4 < 3e-4 < moved.depth_error < 1e-3
 
 
 def test_errors_that_a_press_shares_are_not_taken_for_tissue() -> None:

@@ -34,4 +34,21 @@ def test_without_evidence_the_prior_stays() -> None:
     calls = []
     found = posterior_mode(lambda s: calls.append(s) or 0.0, 3, 40)
     assert np.abs(found.steps).max() < 0.3
-    assert len(calls) <= 41
+    evaluations = len(calls)
+    assert evaluations < 20
+
+
+def test_it_ends_after_the_most_evaluations() -> None:
+    """Along a curved ridge, of which a search needs many; a last line is finished."""
+    calls = []
+
+    def ridge(s: np.ndarray) -> float:
+        calls.append(s)
+        return float(-100.0 * (s[1] - s[0] ** 2) ** 2 - (1.0 - s[0]) ** 2)
+
+    counts = []
+    for most in (9, 30, 3000):
+        calls.clear()
+        posterior_mode(ridge, 2, most)
+        counts.append(len(calls))
+    assert 9 <= counts[0] <= 30 < counts[2] and counts[0] < counts[1] < counts[2]

@@ -21,6 +21,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import splu, spsolve
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.places import places
@@ -36,7 +37,6 @@ from ttus_opt.fitting.wrench_noise import (
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
-    by_frame,
 )
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm
@@ -263,27 +263,26 @@ def _errors(
             "torques is known"
         )
     values, frames = potential.values.reshape(-1), len(scene.trajectory)
-    wrench, n = np.zeros((frames, 6)), 3 * len(measured)
-    mixed = np.zeros((frames, n, n))  # from wrenches to weighted rows
-    for k, term in enumerate(measured):
+    wrench, weighted = np.zeros((frames, 6)), []
+    for term in measured:
         by = whitening(term.tags)
         if by is None:
-            by = np.broadcast_to(np.eye(3), (frames, 3, 3))
-        rows = (term.matrix @ values).reshape(frames, 3, 1)
-        wrench[:, COMPONENTS[term.name]] = np.linalg.solve(by, rows)[:, :, 0]
-        part = slice(3 * k, 3 * k + 3)
-        mixed[:, part, part] = np.sqrt(term.weight / prior.weight) * by
+            by = sp.eye_array(3 * frames, format="csr")
+        rendered = spsolve(sp.csc_array(by), term.matrix @ values)
+        wrench[:, COMPONENTS[term.name]] = rendered.reshape(frames, 3)
+        weighted.append(np.sqrt(term.weight / prior.weight) * by)
     informative = posterior.informative
-    row = np.where(informative, np.cumsum(informative) - 1, -1)
     touching = scene.rows.contact_points > 0
-    mixed = mixed[touching]
-    at = row.reshape(len(measured), frames, 3)[:, touching]
+    mixed = sp.csc_array(sp.block_diag(weighted))
+    at = np.arange(mixed.shape[0]).reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
-    own = posterior.measured
+    own, inverse = posterior.measured, splu(mixed)
 
     def unmixed(rows: Array) -> Array:
-        """Weighted rows as wrenches by frame, (…, n, h)."""
-        return np.asarray(np.linalg.solve(mixed, by_frame(rows, at)[..., None])[..., 0])
+        """Weighted rows, (…, k), as wrenches by frame, (…, n, h)."""
+        whole = np.zeros((mixed.shape[0], *rows.shape[:-1]))
+        whole[informative] = rows.T
+        return np.asarray(inverse.solve(whole).T[..., at])
 
     seen = MeasuredWrenches(
         unmixed(own.weighted),
@@ -295,4 +294,5 @@ def _errors(
     likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
     known = None if mean is None else told_variance(scene, mean)
     variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE), known)
-    return variance, noise, seen.errors(variance, noise, mixed, at)
+    weights = sp.csr_array(sp.csr_array(mixed)[informative])
+    return variance, noise, seen.errors(variance, noise, weights, at)

@@ -94,7 +94,7 @@ class PoseErrorProblem:
         """
         own = self.scene.trajectory
         rows = self.rows.at(own.rotation, own.position)
-        found = estimate_depth_map(self.scene, rows)
+        found = estimate_depth_map(self.scene, rows, depth_error=0.0)
         none = np.zeros((len(own), 6))
         prior = _Prior.of(self, found, rows, [])
         inner = prior.of_rows + np.diag(prior.noise)
@@ -117,6 +117,7 @@ class PoseErrorProblem:
                 rows,
                 force=force,
                 errors=lambda frames: self._pose_covariance(slope, frames),
+                depth_error=0.0,
             )
         prior = _Prior.of(self, depth_map, rows, changes)
         expected = self.alike @ prior.shrinkage()

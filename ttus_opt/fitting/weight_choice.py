@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
@@ -27,9 +28,10 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
-from ttus_opt.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.terms.depth_map_estimate import UnusableForcesError
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.part_noise import TURN
 
 Word = Literal["auto", "own"]
 
@@ -263,25 +265,29 @@ def default_model(
     tried = []
     for each in SAMPLINGS if sampling is None else (sampling,):
         place = scene if scene.sampling == each else resampled(scene, each)
-        drag = estimate_drag(place)
+        name = DEPTH_MAPS[estimate_drag(place).is_shown]
         if progress is not None:
-            progress(f"{DEPTH_MAPS[drag.is_shown]}, {each} sampling")
-        rows = place.N - drag.friction_coefficient * drag.drag.rows.force
+            progress(f"{name}, {each} sampling")
         try:
-            found = estimate_depth_map(place, rows if drag.is_shown else None)
-        except InputError as error:
+            with one_blas_thread():  # for matrices of a few hundred rows
+                declared = shelf.load(name, place, **(options or {}))
+        except UnusableForcesError as error:
             return _own(scene, shelf.load(DEFAULT_FORMULATION, scene), str(error))
-        tried.append((found.log_evidence, place, drag.is_shown))
-    _, place, shown = max(tried, key=lambda one: one[0])
-    declared = shelf.load(DEPTH_MAPS[shown], place, **(options or {}))
+        tried.append((depth_map_of(declared).log_evidence or 0.0, place, declared))
+    _, place, declared = max(tried, key=lambda one: one[0])
     evidence = ", ".join(f"{p.sampling} {e:.1f}" for e, p, _ in tried)
     reasons = *described(declared), f"log evidence by sampling: {evidence}"
     return WeightChoice(place, declared, reasons=reasons)
 
 
+def depth_map_of(model: Formulation) -> DepthMapTerm:
+    """The term of a depth map."""
+    return next(term for term in model.terms if isinstance(term, DepthMapTerm))
+
+
 def described(model: Formulation) -> tuple[str, ...]:
     """A depth map and its errors, in words."""
-    prior = next(term for term in model.terms if isinstance(term, DepthMapTerm))
+    prior = depth_map_of(model)
     force = next((t for t in model.terms if isinstance(t, ForceTerm) and t.noise), None)
     lines = [
         f"{model.name}, by marginal likelihood: φ = {prior.profile} N/cm², varies by "
@@ -291,8 +297,8 @@ def described(model: Formulation) -> tuple[str, ...]:
     if force is not None:
         assert force.noise is not None
         lines.append(
-            f"error of a normal force {force.noise.level:.2g} N, of tangential forces "
-            f"and torques {force.noise.tangential:g} times that"
+            f"error of a normal force {force.noise.level:.2g} N, of its direction "
+            f"{np.degrees(TURN):.0f}°"
         )
     return tuple(lines)
 

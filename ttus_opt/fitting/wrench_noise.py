@@ -24,6 +24,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError, TtusWarning
@@ -131,10 +132,12 @@ class ErrorModel:
 
     Attributes:
         variance: Variance of the field's prior, over that of the program [–].
-        own: Cholesky factor of the errors per frame, shape (n, h, h).
-        shared: Columns of the errors per place, shape (n, h, 7).
+        own: Cholesky factor of the errors per frame, shape (n, h, h) [N, N·m].
+        shared: Columns of the errors per place, shape (n, h, 7) [N, N·m].
         place: Place of every frame, shape (n,) [–].
-        at: Row of every component, shape (n, h); -1 for none.
+        at: Column in `mixed` of every component, shape (n, h).
+        mixed: From measured components to weighted rows, shape (rows, components)
+            [1/N, 1/N·m].
     """
 
     variance: float
@@ -142,6 +145,7 @@ class ErrorModel:
     shared: Array = field(repr=False)
     place: IntArray = field(repr=False)
     at: IntArray = field(repr=False)
+    mixed: sp.csr_array = field(repr=False)
 
     def roots(self, rows: Array) -> Array:
         """Y with Y Yᵀ = B Σ Bᵀ, shape (k, n h + 7 places).
@@ -149,7 +153,7 @@ class ErrorModel:
         Args:
             rows: B, shape (k, rows).
         """
-        parts = by_frame(rows, self.at)
+        parts = (rows @ self.mixed)[:, self.at]
         own = np.einsum("knh,nhj->knj", parts, self.own).reshape(len(rows), -1)
         sums = np.zeros((int(self.place.max()) + 1, len(rows), 7))
         np.add.at(sums, self.place, np.einsum("knh,nhj->nkj", parts, self.shared))
@@ -161,10 +165,9 @@ class ErrorModel:
         each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(self.at.shape))
         numbers = rng.standard_normal((int(self.place.max()) + 1, 7))
         each += np.einsum("nhj,nj->nh", self.shared, numbers[self.place])
-        has_row = self.at >= 0
-        out = np.zeros(int(has_row.sum()))
-        out[self.at[has_row]] = each[has_row]
-        return out
+        out = np.zeros(self.mixed.shape[1])
+        out[self.at] = each
+        return np.asarray(self.mixed @ out)
 
 
 @dataclass(frozen=True)
@@ -272,31 +275,21 @@ class MeasuredWrenches:
         return values(posterior_mode(log_density, len(priors), MOST).steps)
 
     def errors(
-        self, variance: float, noise: WrenchNoise, mixed: Array, at: IntArray
+        self, variance: float, noise: WrenchNoise, mixed: sp.csr_array, at: IntArray
     ) -> ErrorModel:
         """The error model of weighted rows.
 
         Args:
             variance: Prior variance [–].
             noise: Noise of the measurements.
-            mixed: Matrices of the frames from wrenches to weighted rows, (n, h, h)
-                [1/N, 1/N·m].
-            at: As in `ErrorModel`.
+            mixed: As in `ErrorModel`.
+            at: The same.
         """
-        own = mixed @ np.linalg.cholesky(self._own(noise))
-        shared = mixed @ self._shared(noise)
-        return ErrorModel(variance, own, shared, self.place, at)
+        own = np.asarray(np.linalg.cholesky(self._own(noise)))
+        return ErrorModel(variance, own, self._shared(noise), self.place, at, mixed)
 
     def _own(self, noise: WrenchNoise) -> Array:
         return noise.own(self.wrench)[:, self.parts][:, :, self.parts]
 
     def _shared(self, noise: WrenchNoise) -> Array:
         return noise.shared(self.wrench)[:, self.parts]
-
-
-def by_frame(rows: Array, at: IntArray) -> Array:
-    """Values of rows, (..., rows), by frame and component, (..., n, h), or 0.
-
-    ``at`` is that of `ErrorModel`.
-    """
-    return np.where(at >= 0, rows[..., np.maximum(at, 0)], 0.0)

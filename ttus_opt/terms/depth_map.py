@@ -45,6 +45,7 @@ class DepthMapTerm(Term):
         length_ratio: Length around the patient over length along it; surface_length is
             their geometric mean [–].
         depth_length: Matérn length along the depth [m].
+        log_evidence: That of the estimate behind it, up to a constant [–].
     """
 
     profile: DepthProfile = field(default=DepthProfile((1.0,), (1.0,)))
@@ -52,6 +53,7 @@ class DepthMapTerm(Term):
     surface_length: float = 0.03
     depth_length: float = 0.015
     length_ratio: float = 1.0
+    log_evidence: float | None = field(default=None, compare=False)
 
     name = "depth_map"
 
@@ -76,6 +78,7 @@ class DepthMapTerm(Term):
             length_ratio=(
                 estimate.length_ratio if length_ratio is None else length_ratio
             ),
+            log_evidence=estimate.log_evidence,
         )
 
     @property

@@ -6,14 +6,16 @@ With the field p = c (d/d₀)ᵃ (1 + g), the measured normal forces uᵀf are G
 
 where u is the direction of contact (`part_noise`). Their log density, the evidence, is
 maximised over the exponent a, the relative deviation σ of g, its correlation lengths
-along the surface and along the depth, and the noise s² = σ_0² + (ρ c G)² of a frame;
-c follows by least squares. Weak log-normal priors keep poorly determined values near
-those measured on soft tissue.
+along the surface and along the depth, the noise s² = σ_0² + (ρ c G)² of a frame and a
+tracker's error δ of depth, which lasts a second; c follows by least squares. Weak
+log-normal priors keep poorly determined values near those measured on soft tissue.
 
 Frames of a press a few millimetres apart share what the model has wrong there. Without
 that covariance in Σ, their errors would be attributed to tissue that varies over a few
-millimetres. The noise grows with the force of the mean, not with the measured one:
-forces that happen to be large would count less, and every estimate would be too soft.
+millimetres. It is in the evidence only: what is wrong at a place is so at the next
+visit, and the fit is to learn it. A tracker's error is not, and has its covariance in
+the fit. The noise grows with the force of the mean, not with the measured one: forces
+that happen to be large would count less, and every estimate would be too soft.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -45,37 +47,46 @@ from ttus_opt.terms.depth_profile import (
     EXPONENTS,
     DepthProfile,
     powers_of,
+    slopes_of,
     voxel_depths,
 )
 from ttus_opt.terms.matern import matern
-from ttus_opt.terms.part_noise import PartNoise, contact_directions
+from ttus_opt.terms.part_noise import (
+    PartNoise,
+    contact_directions,
+    lasting,
+    normal_rows,
+)
 from ttus_opt.terms.posterior_mode import posterior_mode
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Median and logarithmic standard deviation of the priors
+#: Median and logarithmic standard deviation of the priors. The length along the surface
+#: is in units of the probe's root-mean-square radius: what varies over less, a probe
+#: hardly tells, and who examines finer structures takes a finer probe
 PRIOR = {
     "exponent": (1.3, 0.35),
-    "surface_length": (0.03, 0.5),
+    "surface_length": (2.6, 0.35),
     "deviation": (0.4, 0.7),
     "depth_length": (0.01, 0.5),
     "noise": (0.05, 1.0),
     "relative_noise": (0.05, 1.0),
     "length_ratio": (1.0, 0.5),
     "shared_error": (0.03, 0.7),
+    "depth_error": (1e-4, 1.0),
 }
 
 #: Initial values, which lead to separate maxima of the posterior: lengths along the
 #: depth of stiff inclusions and of a thin layer [m]; structures around the patient,
-#: such as ribs, and along it [–]
+#: such as ribs, and along it, of a length in the unit of the prior [–]
 STARTS = (
     {"depth_length": 0.02},
     {"depth_length": 0.002},
-    {"surface_length": 0.015, "length_ratio": 5.0},
-    {"surface_length": 0.015, "length_ratio": 0.2},
+    {"surface_length": 0.75, "length_ratio": 5.0},
+    {"surface_length": 0.75, "length_ratio": 0.2},
 )
 
 #: Most evaluations of the evidence
-CALLS = 300
+CALLS = 400
 
 #: Most frames in the evidence, whose cost grows with their number cubed [–]
 MOST_FRAMES = 300
@@ -86,14 +97,6 @@ MOST_NODES = 300
 #: At least one force must be as large [N]
 LEAST_FORCE = 0.1
 
-#: Share of the errors that neighbouring frames have in common by which their number
-#: counts against them: of 0, 0.1, 0.3 and 1 the best on three torsos with exact poses
-#: and three with a tracker's; more helps noisy poses alone [–]
-INDEPENDENT = 0.1
-
-#: Frames whose distances to all others are computed at once
-AT_ONCE = 512
-
 #: Distance over which frames of a press share an error [m]
 SHARED_DISTANCE = 0.005
 
@@ -103,6 +106,10 @@ LEAST_NOISE = 1e-4
 #: Depths between which the correlation along the depth is interpolated, and its
 #: smallest eigenvalue over the largest [–]
 DEPTHS, LEAST_EIGENVALUE = 40, 1e-3
+
+
+class UnusableForcesError(InputError):
+    """Forces that no depth profile explains."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +126,7 @@ class DepthMapEstimate:
         sensor_noise: σ_0 of a normal force [N].
         relative_noise: ρ [–].
         shared_error: η, relative error that neighbouring frames of a press share [–].
+        depth_error: δ, error of the depth of a pose, which lasts a second [m].
         length_ratio: Length around the patient over length along it, of which ℓ is the
             geometric mean [–].
     """
@@ -133,22 +141,16 @@ class DepthMapEstimate:
     relative_noise: float = 0.0
     length_ratio: float = 1.0
     shared_error: float = 0.0
-
-    def sizes(self, scene: Scene) -> Array:
-        """Standard deviation s of every frame's normal force, shape (T,) [N].
-
-        A fit takes frames for independent. n frames that share an error tell as much as
-        one, as if each had n times its variance; of that `INDEPENDENT` counts.
-        """
-        depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
-        force = np.linalg.norm((scene.N @ self.profile(depth)).reshape(-1, 3), axis=1)
-        own = self.sensor_noise**2 + (self.relative_noise * force) ** 2
-        shared = INDEPENDENT * (self.shared_error * force) ** 2
-        return np.asarray(np.sqrt(own + shared * _frames_alike(scene)))
+    depth_error: float = 0.0
 
     def part_noise(self, scene: Scene) -> PartNoise:
         """Relative errors of the parts of a scene's wrenches."""
-        return PartNoise.of(scene, self.sizes(scene))
+        depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+        normal = normal_rows(contact_directions(scene)) @ scene.N
+        force = normal @ self.profile(depth)
+        slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
+        own = np.hypot(self.sensor_noise, self.relative_noise * force)
+        return PartNoise.of(scene, own, force, self.depth_error * (normal @ slope))
 
 
 def estimate_depth_map(
@@ -158,6 +160,7 @@ def estimate_depth_map(
     force: Array | None = None,
     errors: Callable[[IntArray], Array] | None = None,
     depth_length: float | None = None,
+    depth_error: float | None = None,
 ) -> DepthMapEstimate:
     """Estimate profile, deviation, lengths and noise.
 
@@ -165,19 +168,21 @@ def estimate_depth_map(
         scene: A scene with measured forces.
         rows: Force rows, (3T, V); by default the scene's N (with drag: N − μ F).
         force: Forces to take instead of the scene's, shape (3T,) [N].
-        errors: Covariance of further errors of the forces of k frames, given their
-            numbers, (3k, 3k) [N²]; by default none.
+        errors: Covariance of the forces' errors by wrong poses for k frames, given
+            their numbers, (3k, 3k) [N²]; by default none.
         depth_length: Matérn length along the depth [m]; None estimates it.
+        depth_error: δ [m]; None estimates it.
 
     Raises:
-        InputError: No force was measured in contact, or the forces pull.
+        UnusableForcesError: No force was measured in contact, or the forces pull.
     """
     rows = scene.N if rows is None else rows
     problem = _Problem.of(scene, rows, force, errors)
-    names = [n for n in PRIOR if n != "depth_length" or depth_length is None]
+    given = {"depth_length": depth_length, "depth_error": depth_error}
+    held = {name: value for name, value in given.items() if value is not None}
+    names = [name for name in PRIOR if name not in held]
     medians = np.log([PRIOR[name][0] for name in names])
     widths = np.array([PRIOR[name][1] for name in names])
-    held = {} if depth_length is None else {"depth_length": depth_length}
 
     grid = scene.voxmap.grid
     limits = {
@@ -189,6 +194,7 @@ def estimate_depth_map(
 
     def chosen(steps: Array) -> _Chosen:
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
+        values["surface_length"] *= scene.shell.rms_radius
         for name in limits.keys() & values.keys():
             values[name] = np.clip(values[name], *limits[name])
         return _Chosen(**held, **{name: float(v) for name, v in values.items()})
@@ -214,6 +220,7 @@ def estimate_depth_map(
         found.relative_noise,
         found.length_ratio,
         found.shared_error,
+        found.depth_error,
     )
 
 
@@ -229,29 +236,15 @@ def least_squares_profile(
         exponents: Exponents of the profile.
 
     Raises:
-        InputError: No force was measured in contact, or the forces pull.
+        UnusableForcesError: No force was measured in contact, or the forces pull.
     """
     chosen = (3 * _frames(scene, scene.f)[:, None] + np.arange(3)).ravel()
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
     design = scene.N[chosen] @ powers_of(depth, exponents)
     coefficients, _ = scipy.optimize.nnls(design, scene.f[chosen])
     if not coefficients.any():
-        raise InputError(PULLING)
+        raise UnusableForcesError(PULLING)
     return DepthProfile(exponents, tuple(float(c) for c in coefficients))
-
-
-def _frames_alike(scene: Scene) -> Array:
-    """Frames of its press that share a frame's error, itself included, shape (T,)."""
-    own, out = scene.trajectory, np.ones(len(scene.trajectory))
-    press = runs(scene.rows.contact_points > 0, own.segment)
-    for number in np.unique(press):
-        (frames,) = np.nonzero(press == number)
-        at = own.position[frames]
-        for start in range(0, len(frames), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
-            near = matern(cdist(at[some], at), SHARED_DISTANCE)
-            out[frames[some]] = near.sum(axis=1)
-    return out
 
 
 PULLING = (
@@ -264,18 +257,18 @@ def _frames(scene: Scene, force: Array) -> IntArray:
     """Frames in contact.
 
     Raises:
-        InputError: There is none, or none with a force that counts.
+        UnusableForcesError: There is none, or none with a force that counts.
     """
     size = np.linalg.norm(force.reshape(-1, 3), axis=1)
     frames = np.flatnonzero(scene.rows.contact_points > 0)
     if not len(frames):
-        raise InputError(
+        raise UnusableForcesError(
             "a depth profile needs forces measured in contact, but the probe never "
             "touches the patient: check the trajectory's frame, or fit "
             "laplace_only"
         )
     if size[frames].max() <= LEAST_FORCE:
-        raise InputError(
+        raise UnusableForcesError(
             "a depth profile needs forces measured in contact, but where the probe "
             f"touches they reach {size[frames].max():.2g} N only: check the "
             "sensor and the trajectory's frame, or fit laplace_only"
@@ -294,6 +287,7 @@ class _Chosen(NamedTuple):
     relative_noise: float
     length_ratio: float = 1.0
     shared_error: float = 0.03
+    depth_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -309,6 +303,7 @@ class _Problem:
         around: Distances of the nodes around the patient, (nodes, nodes) [m].
         along: The same along it [m].
         alike: Correlation of the errors that frames share, shape (m, m) [–].
+        late: Correlation of a tracker's errors, shape (m, m) [–].
         further: Covariance of further errors, shape (m, m) or () [N²].
     """
 
@@ -320,6 +315,7 @@ class _Problem:
     around: Array = field(repr=False)
     along: Array = field(repr=False)
     alike: Array = field(repr=False)
+    late: Array = field(repr=False)
     further: Array = field(repr=False)
 
     @classmethod
@@ -333,12 +329,12 @@ class _Problem:
         """Frames in contact, thinned evenly.
 
         Raises:
-            InputError: No force was measured in contact, or the forces pull.
+            UnusableForcesError: No force was measured in contact, or the forces pull.
         """
         force = scene.f if force is None else force
         frames = _frames(scene, force)
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
-        normal = _along(contact_directions(scene)[frames])
+        normal = normal_rows(contact_directions(scene)[frames])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
         own = sp.csr_array(normal @ rows[chosen])
         touched = np.unique(own.indices).astype(np.int64)
@@ -353,6 +349,8 @@ class _Problem:
         press = runs(scene.rows.contact_points > 0, trajectory.segment)[frames]
         at = trajectory.position[frames]
         alike = matern(cdist(at, at), SHARED_DISTANCE) * (press[:, None] == press)
+        time, own_of = trajectory.time[frames], trajectory.segment[frames]
+        late = lasting(time[:, None], time) * (own_of[:, None] == own_of)
         further = np.zeros(())
         if errors is not None:
             further = np.asarray(normal @ (normal @ errors(frames)).T)
@@ -365,10 +363,11 @@ class _Problem:
             cdist(place, place),
             np.abs(z[:, None] - z),
             alike,
+            late,
             further,
         )
         if problem.mean(PRIOR["exponent"][0])[0] <= 0.0:
-            raise InputError(PULLING)
+            raise UnusableForcesError(PULLING)
         return problem
 
     def mean(self, exponent: float) -> tuple[float, Array]:
@@ -394,8 +393,8 @@ class _Problem:
             data = self.rows.data * (power * mode)[self.rows.indices]
             own = (data, self.spoke[self.rows.indices], self.rows.indptr)
             by_spoke = sp.csr_array(own, (len(self.force), self.nodes.shape[0]))
-            by_node = (by_spoke @ self.nodes).toarray()
-            out += by_node @ among @ by_node.T
+            by_node = sp.csr_array(by_spoke @ self.nodes)
+            out += by_node @ (by_node @ among).T
         return out
 
     def evidence(self, chosen: _Chosen) -> float:
@@ -403,6 +402,8 @@ class _Problem:
         c, mean = self.mean(chosen.exponent)
         cov = (c * chosen.deviation) ** 2 * self.covariance(chosen) + self.further
         cov += chosen.shared_error**2 * self.alike * mean[:, None] * mean
+        slope = c * (self.rows @ slopes_of(self.depth, (chosen.exponent,))[:, 0])
+        cov += chosen.depth_error**2 * self.late * slope[:, None] * slope
         cov[np.diag_indices_from(cov)] += self.variances(chosen, mean)
         factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
         white = scipy.linalg.solve_triangular(factor, self.force - mean, lower=True)
@@ -415,14 +416,6 @@ class _Problem:
         kept = values > LEAST_EIGENVALUE * values.max()
         roots = vectors[:, kept] * np.sqrt(values[kept])
         return np.stack([np.interp(self.depth, at, root) for root in roots.T], axis=1)
-
-
-def _along(direction: Array) -> sp.csr_array:
-    """Scalar products with a direction for every frame, shape (m, 3m)."""
-    m = len(direction)
-    return sp.csr_array(
-        (direction.ravel(), np.arange(3 * m), 3 * np.arange(m + 1)), shape=(m, 3 * m)
-    )
 
 
 def _coarser(spokes: IntArray, grid: CylindricalGrid) -> tuple[IntArray, sp.csr_array]:

@@ -18,6 +18,9 @@ REFERENCE_DEPTH = 0.01
 #: (2, 3)
 EXPONENTS = (1.0, 1.5, 2.0, 3.0)
 
+#: Least depth of a derivative [m]
+LEAST_SLOPED = 5e-4
+
 
 @dataclass(frozen=True)
 class DepthProfile:
@@ -62,6 +65,15 @@ class DepthProfile:
         """
         size = powers_of(np.abs(depth), self.exponents) @ np.array(self.coefficients)
         return np.asarray(np.copysign(size, depth))
+
+
+def slopes_of(depth: Array, exponents: tuple[float, ...]) -> Array:
+    """Derivatives of `powers_of` [1/m], of nonnegative depths.
+
+    Below half a millimetre, where those of small powers have no bound, secants.
+    """
+    per_depth = np.array(exponents) / np.maximum(depth, LEAST_SLOPED)[..., None]
+    return np.asarray(per_depth * powers_of(depth, exponents))
 
 
 def powers_of(depth: Array, exponents: tuple[float, ...]) -> Array:

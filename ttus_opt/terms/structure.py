@@ -120,15 +120,15 @@ class UncertainMean:
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Rows of measured wrenches, three per frame, multiplied by matrices of the frames.
+    """Rows of measured wrenches, three per frame, multiplied by a regular matrix.
 
     Without this tag they are the wrenches themselves [N, N·m].
 
     Attributes:
-        by: These matrices, shape (T, 3, 3) [1/N or 1/N·m, up to a factor].
+        by: The matrix, shape (3T, 3T) [1/N or 1/N·m, up to a factor].
     """
 
-    by: Array = field(repr=False)
+    by: sp.csr_array = field(repr=False)
 
 
 Tags = frozenset[Tag | LaplaceRows | KnownCovariance | Whitened]
@@ -144,8 +144,8 @@ def known_covariance(tags: Tags) -> KnownCovariance | None:
     return next((tag for tag in tags if isinstance(tag, KnownCovariance)), None)
 
 
-def whitening(tags: Tags) -> Array | None:
-    """The matrices of `Whitened` among tags, shape (T, 3, 3), if there is one."""
+def whitening(tags: Tags) -> sp.csr_array | None:
+    """The matrix of `Whitened` among tags, shape (3T, 3T), if there is one."""
     return next((tag.by for tag in tags if isinstance(tag, Whitened)), None)
 
 

@@ -17,7 +17,6 @@ import scipy.sparse as sp
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.part_noise import PartNoise, whitened
-from ttus_opt.terms.structure import Whitened
 
 #: Range of ℓ [m]: below it only torque counts, above it torque has no weight at all,
 #: whatever the probe
@@ -64,8 +63,7 @@ class TorqueTerm(Term):
             return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
         scale = 1.0 / (self.length or self.scene.torque_length)
         if self.noise is None:
-            scaled = {k: M * scale for k, M in blocks.items()}
-            frames = len(self.scene.trajectory), 3, 3
-            unit = Whitened(np.broadcast_to(scale * np.eye(3), frames))
-            return AffineRows(scaled, self.scene.tau * scale, frozenset({unit}))
-        return whitened(scale * self.noise.torque, blocks, self.scene.tau)
+            by = scale * sp.eye_array(len(self.scene.tau), format="csr")
+        else:
+            by = scale * self.noise.torque
+        return whitened(by, blocks, self.scene.tau)
