@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.pose_rows import PoseRows
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.fitting import pose_refinement
 from ttus_opt.fitting.pose_refinement import RefinedPoses, refine_poses
 from ttus_opt.probe.tracker_noise import TrackerNoise
@@ -188,7 +188,7 @@ def test_the_recording_that_differs_most_is_named() -> None:
     words = r"recording 2 seems reported 13.00 mm deeper than the others, 8 standard"
     with pytest.warns(TtusWarning, match=words):
         pose_refinement._warn_of_offset(problem, xi)
-    with pytest.warns(TtusWarning, match="recording 2 .* shallower"):
+    with pytest.warns(MistakeWarning, match="recording 2 .* shallower"):
         pose_refinement._warn_of_offset(problem, -xi)
     pose_refinement._warn_of_offset(problem, 0.5 * xi)  # 3.8 standard deviations
 
