@@ -8,7 +8,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scene import Scene, ScenePlan
@@ -66,7 +66,7 @@ def test_a_probe_larger_than_the_patient_is_doubted() -> None:
     large = tt.PointShell.sphere(0.4, n_points=100)
     with pytest.warns(TtusWarning) as told:
         Scene.assemble(VOXMAP, large, TRAJECTORY, inner=1.0)
-    words = [str(each.message) for each in told]
+    words = [str(w.message) for w in told if w.category is MistakeWarning]
     assert any(w.startswith("the probe is 0.7") for w in words)
     assert any("the patient 0.2" in w for w in words)
 
@@ -74,7 +74,7 @@ def test_a_probe_larger_than_the_patient_is_doubted() -> None:
 def test_poses_off_the_grid_are_counted() -> None:
     position = TRAJECTORY.position.copy()
     position[:3, 2] += 5.0
-    with pytest.warns(TtusWarning, match="3 of 12 poses lie outside"):
+    with pytest.warns(MistakeWarning, match="3 of 12 poses lie outside"):
         Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.laplace.boundary_scale import _report_scale
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -105,7 +105,7 @@ def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for() -> None:
     """So that the sanity report can tell what is wrong with them."""
     assert TRAJECTORY.force is not None
     pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
-    with pytest.warns(TtusWarning, match="push into the patient"):
+    with pytest.warns(MistakeWarning, match="push into the patient"):
         scene = Scene.assemble(VOXMAP, SHELL, pulled)
     assert scene.inner == 1.0
     assert "push into" in scene.not_identified["boundary_scale"]

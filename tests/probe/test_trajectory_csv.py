@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import FileError, TtusWarning
+from ttus_opt.errors import FileError, MistakeWarning
 from ttus_opt.probe.trajectory import read_trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"
@@ -116,7 +116,9 @@ def test_segments_are_kept_apart(tmp_path):
 def test_times_in_milliseconds_are_doubted(tmp_path):
     file = tmp_path / "press.csv"
     file.write_text("\n".join([HEADER, *[ROW.format(t=50 * i) for i in range(4)]]))
-    with pytest.warns(TtusWarning, match="50 s apart: .* milliseconds\\? divide t by"):
+    with pytest.warns(
+        MistakeWarning, match="50 s apart: .* milliseconds\\? divide t by"
+    ):
         read_trajectory(file)
     # one frame a second is slow, and a new recording may begin hours later
     lines = [
