@@ -6,6 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -139,7 +140,17 @@ def test_poses(tmp_path: Path, order: str) -> None:
         np.testing.assert_allclose(found.rotation, TURNS.as_matrix(), atol=1e-12)
 
 
-@pytest.mark.usefixtures("quick")
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A machine nine hours ahead; an origin without a time zone is UTC all the same."""
+    monkeypatch.setenv("TZ", "JST-9")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.usefixtures("quick", "elsewhere")
 def test_other_units_and_names(tmp_path: Path) -> None:
     data = poses().rename(position="tip", time="stamp")
     data["tip"] = (1e3 * data.tip).assign_attrs(units="mm")
