@@ -17,7 +17,8 @@ from tests.test_blas_threads import threads
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import coarse_scene, tuning
 from ttus_opt.fitting.presses import pressed_places
-from ttus_opt.fitting.tuning import Tuning, tune
+from ttus_opt.fitting.tuning import tune
+from ttus_opt.fitting.tuning_result import Tuning
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows

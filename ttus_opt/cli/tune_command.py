@@ -15,7 +15,7 @@ from ttus_opt.cli.scene_options import SceneOptions, further_options
 from ttus_opt.errors import warn
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.tuning import Hyperparameter, Tuning
+    from ttus_opt.fitting.tuning_result import Hyperparameter, Tuning
 
 
 #: What comparisons are called

@@ -98,7 +98,7 @@ class Tuned(FieldModel):
     """Eq. 10, with weights as ``ttus-opt fit --formulation eq10`` chooses them."""
 
     name = "tuned"
-    summary = "ours: eq. 10, weights by marginal likelihood"
+    summary = "ours: eq. 10, weights by places left out"
     turns = False  # its searches end within a tolerance
 
     def _solved(self, scene: Scene) -> Solution:

@@ -23,7 +23,8 @@ from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.presses import pressed_places, presses
-from ttus_opt.fitting.tuning import Tuning, tune
+from ttus_opt.fitting.tuning import tune
+from ttus_opt.fitting.tuning_result import Tuning
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
