@@ -13,6 +13,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt import demo, example, plots
+from ttus_opt.fitting.weight_choice import default_model
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, MEASURED, look, new_figure
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import noise_model
@@ -109,6 +110,22 @@ def poses_picture(path: Path) -> None:
     plots.save_picture(figure, path)
 
 
+def next_press_picture(path: Path) -> None:
+    """Where to press next after a sweep, on the front."""
+    surface = tt.Surface.load(example.path("surface.nc"))
+    recorded = tt.read_trajectory(example.path("sweep_fit.csv"))
+    scene = tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=0.03),
+        tt.PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018)),
+        recorded,
+    )
+    choice = default_model(scene)
+    doubt = tt.doubt(tt.fit(choice.scene, choice.formulation), choice.scene)
+    front = np.radians(30.0), np.radians(150.0)
+    found = tt.next_press(doubt, sector=front)
+    plots.save_picture(plots.next_press_picture(found, recorded), path)
+
+
 def depth_picture(path: Path) -> None:
     """A depth image of a body on a bed, and its points with their deviations."""
     matrix = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
@@ -152,6 +169,7 @@ def main() -> None:
     voxmap_picture(FOLDER / "voxmap.svg")
     sampling_picture(FOLDER / "sampling.svg")
     poses_picture(FOLDER / "poses.png")
+    next_press_picture(FOLDER / "next_press.png")
     demo.run(FOLDER)
     for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("*.md")):
         data.unlink()

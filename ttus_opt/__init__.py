@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.batch import Fitter as Fitter
     from ttus_opt.fitting.batch import fit as fit
     from ttus_opt.fitting.doubt import doubt as doubt
+    from ttus_opt.fitting.next_press import next_press as next_press
     from ttus_opt.fitting.path_dataset import read_solution_path as read_solution_path
     from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
     from ttus_opt.fitting.pose_refinement import refine_poses as refine_poses
@@ -76,6 +77,7 @@ _HOME = {
     "extract_surface": "scan.extraction",
     "fit": "fitting.batch",
     "load_formulation": "problem.formulation",
+    "next_press": "fitting.next_press",
     "read_cloud": "scan.cloud",
     "read_solution_path": "fitting.path_dataset",
     "read_trajectory": "probe.trajectory",

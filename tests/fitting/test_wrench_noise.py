@@ -164,6 +164,17 @@ def test_frames_are_thinned_evenly_to_the_most(monkeypatch: pytest.MonkeyPatch) 
         np.testing.assert_array_equal(few.place, given.place[list(frames)])
 
 
+def test_fields_that_frames_do_not_tell_apart_are_left_out() -> None:
+    given, rng = recorded(9, 12, 3), np.random.default_rng(3)
+    alike = rng.normal(size=(40, len(given.images))) / 6.0
+    many = replace(given, images=np.tensordot(alike, given.images, axes=1))
+    few = many.condensed(2.0)
+    assert len(few.images) == len(given.images) < len(many.images)
+    for variance in (0.5, 2.0, 8.0):
+        expected = many.log_density(variance, NOISE)
+        assert few.log_density(variance, NOISE) == pytest.approx(expected, abs=1e-3)
+
+
 def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
     """Rows by term, one of them missing, and their dense covariance."""
     given = recorded(6, 2)

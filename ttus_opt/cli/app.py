@@ -23,6 +23,7 @@ from ttus_opt.cli.experiment_command import experiment
 from ttus_opt.cli.fit_command import fit
 from ttus_opt.cli.list_commands import formulations, solvers
 from ttus_opt.cli.message_commands import decode, encode
+from ttus_opt.cli.next_press_command import next_press
 from ttus_opt.cli.path_command import path
 from ttus_opt.cli.record_command import record
 from ttus_opt.cli.refine_poses_command import refine_poses
@@ -47,7 +48,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 #: Commands that warn of likely mistakes
-JUDGES = (refine_poses, fit, tune, path, evaluate, session, render)
+JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render)
 
 #: Default time limits: of commands that solve many times, and of others [s]
 LONG, USUAL = 3600.0, 600.0
@@ -61,6 +62,7 @@ UNLIMITED = (benchmark, record, solvers, formulations, warm_up)
 for function in (
     *(demo, record, synchronise, compensate, surface, refine_poses, fit, tune, path),
     *(
+        next_press,
         evaluate,
         session,
         experiment,

@@ -129,8 +129,8 @@ def boundary_value(text: str) -> float | Literal["fit"]:
         raise InputError(f"--inner takes a number or fit, got {text!r}") from None
 
 
-def sector_of(text: str | None) -> Sector | None:
-    """Value of ``--sector`` [rad].
+def sector_of(text: str | None, option: str = "--sector") -> Sector | None:
+    """Value of ``--sector``, or of another option of two angles [rad].
 
     Raises:
         InputError: It is not two angles, or they leave no part of the turn.
@@ -143,7 +143,7 @@ def sector_of(text: str | None) -> Sector | None:
         low, high = (math.radians(float(part)) for part in text.split(","))
     except ValueError:
         raise InputError(
-            f"--sector takes two angles in degrees, FROM,TO, got {text!r}"
+            f"{option} takes two angles in degrees, FROM,TO, got {text!r}"
         ) from None
     return checked_sector((low, high))
 

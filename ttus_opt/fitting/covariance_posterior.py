@@ -34,8 +34,9 @@ from ttus_opt.terms.structure import (
     known_covariance,
 )
 
-#: Rows whose covariance with all measured voxels is formed at once
-AT_ONCE = 6
+#: Rows whose covariance with all measured voxels is formed at once, and rows that are
+#: corrected by all measurements at once: one pass over these costs more than the sums
+AT_ONCE, BATCH = 6, 192
 
 
 @dataclass(frozen=True)
@@ -95,19 +96,26 @@ class CovariancePosterior(Posterior):
         variance = self.errors.variance
         out = variance * self.prior.among_rows(rows, height)
         filled = np.diff(rows.indptr).reshape(-1, height) > 0
-        for k in np.flatnonzero(filled.any(axis=1)).tolist():
-            block = sp.csr_array(rows[k * height : (k + 1) * height])
-            few = (block[i : i + AT_ONCE] for i in range(0, height, AT_ONCE))
-            cross = np.concatenate(
-                [self.columns.of_rows(some) @ self.rows.T for some in few]
-            )
+        (blocks,) = np.nonzero(filled.any(axis=1))
+        step = max(BATCH // height, 1)
+        for some in (blocks[i : i + step] for i in range(0, len(blocks), step)):
+            at = (some[:, None] * height + np.arange(height)).ravel()
+            cross = self._cross(sp.csr_array(rows[at]))
             half = self.measured.half
             gain = cross - (cross @ half.T) @ half
-            noise = self.errors.roots(gain)
-            mean = block @ self.drift - gain @ self.drift_rows
-            out[k] += noise @ noise.T
-            out[k] += variance * (mean @ mean.T - gain @ (cross + gain).T)
+            mean = rows[at] @ self.drift - gain @ self.drift_rows
+            mean, gain, total, noise = (
+                part.reshape(len(some), height, -1)
+                for part in (mean, gain, cross + gain, self.errors.roots(gain))
+            )
+            own = mean @ mean.transpose(0, 2, 1) - gain @ total.transpose(0, 2, 1)
+            out[some] += noise @ noise.transpose(0, 2, 1) + variance * own
         return out
+
+    def _cross(self, rows: sp.csr_array) -> Array:
+        """N C Dᵀ, few rows at a time: each has a column for every measured voxel."""
+        few = (rows[i : i + AT_ONCE] for i in range(0, rows.shape[0], AT_ONCE))
+        return np.concatenate([self.columns.of_rows(r) @ self.rows.T for r in few])
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
         """Implements `Posterior`."""

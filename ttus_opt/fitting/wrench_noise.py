@@ -57,6 +57,10 @@ VARIANCE, VARIANCE_SPREAD = "variance", 2.0
 #: Most frames in the evidence, and most evaluations
 MOST_FRAMES, MOST = 150, 300
 
+#: Standard deviation of a combination of fields in all these frames, over the sensor's
+#: noise, below which the frames do not tell it [–]
+NEGLECTED = 0.01
+
 
 @dataclass(frozen=True)
 class WrenchNoise:
@@ -199,6 +203,20 @@ class MeasuredWrenches:
             place=self.place[at],
         )
 
+    def condensed(self, variance: float) -> MeasuredWrenches:
+        """The same over only as many fields as the frames tell apart.
+
+        Args:
+            variance: Of the fields' coefficients, about [–].
+        """
+        size = np.array([PRIORS["force" if c < 3 else "torque"][0] for c in self.parts])
+        seen = (self.images / size).reshape(len(self.images), -1)
+        _, lengths, directions = np.linalg.svd(seen, full_matrices=False)
+        kept = np.sqrt(variance) * lengths > NEGLECTED
+        fewer = lengths[kept, None] * directions[kept]
+        images = fewer.reshape(-1, *self.images.shape[1:]) * size
+        return replace(self, images=images)
+
     def log_density(self, variance: float, noise: WrenchNoise) -> float:
         """Logarithm of the density of the measurements.
 
@@ -254,7 +272,7 @@ class MeasuredWrenches:
         self, variance: float, held: Mapping[str, float]
     ) -> tuple[float, WrenchNoise]:
         """The same, with some parts of the noise held."""
-        few = self.thinned()
+        few = self.thinned().condensed(held.get(VARIANCE, variance))
         names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
         names = [name for name in (VARIANCE, *names) if name not in held]
         all_priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}

@@ -9,6 +9,7 @@ from ttus_opt.report.plots.canvas import (
 from ttus_opt.report.plots.canvas import save_picture as save_picture
 from ttus_opt.report.plots.doubt import doubt_picture as doubt_picture
 from ttus_opt.report.plots.forces import force_over_time as force_over_time
+from ttus_opt.report.plots.next_press import next_press_picture as next_press_picture
 from ttus_opt.report.plots.overview import overview as overview
 from ttus_opt.report.plots.poses import pose_picture as pose_picture
 from ttus_opt.report.plots.potential import field_slice as field_slice

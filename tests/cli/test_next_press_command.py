@@ -1,0 +1,49 @@
+"""``ttus-opt next-press``: what it tells, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import ttus_opt as tt
+from tests.cli.conftest import PROBE, Run, empty, refused
+
+
+def words(files: Path, more: str = "") -> str:
+    return (
+        f"next-press --surface {files / 'surface.nc'} --probe {PROBE} --trajectory "
+        f"{files / 'press.csv'} --shape 10,16,8 --points 200 --spacing 0.06 {more}"
+    )
+
+
+def test_it_names_places_and_writes_them(run: Run, files: Path, output: Path) -> None:
+    poses, picture = output / "next.csv", output / "next.png"
+    answer = run(words(files, f"--count 2 --json -o {poses} --picture {picture}"))
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    assert len(told["presses"]) == 2 and told["model"]
+    assert told["region_std_after_N"] < told["region_std_before_N"]
+    read = tt.read_trajectory(poses)
+    assert read.position.tolist() == [p["position_m"] for p in told["presses"]]
+    assert picture.stat().st_size > 10_000
+    plain = run(words(files, "--count 2 --angles 90,200"))
+    lines = plain.out.splitlines()
+    assert len(lines) == 4 and lines[-1].startswith("a press of")
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("--angles 10", "--angles takes two angles"),
+        ("--box 0,1", "--box takes 6 numbers"),
+        ("--count 0", "--count"),
+        ("--picture next.txt", "next.txt"),
+    ],
+)
+def test_bad_input_is_one_line(
+    run: Run, files: Path, output: Path, more: str, told: str
+) -> None:
+    refused(run(words(files, f"{more} -o {output / 'next.csv'}")), told)
+    assert empty(output)

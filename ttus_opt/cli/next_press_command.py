@@ -1,0 +1,122 @@
+"""``ttus-opt next-press``: where the next presses tell most about the patient."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.options import check_outputs, numbers
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions, sector_of
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.next_press import NextPresses
+
+
+def next_press(
+    surface: Path,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    grid: SceneOptions,
+    problem: ProblemOptions,
+    count: Annotated[int, typer.Option(min=1)] = 5,
+    angles: Annotated[str | None, typer.Option(metavar="FROM,TO")] = None,
+    box: Annotated[str | None, typer.Option(metavar="XMIN,XMAX,…,ZMAX")] = None,
+    depth: float | None = None,
+    spacing: float = 0.02,
+    output: Path | None = None,
+    picture: Path | None = None,
+    force: bool = False,
+    json: bool = False,
+) -> None:
+    """Name the places where the next presses reduce the uncertainty most.
+
+    The recordings are fitted as by ttus-opt fit. Every place of the skin that the scan
+    saw is a candidate; the first place explains most of the variance of the normal
+    forces in the region, the second most of what then is left, and so on.
+
+    Args:
+        surface: Surface file (.nc).
+        count: Number of presses.
+        angles: Restrict the region to these angles θ [deg].
+        box: Restrict the region to the skin in this box, patient frame [m]: xmin,xmax,
+            ymin,ymax,zmin,zmax, with inf on an open side.
+        depth: Depth of a press [m]. By default the median of the recordings.
+        spacing: Distance between places [m].
+        output: Write the poses of the presses here, a trajectory CSV in the frame of
+            the recordings.
+        picture: Draw the uncertainty over the skin before and after the presses here.
+
+    Example:
+        ttus-opt next-press --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press_fit.csv --picture next.png -o next.csv
+    """
+    from ttus_opt.fitting import next_press as places
+    from ttus_opt.fitting.batch import fit
+    from ttus_opt.fitting.doubt import doubt
+    from ttus_opt.fitting.weight_choice import choice_of, word_for
+    from ttus_opt.report import plots
+    from ttus_opt.scan.surface import Surface
+
+    sector = sector_of(angles, "--angles")
+    limits = None if box is None else numbers(box, 6, "--box")
+    word = word_for(None, problem.formulation, problem.further)
+    inputs = [surface, probe.probe, *recordings.files]
+    check_outputs([output], inputs, force=force, pictures=[picture])
+    with Stages(5) as begin:
+        begin("reading surface and recordings")
+        patient, shell = Surface.load(surface), probe.read()
+        reading = recordings.as_written(), recordings.conventions
+        recorded = recordings.read(reading[0], shell, patient)
+        begin("assembling (first run compiles)")
+        scene = built_scene(grid.plan, (patient, shell, recorded), reading)
+        warn_of_mistake(scene, reading)
+        begin("fitting")
+        choice = choice_of(
+            *(word, scene, problem.formulation, problem.further),
+            sampling=grid.sampling,
+            strict=False,
+        )
+        tolerance = problem.tolerance
+        solution = fit(
+            choice.scene, choice.formulation, solver=problem.solver, tolerance=tolerance
+        )
+        begin("stating its uncertainty")
+        stated = doubt(solution, choice.scene)
+        begin("choosing places")
+        found = places.next_press(
+            stated, count, sector=sector, box=limits, depth=depth, spacing=spacing
+        )
+        if picture is not None:
+            figure = plots.next_press_picture(found, recorded)
+            plots.save_picture(figure, picture)
+        if output is not None:
+            place = patient.axis.scan_to_patient
+            reading[1].as_recorded(found.poses, shell.reference, place).save(output)
+    tell({**found.as_dict(), "model": list(choice.lines)}, *_lines(found), json=json)
+
+
+def _lines(found: NextPresses) -> list[str]:
+    """A table of the presses."""
+    before, after = found.region_std
+    told = found.as_dict()["presses"]
+    return [
+        "      θ [°]   z [cm]   skin x, y, z [cm]      normal                 "
+        "variance  force [N]  std before, after [N]",
+        *(
+            f"{k + 1:3d}  {p['theta_deg']:6.1f}  {100 * p['z_m']:6.1f}   "
+            + " ".join(f"{100 * v:6.1f}" for v in p["point_m"])
+            + "   "
+            + " ".join(f"{v:6.2f}" for v in p["normal"])
+            + f"   {-100 * p['variance_reduction']:5.1f} %  "
+            f"{p['expected_force_N']:8.2f}   {p['std_before_N']:.2f}, "
+            f"{p['std_after_N']:.2f}"
+            for k, p in enumerate(told)
+        ),
+        f"a press of {1e3 * found.depth:.1f} mm in the region: standard deviation "
+        f"{before:.2f} N now, {after:.2f} N after these presses",
+    ]

@@ -1,0 +1,65 @@
+"""Plot of the uncertainty over the skin before and after suggested presses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.plots.canvas import look, new_figure
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.next_press import NextPresses
+
+_SHADES = "cividis"  # uniform in greyscale too
+
+
+def next_press_picture(
+    found: NextPresses, measured: Trajectory | None = None
+) -> Figure:
+    """Draw the unrolled skin with the places to press next.
+
+    Args:
+        found: The suggestions.
+        measured: Recordings that were fitted, drawn as dots.
+
+    Returns:
+        A figure of the standard deviation of a press's normal force over angle and
+        height: before the suggested presses, which are numbered, and after them. What
+        lies outside the region asked for is pale.
+    """
+    degrees, heights = np.degrees(found.theta), 100.0 * found.z
+    columns, column = np.unique(degrees, return_inverse=True)
+    lines, line = np.unique(heights, return_inverse=True)
+    top = float(found.before.max())
+    with look():
+        figure = new_figure(9.0, 4.2)
+        both = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axes, std, title in zip(
+            both,
+            (found.before, found.after),
+            ("before the presses", "after them"),
+            strict=True,
+        ):
+            shades = np.full((len(lines), len(columns)), np.nan)
+            pale = np.ones_like(shades)
+            shades[line, column] = std
+            pale[line, column] = np.where(found.in_region, 1.0, 0.35)
+            shown = axes.pcolormesh(
+                columns, lines, shades, cmap=_SHADES, vmin=0.0, vmax=top, alpha=pale
+            )
+            axes.set(title=title, xlabel="θ [°]")
+        both[0].set_ylabel("z [cm]")
+        if measured is not None:
+            x, y, z = measured.position.T
+            around = np.degrees(np.arctan2(y, x)) % 360.0
+            both[0].plot(around, 100.0 * z, ".", ms=2, color="white", label="recorded")
+        for k, i in enumerate(found.node.tolist()):
+            for axes in both:
+                at = degrees[i], heights[i]
+                axes.plot(*at, "o", ms=11, color="white", mec="black")
+                axes.annotate(str(k + 1), at, ha="center", va="center", fontsize=8)
+        figure.colorbar(shown, ax=both, label="standard deviation of a press [N]")
+    return figure
