@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -142,6 +143,22 @@ def test_a_users_own_terms_are_tuned() -> None:
     solution = tt.fit(scene, own, weights="auto")
     assert solution.weights["own_force"] == weights[1]["own_force"]
     assert solution.formulation == "mine"
+    with pytest.raises(InputError, match="belongs to another scene"):
+        tt.fit(drawn(), own, weights="auto")
+
+
+def test_a_users_file_is_tuned(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from ttus_opt import Formulation\n"
+        "from ttus_opt.terms import ForceTerm, LaplaceTerm\n"
+        "def build(scene):\n"
+        "    return Formulation([LaplaceTerm(scene), ForceTerm(scene, 0.5)])\n",
+        encoding="utf-8",
+    )
+    solution = tt.fit(drawn(), file, weights="auto")
+    assert solution.weights["force"] != 0.5
+    assert "mine with the weights chosen predicts" in solution.chosen[-1]
 
 
 def test_any_squares_are_a_prior() -> None:

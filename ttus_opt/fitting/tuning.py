@@ -299,6 +299,10 @@ def _candidate(
     """
     if isinstance(formulation, Formulation):
         shelf.load(formulation, scene, **options)  # it takes none
+        if formulation.scene is not scene:
+            raise InputError(
+                "the formulation belongs to another scene: build it for this one"
+            )
         return _tuned(None, formulation, formulation)
     known = shelf.option_names(formulation)
     given = {k: v for k, v in options.items() if known is None or k in known}
