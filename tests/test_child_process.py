@@ -14,12 +14,15 @@ from ttus_opt.child_process import SAFE, environment, python_module, safe_path
 def test_a_file_named_as_a_package_is_not_executed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither by a child, nor by what an interactive session starts."""
+    """Neither by a child, nor by what an interactive session or that child starts."""
     (tmp_path / "numba.py").write_text("open('executed', 'w').close()")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend("")
     command = python_module("ttus_opt.multigrid.kernels")
-    subprocess.run(command, env=environment(), check=True)
+    alone = {**environment(), SAFE: ""}  # by the command, or by the environment, alone
+    subprocess.run(command, env=alone, check=True)
+    plain = [word for word in command if word != "-P"]
+    subprocess.run(plain, env=environment(), check=True)
     assert not (tmp_path / "executed").exists()
 
 

@@ -279,8 +279,11 @@ def test_files_of_killed_writers_go_at_the_next_write(tmp_path: Path) -> None:
     (left,) = tmp_path.iterdir()
     elsewhere = left.with_name(left.name.replace(io._machine(), "0" * 8))
     elsewhere.write_text("another machine's")
+    numbered = left.name.removeprefix(f".a[1]-{io._machine()}-").partition("-")[0]
+    unknown = left.with_name(left.name.replace(f"-{numbered}-", f"-{10**30}-"))
+    unknown.write_text("of a process that cannot be asked for")
     with io.replacing(target) as mine:
         assert not left.exists()
         io.write_text(target, "other")
         assert mine.exists()
-    assert sorted(tmp_path.iterdir()) == sorted([elsewhere, target])
+    assert sorted(tmp_path.iterdir()) == sorted([elsewhere, unknown, target])

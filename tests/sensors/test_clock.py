@@ -12,6 +12,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.clock import (
+    ROUNDED,
     Signal,
     clock_offset,
     contact_of_force,
@@ -151,3 +152,10 @@ def test_slopes_of_straight_lines_are_exact() -> None:
     assert found.time[0] >= time[0] + 0.15
     with pytest.raises(InputError, match="too short for slopes"):
         gravity_of_readings(time[:5], np.zeros((5, 3)))
+
+
+def test_an_error_is_never_below_that_of_the_parabola() -> None:
+    """Without noise all parts agree; the offset still lies between samples."""
+    time = np.arange(0.0, 60.0, 0.01)
+    first = Signal(time, wander(time))
+    assert clock_offset(first, first).std >= 0.99 * ROUNDED * 0.01

@@ -17,7 +17,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError
+from ttus_opt.errors import FileError, TtusWarning
 from ttus_opt.sensors import netcdf_child, netcdf_stream
 from ttus_opt.sensors.netcdf_child import Variable, unpacked
 from ttus_opt.sensors.netcdf_stream import (
@@ -270,3 +270,19 @@ def test_a_reader_that_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     file = written(poses(), tmp_path / "p.nc")
     with pytest.raises(FileError, match="not a readable netCDF"):
         read_netcdf_poses(file)
+
+
+@pytest.mark.parametrize("suffix", ["nc", "csv"])
+def test_repeated_wrenches_are_left_out(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"w.{suffix}"
+    if suffix == "csv":
+        file.write_text("t,fx,fy,fz\n0,1,2,3\n1,1,2,3\n1,1,2,3\n2,0,0,0\n")
+    else:
+        twice = np.array([0.0, 1.0, 1.0, 2.0])
+        force = ("time", "axis"), np.ones((4, 3)), {"units": "N"}
+        time_ = "time", twice, {"units": "s"}
+        axes = {"time": time_, "axis": list("xyz")}
+        written(xr.Dataset({"force": force}, axes), file)
+    with pytest.warns(TtusWarning, match="1 rows repeat the row before"):
+        found = read_wrenches(file)
+    np.testing.assert_array_equal(found.time, [0.0, 1.0, 2.0])
