@@ -7,6 +7,7 @@ import pytest
 
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.certificate import contradicts, decreases_forever, falling_ray
+from ttus_opt.problem.conflict import conflicting
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.terms.penalties.linear import Linear
 
@@ -41,12 +42,13 @@ def test_multipliers_that_add_up_to_less_than_nothing_prove_it() -> None:
     proof = duals(-1.0, [1.0, 1.0])
     assert contradicts(IMPOSSIBLE, proof)
     assert not contradicts(POSSIBLE, proof)  # -1.5 + 2 > 0
+    assert contradicts(IMPOSSIBLE, duals(-1.0, [1.0, 0.9]))  # -0.1 y ≥ -0.1 is left
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        duals(-1.0, [1.0, 0.9]),  # does not cancel
+        duals(-1.0, [1.0, -2.0]),  # does not cancel
         duals(1.0, [-1.0, -1.0]),  # pulls at a limit that is not there
         duals(0.0, [0.0, 0.0]),
         Duals(),
@@ -74,3 +76,41 @@ def test_a_minimum_has_no_ray() -> None:
     weightless = program([term([[1, 0]], [0]), term([[0, 1]], [0], 0.0, Linear(),
                          name="downhill")])  # fmt: skip
     assert falling_ray(weightless) is None
+
+
+@pytest.mark.parametrize("tiny", [1e-6, 1e-10, 1e-14])
+def test_what_holds_far_away_is_not_contradicted(tiny: float) -> None:
+    """x₀ + ε x₁ ≤ 0 and x₀ ≥ 1 hold at x₁ = −1/ε, unless x₁ has a limit above that."""
+    y, z = np.array([1.0]), np.array([-1.0, 0.0])
+    low = rows("low", [[1.0, tiny]], [-INF], [0.0])
+    for least, proven in ((-INF, False), (-2.0 / tiny, False), (-0.5 / tiny, True)):
+        box = bounds("box", [1.0, least], [INF, INF])
+        one = program([term(np.eye(2), [0, 0])], [low], [box])
+        assert contradicts(one, Duals({"low": y}, z)) == proven
+        assert proven or not conflicting(one)
+
+
+@pytest.mark.parametrize("tiny", [1e-6, 1e-10, 1e-14])
+def test_what_grows_far_away_has_a_minimum(tiny: float) -> None:
+    """x₀² + (ε x₁)² + x₁ is least at x₁ = −1/(2 ε²)."""
+    bounded = program(
+        [
+            term([[1.0, 0.0], [0.0, tiny]], [0.0, 0.0]),
+            term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="downhill"),
+        ]
+    )
+    assert not decreases_forever(bounded, np.array([0.0, -1.0]))
+    assert falling_ray(bounded) is None
+    assert decreases_forever(DOWNHILL, np.array([0.0, -1.0]))
+
+
+def test_a_ray_within_limits_but_for_its_rounding() -> None:
+    """x ≥ 0 falls along y; a row that the ray leaves in earnest, however small."""
+    down = term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="downhill")
+    free = program([down], (), [bounds("half", [0.0, -INF], [INF, 3.0])])
+    assert decreases_forever(free, np.array([-1e-12, -1.0]))
+    assert not decreases_forever(free, np.array([-1e-6, -1.0]))
+    tied = rows("tied", [[1.0, 1e-10]], [-1.0], [INF])
+    held = program([down], [tied], [bounds("half", [0.0, -INF], [INF, 3.0])])
+    assert not decreases_forever(held, np.array([0.0, -1.0]))
+    assert decreases_forever(held, np.array([1.0, -1.0]))

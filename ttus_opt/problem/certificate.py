@@ -6,6 +6,10 @@ A solver's claim of either counts only with a certificate that holds for the pro
     infeasible  multipliers y, z with Aᵀy + z = 0 and Σ limit·multiplier < 0 (Farkas)
     unbounded   a ray d that changes no penalty but linear ones, stays within all
                 limits, and along which the linear objective decreases
+
+Sums that must vanish are judged by their own summands: whatever is left over would
+decide the sign at a point far enough away. What is left of Aᵀy + z over a variable with
+limits counts at the worst of them.
 """
 
 from __future__ import annotations
@@ -20,8 +24,11 @@ from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 
-#: Sums below this part of their summands are zero up to rounding [–]
+#: A decrease below this part of its summands proves nothing [–]
 ROUNDING = 1e-9
+
+#: Sums below this part of their summands vanish but for rounding [–]
+VANISHES = 1e-12
 
 
 def contradicts(program: Program, duals: Duals) -> bool:
@@ -33,23 +40,26 @@ def contradicts(program: Program, duals: Duals) -> bool:
     """
     lower, upper = program.box
     z = duals.bounds
-    parts = [] if z is None else [(z, lower, upper, z)]
+    parts = [] if z is None else [(z, lower, upper, z, np.abs(z))]
     for constraint in program.constraints:
         y = duals.rows.get(constraint.name)
         if y is not None:
-            image = constraint.matrix.T @ y
-            parts.append((y, constraint.lower, constraint.upper, image))
-    total, sizes, support, scale = np.zeros(program.n_variables), 0.0, 0.0, 0.0
-    for dual, low, high, image in parts:
+            A, low, high = constraint.matrix, constraint.lower, constraint.upper
+            parts.append((y, low, high, A.T @ y, abs(A).T @ np.abs(y)))
+    left, sizes, products = np.zeros(len(lower)), np.zeros(len(lower)), [np.zeros(0)]
+    for dual, low, high, image, size in parts:
         limit = np.where(dual > 0.0, high, low)
-        product = dual[dual != 0.0] * limit[dual != 0.0]
-        if not np.isfinite(product).all():  # a multiplier of an absent limit
-            return False
-        total, sizes = total + image, max(sizes, float(np.abs(image).max(initial=0.0)))
-        support += float(product.sum())
-        scale = max(scale, float(np.abs(product).max(initial=0.0)))
-    cancels = float(np.abs(total).max(initial=0.0)) <= ROUNDING * sizes
-    return bool(cancels and sizes > 0.0 and support < -ROUNDING * scale)
+        products.append(dual[dual != 0.0] * limit[dual != 0.0])
+        left, sizes = left + image, sizes + size
+    # left · x is at most the sum of the products wherever all limits hold
+    counts = np.abs(left) > VANISHES * sizes
+    least = np.where(left > 0.0, lower, upper)[counts]
+    products.append(-left[counts] * least)
+    support = np.concatenate(products)
+    if not np.isfinite(support).all():  # of an absent limit
+        return False
+    scale = float(np.abs(support).max(initial=0.0))
+    return bool(sizes.any() and support.sum() < -ROUNDING * scale)
 
 
 def decreases_forever(program: Program, ray: Array) -> bool:
@@ -62,24 +72,30 @@ def decreases_forever(program: Program, ray: Array) -> bool:
     size = float(np.abs(ray).max(initial=0.0))
     if not (np.isfinite(size) and size > 0.0):
         return False
-    d, slope = ray / size, 0.0
+    lower, upper = (np.isfinite(limit) for limit in program.box)
+    d = ray / size
+    out = (lower & (d < 0.0)) | (upper & (d > 0.0))
+    if np.abs(d[out]).max(initial=0.0) > ROUNDING:
+        return False
+    d = np.where(out, 0.0, d)  # all else is judged without the rounding of bounds
+    slope, scale = 0.0, 0.0
     for term in program.terms:
-        change, reach = term.matrix @ d, _reach(term.matrix)
+        change, least = term.matrix @ d, VANISHES * (abs(term.matrix) @ np.abs(d))
         if isinstance(term.penalty, Linear):
             slope += term.weight * float(change.sum())
-        elif term.weight and np.abs(change).max(initial=0.0) > ROUNDING * reach:
+            scale += abs(term.weight) * float(least.sum()) / VANISHES
+        elif term.weight and (np.abs(change) > least).any():
             return False
     for cone in program.cones:
-        s = cone.matrix @ d
-        if np.abs(s - cone.projected(s)).max(initial=0.0) > ROUNDING:
+        s, least = cone.matrix @ d, VANISHES * (abs(cone.matrix) @ np.abs(d))
+        if np.abs(s - cone.projected(s)).max(initial=0.0) > least.max(initial=0.0):
             return False
-    limits = [(c.matrix @ d, c.lower, c.upper) for c in program.constraints]
-    limits.append((d, *program.box))
-    for change, low, high in limits:
-        below, above = change[np.isfinite(low)], change[np.isfinite(high)]
-        if below.min(initial=0.0) < -ROUNDING or above.max(initial=0.0) > ROUNDING:
+    for c in program.constraints:
+        change, least = c.matrix @ d, VANISHES * (abs(c.matrix) @ np.abs(d))
+        down, up = np.isfinite(c.lower), np.isfinite(c.upper)
+        if (change < -least)[down].any() or (change > least)[up].any():
             return False
-    return slope < -ROUNDING
+    return slope < -ROUNDING * scale
 
 
 def falling_ray(program: Program, *, time_limit: float | None = None) -> Array | None:
@@ -145,8 +161,3 @@ def linear_program(
         method="highs",
         options={} if time_limit is None else {"time_limit": time_limit},
     )
-
-
-def _reach(matrix: sp.csr_array) -> float:
-    """Largest entry, 1 where there is none."""
-    return float(np.abs(matrix.data).max(initial=0.0)) or 1.0
