@@ -79,7 +79,9 @@ def test_one_place_is_widened_by_bodies_in_general_and_told():
     depth = np.full(30, 0.006)
     mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01)
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
-    with pytest.warns(TtusWarning, match="one place only, not how it varies"):
+    with pytest.warns(
+        TtusWarning, match="more than one place, not how stiffness varies"
+    ):
         variance = told_variance(one, mean)
     n = USUAL_PLACES
     assert variance == pytest.approx((1.0 + n * 16.0) / (1.0 + n), rel=0.05)

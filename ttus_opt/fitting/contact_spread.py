@@ -26,9 +26,9 @@ MOST_FRAMES = 300
 #: do not count as many [–]
 OWN_ERROR = 0.05
 
-#: Number of places that what is known of bodies in general counts for: of 1, 2 and 3
-#: the one with coverage nearest to 95 % at new places of two simulated torsos [–]
-USUAL_PLACES = 2.0
+#: Number of places that what is known of bodies in general counts for: 1 and 2 cover
+#: as much at new places of two simulated torsos, 1 states less [–]
+USUAL_PLACES = 1.0
 
 #: Number of independent places below which a warning is given [–]
 FEW_PLACES = 2.0
@@ -94,7 +94,7 @@ def told_variance(scene: Scene, mean: UncertainMean) -> float:
     variance = max((n + USUAL_PLACES * usual) / (n + USUAL_PLACES), 1.0)
     if n < FEW_PLACES:
         warnings.warn(
-            "the recordings tell the stiffness of one place only, not how it varies: "
+            "the recordings tell hardly more than one place, not how stiffness varies: "
             f"{100 * np.sqrt(variance) * mean.deviation:.0f} % are stated for that, by "
             "what bodies in general do; press at more places (see ttus-opt next-press)",
             TtusWarning,
