@@ -11,6 +11,8 @@ import typer
 
 from ttus_opt.cli.app import app
 from ttus_opt.cli.command import add_command
+from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT
+from ttus_opt.message.field_message import MOST_VOXELS
 
 
 @dataclass(frozen=True)
@@ -130,3 +132,15 @@ def test_every_option_says_what_it_does_and_every_command_has_an_example() -> No
         assert "ttus-opt" in command.epilog
         silent = [p.name for p in command.params if not (p.help or p.hidden)]
         assert not silent, (command.name, silent)
+
+
+def test_limits_are_the_library_s() -> None:
+    """A number in a signature, so that help does not load the library."""
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for name, option, expected in (
+        ("render", "force_limit", FORCE_LIMIT),
+        ("render", "torque_limit", TORQUE_LIMIT),
+        ("decode", "max_voxels", MOST_VOXELS),
+    ):
+        (own,) = (o for o in commands[name].params if o.name == option)
+        assert own.default == expected

@@ -13,7 +13,7 @@ from ttus_opt.contact.row_kernels import REFERENCE_AREA
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, over_limits
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.haptic.wrench import mixed, orthonormalise
+from ttus_opt.haptic.wrench import BY_FORCE, _cut, mixed, orthonormalise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
@@ -120,6 +120,7 @@ def test_whatever_a_field_holds_a_hand_survives(factor: float) -> None:
     renderer = Renderer(replace(FIELD, values=factor * FIELD.values), SHELL)
     wrench = renderer.render(R, at)
     assert wrench.limited_by
+    assert (FORCE_LIMIT, TORQUE_LIMIT) == (40.0, 4.0)  # what a hand holds
     assert np.linalg.norm(wrench.force) <= FORCE_LIMIT * (1 + 1e-12)
     assert np.linalg.norm(wrench.torque) <= TORQUE_LIMIT * (1 + 1e-12)
     assert over_limits(wrench.force[None] * 1.01, wrench.torque[None] * 1.01).all() == (
@@ -141,3 +142,10 @@ def test_rounding_of_a_rotation_is_undone_and_more_is_refused() -> None:
 def test_mixing_is_linear() -> None:
     a, b = np.arange(4.0), np.arange(4.0)[::-1].copy()
     np.testing.assert_allclose(mixed(a, b, 0.25), 0.75 * a + 0.25 * b)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_a_wrench_that_is_not_finite_is_none(value: float) -> None:
+    wrench = np.array([value, 1.0, 0.0, 0.0, 0.0, 0.0])
+    assert _cut(wrench, FORCE_LIMIT, TORQUE_LIMIT) == BY_FORCE
+    assert not wrench.any()

@@ -21,7 +21,7 @@ from tests.message.patients import (
 from tests.message.sealing import body, sealed
 from ttus_opt import example
 from ttus_opt.errors import InputError, TtusError
-from ttus_opt.message import decode, encode
+from ttus_opt.message import decode, encode, field_message
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.message.field_message import sampled
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
@@ -204,6 +204,14 @@ def test_large_fields_are_refused_unless_asked_for() -> None:
     surface, message = sent()
     with pytest.raises(InputError, match=r"1,800 voxels, at most 1,000"):
         decode(message, base=surface, max_voxels=1000)
+
+
+def test_fields_beyond_any_link_are_not_encoded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(field_message, "MOST_SENT", 1000)
+    with pytest.raises(InputError, match=r"at most 1,000 voxels, got 1,800"):
+        encode(fitted(), base=sent()[0])
 
 
 def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
