@@ -14,8 +14,7 @@ of the Laplace field as independent noise, although the fit explains most of it:
 Forces with drag are then fitted as well as eq. 10 fits the same contacts without drag.
 Drag increases a force by up to √(1 + μ²), which eq. 10 neglects; where its field is too
 stiff, this improves its magnitudes. Torque rows worsen force directions by about 1° at
-λ = 1e-2, with or without drag; by a third of that where ℓ (``torque_length``) is the
-ratio of the sensor's torque noise to its force noise.
+λ = 1e-2; by a third of that where ℓ is the ratio of torque noise to force noise.
 
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
@@ -28,6 +27,7 @@ from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
 from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.part_noise import PartNoise
 
 
 def build(
@@ -38,9 +38,11 @@ def build(
     largest_friction: float = 1.0,
     acts_at: str = "auto",
     deadband: float = DEADBAND,
+    direction_error: float | None = None,
 ) -> Formulation:
-    """Weights λ_f, λ_τ [–], ℓ [m], range of μ, where drag acts, deadband v₀ [m/s]."""
+    """λ_f, λ_τ [–], ℓ [m], range of μ, where drag acts, v₀ [m/s], as `eq10` [rad]."""
     check_coefficient(largest_friction)
+    noise, length = PartNoise.of_direction(scene, direction_error), torque_length
     guess = estimate_drag(scene, acts_at, deadband)
     drag = guess.drag
     prior = LaplaceTerm(scene)
@@ -48,16 +50,16 @@ def build(
     fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0
 
     def given(friction: float) -> Formulation:
-        dragged = drag.with_coefficient(friction)
-        force = DragForceTerm(scene, force_weight, drag=dragged)
-        torque = DragTorqueTerm(scene, torque_weight, torque_length, drag=dragged)
+        own = drag.with_coefficient(friction)
+        force = DragForceTerm(scene, force_weight, noise=noise, drag=own)
+        torque = DragTorqueTerm(scene, torque_weight, length, noise=noise, drag=own)
 
         def scaled(s: float) -> Formulation:
             return Formulation(terms=[prior.with_factor(s), force, torque])
 
         scale = Search(BOUNDARY_SCALE, 0.5, 2.0, scaled, neutral=1.0)
-        search = scale if fits_scale else None
-        return Formulation(terms=[prior, force, torque], search=search)
+        terms = [prior, force, torque]
+        return Formulation(terms=terms, search=scale if fits_scale else None)
 
     first = given(min(guess.friction_coefficient, largest_friction))
     return first.with_search(

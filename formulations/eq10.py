@@ -5,13 +5,16 @@ min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 Source: Yeung, Black, Salcudean, Measurement and Potential Field-Based Patient
 Modeling for Model-Mediated Tele-ultrasound (2025); the paper has
 λ_f = λ_τ = 1e-4 (`ttus_opt.paper`). ℓ makes torque comparable with force;
-``torque_length=1`` is the paper's literal form in SI units.
+``torque_length=1`` is the paper's literal form in SI units. ``direction_error=0.2``
+divides tangential forces and torques by errors of 0.2 rad of the force besides those of
+normal forces (`ttus_opt.terms.part_noise`); the paper's rows have errors alike.
 """
 
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.part_noise import PartNoise
 from ttus_opt.terms.torque import TorqueTerm
 
 
@@ -20,12 +23,14 @@ def build(
     force_weight: float = 1e-2,
     torque_weight: float = 1e-2,
     torque_length: float | None = None,
+    direction_error: float | None = None,
 ) -> Formulation:
-    """Eq. 10 with weights λ_f, λ_τ [–] and torque length ℓ [m]."""
+    """Eq. 10 with λ_f, λ_τ [–], torque length ℓ [m], error of directions [rad]."""
+    noise = PartNoise.of_direction(scene, direction_error)
     return Formulation(
         terms=[
             LaplaceTerm(scene),
-            ForceTerm(scene, force_weight),
-            TorqueTerm(scene, torque_weight, torque_length),
+            ForceTerm(scene, force_weight, noise=noise),
+            TorqueTerm(scene, torque_weight, torque_length, noise=noise),
         ]
     )

@@ -51,7 +51,12 @@ CASES = [
 
 
 def test_the_table_is_whole() -> None:
-    assert numeric_options("eq10") == ["force_weight", "torque_weight", "torque_length"]
+    assert numeric_options("eq10") == [
+        "force_weight",
+        "torque_weight",
+        "torque_length",
+        "direction_error",
+    ]
     assert numeric_options("laplace_only") == []
     assert "reference" not in numeric_options("tikhonov")
     told = {

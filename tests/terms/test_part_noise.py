@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem import formulation as shelf
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.part_noise import (
     EARLIER,
@@ -111,3 +113,24 @@ def test_errors_end_with_a_recording() -> None:
     poses, _ = timed(0.05, 2)
     found = independent(replace(SCENE, trajectory=poses), OWN, DRIFT).toarray()
     assert not found[T // 2 :, : T // 2].any() and found[T // 2 :, T // 2 :].any()
+
+
+def test_eq10_with_errors_of_directions_has_these_rows() -> None:
+    """0.05 N and 5 % of the measured normal force, across it 0.3 rad more."""
+    assert PartNoise.of_direction(SCENE, None) is None
+    u = contact_directions(SCENE)
+    m = np.maximum(np.einsum("ti,ti->t", u, SCENE.f.reshape(-1, 3)), 0.0)
+    own = np.sqrt(0.05**2 + (0.05 * m) ** 2)
+    noise = PartNoise.of(SCENE, own, m, ZERO, 0.3)
+    across = np.sqrt(own**2 + (0.3 * m) ** 2) / noise.level
+    np.testing.assert_allclose(noise.across, across)
+    declared = shelf.load("eq10", SCENE, direction_error=0.3)
+    for term in declared.terms[1:]:
+        expected = replace(term, noise=noise).assembled
+        assert abs(term.assembled.blocks["p"] - expected.blocks["p"]).max() < 1e-12
+    dragged = shelf.load("coulomb_global", SCENE, direction_error=0.3)
+    noises = [getattr(term, "noise", None) for term in dragged.terms]
+    assert sum(one is not None for one in noises) == 2
+    for wrong in (-0.1, np.nan, np.inf):
+        with pytest.raises(InputError, match="direction_error must not be negative"):
+            PartNoise.of_direction(SCENE, wrong)

@@ -52,6 +52,8 @@ from ttus_opt.terms.depth_profile import (
 )
 from ttus_opt.terms.matern import matern
 from ttus_opt.terms.part_noise import (
+    RELATIVE,
+    SENSOR,
     PartNoise,
     contact_directions,
     lasting,
@@ -68,8 +70,8 @@ PRIOR = {
     "surface_length": (2.6, 0.35),
     "deviation": (0.4, 0.7),
     "depth_length": (0.01, 0.5),
-    "noise": (0.05, 1.0),
-    "relative_noise": (0.05, 1.0),
+    "noise": (SENSOR, 1.0),
+    "relative_noise": (RELATIVE, 1.0),
     "length_ratio": (1.0, 0.5),
     "shared_error": (0.03, 0.7),
     "depth_error": (1e-4, 1.0),

@@ -31,6 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows
 from ttus_opt.terms.depth_profile import voxel_depths
@@ -39,6 +40,10 @@ from ttus_opt.terms.structure import Whitened
 #: Error of the direction of a force [rad]: of 0.05, 0.1, 0.2 and 0.3 the best on unseen
 #: places of six simulated torsos and six recordings of tissue
 TURN = 0.2
+
+#: Errors of a normal force where none are estimated [N], and over the force [–]: the
+#: medians of a depth map's priors
+SENSOR, RELATIVE = 0.05, 0.05
 
 #: Time over which a tracker's error decays [s]
 LASTING = 1.0
@@ -68,7 +73,28 @@ class PartNoise:
     level: float = 1.0
 
     @classmethod
-    def of(cls, scene: Scene, own: Array, force: Array, drift: Array) -> Self:
+    def of_direction(cls, scene: Scene, turn: float | None) -> Self | None:
+        """Errors of measured normal forces, and of their direction by a given angle.
+
+        Args:
+            scene: With measured forces.
+            turn: Error of the direction [rad]; None for alike components.
+
+        Raises:
+            InputError: The angle is negative or not finite.
+        """
+        if turn is None:
+            return None
+        if not 0.0 <= turn < np.inf:
+            raise InputError(f"direction_error must not be negative, got {turn} rad")
+        force = np.maximum(normal_rows(contact_directions(scene)) @ scene.f, 0.0)
+        own = np.hypot(SENSOR, RELATIVE * force)
+        return cls.of(scene, own, force, np.zeros(len(force)), turn)
+
+    @classmethod
+    def of(
+        cls, scene: Scene, own: Array, force: Array, drift: Array, turn: float = TURN
+    ) -> Self:
         """Errors of a scene's normal forces.
 
         Args:
@@ -76,12 +102,13 @@ class PartNoise:
             own: s, standard deviations of the independent errors, shape (T,) [N].
             force: m, normal forces, shape (T,) [N].
             drift: g δ, standard deviations of the lasting errors, shape (T,) [N].
+            turn: Error of the direction [rad].
         """
         touching = scene.rows.contact_points > 0
         size = own[touching] ** 2 + drift[touching] ** 2
         level = float(np.sqrt(size.mean())) if touching.any() else 1.0
         normal = independent(scene, own / level, drift / level)
-        across = np.hypot(own, TURN * force) / level
+        across = np.hypot(own, turn * force) / level
         return cls(normal, across, contact_directions(scene), level)
 
     @property
