@@ -102,7 +102,7 @@ def test_weights_are_chosen_and_told(done):
     assert choice["weights"]["force"] not in (0.0, 1.0)
     rows = [r.score for r in result.rows if r.setting == "eq10_auto" and not r.seen]
     assert len(rows) == 4
-    assert "eq. 10, weights by evidence" in (folder / "report.md").read_text("utf-8")
+    assert "eq. 10, weights chosen" in (folder / "report.md").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -118,7 +118,7 @@ def test_stated_uncertainty_is_checked_on_new_trajectories(done):
         assert curve.force[0] < 0.3 < curve.force[10]
     text = (folder / "report.md").read_text(encoding="utf-8")
     assert "How sure the model is" in text and "figures/calibration.png" in text
-    assert "lean, eq. 10, weights by evidence, press" in text
+    assert "lean, eq. 10, weights chosen, press" in text
 
 
 @pytest.mark.slow
@@ -181,7 +181,7 @@ def test_weights_from_the_recordings_stand_beside_the_given_ones():
     assert [(s.name, s.weights) for s in more] == [("eq10_auto", "auto")]
     assert "chooses" not in given.settings[0].as_dict()
     assert more[0].as_dict()["chooses"] and not more[0].options
-    assert title("eq10_auto") == "eq. 10, weights by evidence"
+    assert title("eq10_auto") == "eq. 10, weights chosen"
     with pytest.raises(InputError, match=r"evidence.*: take given, auto or default"):
         experiment.Plan(weights="evidence")
     default = experiment.Plan(formulations=("eq10", "depth_map"), weights="default")

@@ -49,7 +49,7 @@ def title(setting: str) -> str:
     """A setting's name as a table prints it."""
     plain = setting.removesuffix(CHOSEN)
     name = TITLES.get(plain, plain)
-    return name if plain == setting else f"{name}, weights by evidence"
+    return name if plain == setting else f"{name}, weights chosen"
 
 
 def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
