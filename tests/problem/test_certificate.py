@@ -90,6 +90,17 @@ def test_what_holds_far_away_is_not_contradicted(tiny: float) -> None:
         assert proven or not conflicting(one)
 
 
+@pytest.mark.parametrize("tiny", [1e-6, 1e-13])
+def test_sums_that_nearly_cancel_contradict_nothing(tiny: float) -> None:
+    """x₀ + x₁ ≤ 0 and x₀ + (1 − ε) x₁ ≥ 1 hold together at −x₁ = x₀ = 1/ε."""
+    both = rows("both", [[1.0, 1.0], [1.0, 1.0 - tiny]], [-INF, 1.0], [0.0, INF])
+    far = program([term(np.eye(2), [0, 0])], [both])
+    assert not contradicts(far, Duals({"both": np.array([1.0, -1.0])}))
+    exact = rows("both", [[1.0, 1.0], [1.0, 1.0]], [-INF, 1.0], [0.0, INF])
+    never = program([term(np.eye(2), [0, 0])], [exact])
+    assert contradicts(never, Duals({"both": np.array([1.0, -1.0])}))
+
+
 @pytest.mark.parametrize("tiny", [1e-6, 1e-10, 1e-14])
 def test_what_grows_far_away_has_a_minimum(tiny: float) -> None:
     """x₀² + (ε x₁)² + x₁ is least at x₁ = −1/(2 ε²)."""

@@ -28,7 +28,7 @@ from ttus_opt.terms.penalties.linear import Linear
 ROUNDING = 1e-9
 
 #: Sums below this part of their summands vanish but for rounding [–]
-VANISHES = 1e-12
+VANISHES = 16.0 * float(np.finfo(float).eps)
 
 
 def contradicts(program: Program, duals: Duals) -> bool:
