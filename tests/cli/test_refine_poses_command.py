@@ -11,6 +11,7 @@ import pytest
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, Run, refused
 from ttus_opt.fitting import pose_refinement
+from ttus_opt.fitting.pose_error_step import Check
 
 
 def words(files: Path, output: Path, more: str = "") -> str:
@@ -23,8 +24,9 @@ def words(files: Path, output: Path, more: str = "") -> str:
 def test_it_writes_recordings_for_fit(
     run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
+    monkeypatch.setattr(pose_refinement, "CONVERGED", np.inf)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
+    monkeypatch.setattr(Check, "better", True)
     output = tmp_path / "refined.csv"
     answer = run(words(files, output, "--json --position-noise 0.3 --correlation 2"))
     assert answer.status == 0, answer.err
@@ -49,6 +51,19 @@ def test_forces_without_a_field_move_no_pose(
     assert "the poses are left as reported" in " ".join(answer.errors)
     given, found = (tt.read_trajectory(path) for path in (files / "press.csv", output))
     np.testing.assert_allclose(found.position, given.position, atol=1e-9)
+
+
+def test_steps_that_do_not_end_write_nothing(
+    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pose_refinement, "CONVERGED", 0.0)
+    monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
+    output = tmp_path / "refined.csv"
+    answer = run(words(files, output))
+    assert answer.status == 1
+    assert answer.out == ""
+    assert answer.errors[-1].startswith("error: refined poses still move by")
+    assert not output.exists()
 
 
 @pytest.mark.parametrize(

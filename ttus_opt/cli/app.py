@@ -34,10 +34,10 @@ from ttus_opt.cli.surface_command import surface
 from ttus_opt.cli.synchronise_command import synchronise
 from ttus_opt.cli.tune_command import tune
 from ttus_opt.cli.warm_up_command import warm_up
-from ttus_opt.errors import MistakeWarning, TtusError
+from ttus_opt.errors import MistakeWarning, NumericalError, TtusError
 from ttus_opt.interrupts import INTERRUPTED, STOPPED
 
-BAD_INPUT, TERMINATED = 2, 143
+UNSOLVED, BAD_INPUT, TERMINATED = 1, 2, 143
 
 app = typer.Typer(
     name="ttus-opt",
@@ -116,7 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: Words after the program's name; the process's own when not given.
 
     Raises:
-        SystemExit: Always: 0, or 2 after one line on stderr, or 130 when interrupted.
+        SystemExit: Always: 0, or one line on stderr and 1 where an iteration did not
+            converge, 2 for bad input, 130 when interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -135,6 +136,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _end(f"out of memory: {what}: choose a smaller shape", BAD_INPUT)
     except MistakeWarning as likely:
         _end(as_options(str(likely)), BAD_INPUT)
+    except NumericalError as error:
+        _end(as_options(str(error)), UNSOLVED)
     except (TtusError, OSError) as error:
         _end(as_options(str(error)), BAD_INPUT)
     except Exception as error:

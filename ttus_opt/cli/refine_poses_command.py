@@ -72,10 +72,9 @@ def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:
         "output": str(output),
         "frames": len(found.trajectory),
         "recordings": [_figures(found, own) for own in _each(found)],
-        "friction_coefficient": found.friction,
         "log_evidence_gain": found.gain,
         "steps": found.steps,
-        "converged": found.converged,
+        "held_out": None if found.check is None else found.check._asdict(),
     }
 
 

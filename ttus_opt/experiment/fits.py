@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ttus_opt import io
-from ttus_opt.errors import TtusWarning
+from ttus_opt.errors import NumericalError, TtusWarning, warn
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
@@ -107,7 +107,11 @@ class PatientFits:
         """The fitted recordings with refined poses."""
         plan = ScenePlan(self._shape)
         scene = plan.build(self.examination.surface, self.shell, self._recorded)
-        return refine_poses(scene).recordings
+        try:
+            return refine_poses(scene).recordings
+        except NumericalError as error:
+            warn(f"poses are not refined: {error}")
+            return self._recorded
 
     def fitted(self, setting: Setting) -> Fitted:
         """Fit a setting, or read the cached result."""

@@ -6,8 +6,11 @@ latest field, and y = f − J ξ₀ the forces seen from there, the model is lin
     y = D p − J ξ + e,   p ~ N(φ, C),   ξ ~ N(K b, K),   e ~ N(0, Σ).
 
 b is minus the gradient of ½ log det(Σ + D C Dᵀ), by which the integral over all fields
-differs from the best one. Signs: J is the change when a pose moves by +ξ; the errors ξ
-have moved the reported poses, so that taking them off moves by −ξ.
+differs from the best one. Rows, f and J are those of the forces along the direction of
+contact: across it, drag and errors of the model are ten times as large
+(`terms.part_noise`), and would be taken for errors of the poses. Signs: J is the change
+when a pose moves by +ξ; the errors ξ have moved the reported poses, so that taking them
+off moves by −ξ.
 """
 
 from __future__ import annotations
@@ -18,18 +21,22 @@ from typing import NamedTuple, Self
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.spatial.distance import cdist
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.places import runs, touched_places
 from ttus_opt.contact.pose_rows import PoseRows
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import voxel_profile
 from ttus_opt.terms.depth_map_estimate import (
     LEAST_FORCE,
+    SHARED_DISTANCE,
     DepthMapEstimate,
     estimate_depth_map,
 )
-from ttus_opt.terms.matern import SeparableCovariance
+from ttus_opt.terms.matern import SeparableCovariance, matern
+from ttus_opt.terms.part_noise import contact_directions
 
 #: Relative standard deviation of the whole profile φ [–]
 PROFILE_SPREAD = 0.5
@@ -41,6 +48,32 @@ MOST_FRAMES = 800
 AT_ONCE = 1000
 
 
+#: Fewest places that are left out in turn
+LEAST_PLACES = 3
+
+
+class Check(NamedTuple):
+    """Errors of normal forces at places left out, mean over the places.
+
+    Attributes:
+        places: Their number [–].
+        refined: By the field that belongs to refined poses [N].
+        reported: By the field of the poses as reported [N].
+        difference_error: Standard error of their difference, over the places [N].
+    """
+
+    places: int
+    refined: float
+    reported: float
+    difference_error: float
+
+    @property
+    def better(self) -> bool:
+        """Whether refined poses predict enough places better, by a standard error."""
+        gain = self.reported - self.refined
+        return self.places >= LEAST_PLACES and gain > self.difference_error
+
+
 class State(NamedTuple):
     """Estimates after a step.
 
@@ -49,12 +82,18 @@ class State(NamedTuple):
         std: Their standard deviations, shape (T, 6) [–].
         p: The field, shape (V,).
         depth_map: Hyperparameters of the field.
+        prior: Of the field.
+        covariance: Of the used forces, shape (m, m) [N²].
+        dual: Its inverse times what the prior leaves of them, shape (m,).
     """
 
     xi: Array
     std: Array
     p: Array
     depth_map: DepthMapEstimate
+    prior: Prior
+    covariance: Array
+    dual: Array
 
 
 @dataclass(frozen=True)
@@ -66,25 +105,36 @@ class PoseErrorProblem:
         noise: Of the tracker.
         rows: Force rows as functions of the poses.
         frames: Frames in contact that are used, shape (k,).
+        place: Their places, shape (k,) [–].
         alike: Correlation of ξ in all frames with ξ in these, shape (T, k) [–].
+        reported: Force rows at the poses as reported, shape (3T, V).
+        normal: Products with the direction of contact u, shape (T, 3T) [–].
     """
 
     scene: Scene = field(repr=False)
     noise: TrackerNoise
     rows: PoseRows = field(repr=False)
     frames: IntArray = field(repr=False)
+    place: IntArray = field(repr=False)
     alike: Array = field(repr=False)
+    reported: sp.csr_array = field(repr=False)
+    normal: sp.csr_array = field(repr=False)
 
     @classmethod
-    def of(cls, scene: Scene, noise: TrackerNoise, friction: float) -> Self:
-        """The problem of a scene with measured forces, and μ [–]."""
-        at = scene.voxmap, scene.shell, scene.trajectory, scene.sampling
+    def of(cls, scene: Scene, noise: TrackerNoise) -> Self:
+        """The problem of a scene with measured forces."""
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
         touching = scene.rows.contact_points > 0
         frames = np.flatnonzero(touching & (size > LEAST_FORCE))
         frames = frames[:: max(-(-len(frames) // MOST_FRAMES), 1)]
-        alike = noise.correlations(scene.trajectory, frames)
-        return cls(scene, noise, PoseRows.of(*at, friction), frames, alike)
+        own = scene.trajectory
+        place = touched_places(touching, own.segment, own.position)[frames]
+        alike = noise.correlations(own, frames)
+        rows = PoseRows(scene.voxmap, scene.shell, scene.sampling)
+        u, n = contact_directions(scene).ravel(), len(own)
+        starts = 3 * np.arange(n + 1)
+        normal = sp.csr_array((u, np.arange(3 * n), starts), shape=(n, 3 * n))
+        return cls(scene, noise, rows, frames, place, alike, scene.N, normal)
 
     def start(self) -> State:
         """The most likely field for exact poses.
@@ -92,16 +142,13 @@ class PoseErrorProblem:
         Raises:
             InputError: As of `estimate_depth_map`.
         """
-        own = self.scene.trajectory
-        rows = self.rows.at(own.rotation, own.position)
-        found = estimate_depth_map(self.scene, rows, depth_error=0.0)
-        none = np.zeros((len(own), 6))
-        prior = _Prior.of(self, found, rows, [])
-        inner = prior.of_rows + np.diag(prior.noise)
-        factor = scipy.linalg.cho_factor(inner, lower=True, overwrite_a=True)
-        misfit = self.scene.f[prior.at] - prior.rows @ prior.mean
-        p = prior.field(scipy.linalg.cho_solve(factor, misfit))
-        return State(none, none, p, found)
+        found = estimate_depth_map(self.scene, self.reported, depth_error=0.0)
+        none = np.zeros((len(self.alike), 6))
+        prior = Prior.of(self, found, self.reported, [])
+        inner = prior.of_rows + prior.noise
+        misfit = (self.normal @ self.scene.f)[self.frames] - prior.rows @ prior.mean
+        dual = scipy.linalg.solve(inner, misfit, assume_a="pos")
+        return State(none, none, prior.field(dual), found, prior, inner, dual)
 
     def step(self, last: State, *, estimate: bool) -> State:
         """The next estimate; ``estimate`` finds the field's hyperparameters again."""
@@ -119,18 +166,58 @@ class PoseErrorProblem:
                 errors=lambda frames: self._pose_covariance(slope, frames),
                 depth_error=0.0,
             )
-        prior = _Prior.of(self, depth_map, rows, changes)
+        prior = Prior.of(self, depth_map, rows, changes)
         expected = self.alike @ prior.shrinkage()
-        seen = slope[self.frames]
-        inner = prior.of_rows + np.diag(prior.noise)
-        inner += self._pose_covariance(slope, self.frames)
-        factor = scipy.linalg.cholesky(inner, lower=True, overwrite_a=True)
-        misfit = force[prior.at] - prior.rows @ prior.mean
-        misfit += np.einsum("tij,tj->ti", seen, expected[self.frames]).ravel()
+        seen = (self.normal @ slope.reshape(-1, 6))[self.frames]
+        inner = prior.of_rows + prior.noise
+        inner += (seen @ seen.T) * self.alike[self.frames]
+        factor = scipy.linalg.cholesky(inner, lower=True)
+        misfit = (self.normal @ force)[self.frames] - prior.rows @ prior.mean
+        misfit += np.einsum("ti,ti->t", seen, expected[self.frames])
         dual = scipy.linalg.cho_solve((factor, True), misfit)
-        back = np.einsum("tij,ti->tj", seen, dual.reshape(-1, 3))
-        xi = expected - self.alike @ back
-        return State(xi, self._std(seen, factor), prior.field(dual), depth_map)
+        xi = expected - self.alike @ (seen * dual[:, None])
+        std = self._std(seen, factor)
+        return State(xi, std, prior.field(dual), depth_map, prior, inner, dual)
+
+    def depth(self, xi: Array) -> Array:
+        """By how much every frame is reported too deep, over the noise, (T,) [–]."""
+        return -(self.normal @ xi[:, :3].ravel())
+
+    def without_mean_depth(self, xi: Array) -> Array:
+        """ξ less one depth of all frames, which the force law explains too, (T, 6)."""
+        out = xi.copy()
+        mean = self.depth(xi)[self.frames].mean()
+        out[:, :3] += mean * self.normal.data.reshape(-1, 3)
+        return out
+
+    def check(self, refined: State, reported: State) -> Check:
+        """Whether the field of refined poses predicts places left out better."""
+        errors = self._left_out(refined), self._left_out(reported)
+        _, place = np.unique(self.place, return_inverse=True)
+        means = [np.bincount(place, each) / np.bincount(place) for each in errors]
+        n, spread = len(means[0]), float((means[0] - means[1]).std())
+        with_it, without = (float(each.mean()) for each in means)
+        return Check(n, with_it, without, float(spread / np.sqrt(max(n - 1, 1))))
+
+    def _left_out(self, state: State) -> Array:
+        """Errors |e| by the field of all other places, at poses as reported, (k,) [N].
+
+        Errors of the poses there are not known then, so that they cannot hide errors
+        of the field. With a the dual and S the covariance, a place F left out leaves
+        a - S⁻¹_F (S⁻¹_FF)⁻¹ a_F [Rasmussen and Williams 2006, 5.4.2].
+        """
+        inverse = scipy.linalg.inv(state.covariance)
+        reported = sp.csr_array(self.normal @ self.reported)[self.frames]
+        force = (self.normal @ self.scene.f)[self.frames]
+        errors = np.empty(len(self.frames))
+        for number in np.unique(self.place):
+            own = np.flatnonzero(self.place == number)
+            within = inverse[np.ix_(own, own)]
+            share = scipy.linalg.solve(within, state.dual[own], assume_a="pos")
+            dual = state.dual - inverse[:, own] @ share
+            dual[own] = 0.0  # exactly, not by rounding
+            errors[own] = force[own] - reported[own] @ state.prior.field(dual)
+        return np.abs(errors)
 
     def _pose_covariance(self, slope: Array, frames: IntArray) -> Array:
         """J K Jᵀ of some frames, shape (3k, 3k); slope (T, 3, 6) of all."""
@@ -144,9 +231,9 @@ class PoseErrorProblem:
         left = np.empty((len(self.alike), 6))
         for first in range(0, len(left), AT_ONCE):
             some = slice(first, first + AT_ONCE)
-            alike = np.repeat(self.alike[some].T, 3, axis=0)
+            alike = self.alike[some].T
             for j in range(6):
-                both = seen[:, :, j].ravel()[:, None] * alike  # J K of a component
+                both = seen[:, j, None] * alike  # J K of a component
                 white = scipy.linalg.solve_triangular(
                     factor, both, lower=True, overwrite_b=True
                 )
@@ -155,21 +242,19 @@ class PoseErrorProblem:
 
 
 @dataclass(frozen=True)
-class _Prior:
+class Prior:
     """The field's prior over the rows of the used frames.
 
     Attributes:
-        at: Indices of the rows, shape (m,).
         rows: D, shape (m, V).
         changes: Change of these rows per component of ξ, over the touched voxels.
         mean: φ, shape (V,).
         covariance: C without the spread of the whole profile.
         columns: D C over the touched voxels, shape (m, n).
         of_rows: D C Dᵀ, shape (m, m).
-        noise: Diagonal of Σ, shape (m,).
+        noise: Σ, with errors that frames of a press share, shape (m, m) [N²].
     """
 
-    at: IntArray = field(repr=False)
     rows: sp.csr_array = field(repr=False)
     changes: list[sp.csr_array] = field(repr=False)
     mean: Array = field(repr=False)
@@ -188,8 +273,7 @@ class _Prior:
     ) -> Self:
         """The prior of a depth map; rows and changes of all frames."""
         scene, frames = problem.scene, problem.frames
-        at = (3 * frames[:, None] + np.arange(3)).ravel()
-        own, moved = rows[at], [each[at] for each in changes]
+        own, *moved = ((problem.normal @ each)[frames] for each in (rows, *changes))
         mean = voxel_profile(scene, found.profile)
         covariance = SeparableCovariance.over(
             scene.voxmap,
@@ -203,32 +287,41 @@ class _Prior:
         among = covariance.columns(touched).among
         among += PROFILE_SPREAD**2 * np.outer(mean[touched], mean[touched])
         columns = few @ among
-        squares = (scene.f.reshape(-1, 3)[frames] ** 2).sum(axis=1)
-        variance = found.sensor_noise**2 + found.relative_noise**2 * squares
         return cls(
-            at,
             own,
             [sp.csr_array(each[:, touched]) for each in moved],
             mean,
             covariance,
             columns,
             columns @ few.T,
-            np.repeat(variance, 3),
+            _noise(problem, found, own @ mean),
         )
 
     def shrinkage(self) -> Array:
         """b, by which errors that make the field's forces smaller are likelier, (k, 6).
 
-        −½ d log det(Σ + D C Dᵀ)/dξ = the diagonal of (Σ + D C Dᵀ)⁻¹ D C ΔDᵀ, summed
-        over each frame, ΔD the rows' change when the pose moves by +ξ.
+        −½ d log det(Σ + D C Dᵀ)/dξ = the diagonal of (Σ + D C Dᵀ)⁻¹ D C ΔDᵀ, ΔD the
+        rows' change when the pose moves by +ξ.
         """
-        inner = self.of_rows + np.diag(self.noise)
+        inner = self.of_rows + self.noise
         ahead = scipy.linalg.solve(inner, self.columns, assume_a="pos")
-        each = [np.asarray(m.multiply(ahead).sum(axis=1)) for m in self.changes]
-        return np.stack([one.reshape(-1, 3).sum(axis=1) for one in each], axis=1)
+        each = [np.asarray(m.multiply(ahead).sum(axis=1)).ravel() for m in self.changes]
+        return np.stack(each, axis=1)
 
     def field(self, dual: Array) -> Array:
         """φ + C Dᵀ y, shape (V,)."""
         back = self.rows.T @ dual
         whole = 1.0 + PROFILE_SPREAD**2 * float(self.mean @ back)
         return np.asarray(whole * self.mean + self.covariance.times(back))
+
+
+def _noise(problem: PoseErrorProblem, found: DepthMapEstimate, force: Array) -> Array:
+    """Σ of the used frames, whose forces by the profile are (k,), shape (k, k) [N²]."""
+    scene, frames = problem.scene, problem.frames
+    own, touching = scene.trajectory, scene.rows.contact_points > 0
+    press, position = runs(touching, own.segment)[frames], own.position[frames]
+    alike = matern(cdist(position, position), SHARED_DISTANCE)
+    alike *= press[:, None] == press
+    shared = found.shared_error**2 * alike * force[:, None] * force
+    variance = found.sensor_noise**2 + (found.relative_noise * force) ** 2
+    return np.asarray(shared + np.diag(variance))

@@ -13,7 +13,12 @@ integrate over all fields. The determinant matters: without it, the field that i
 fitted best counts as known, and all depths come out too large, with too soft a field
 (errors in variables). Each step linearises N at the latest ξ; hyperparameters of the
 depth map are found by evidence in the first steps, with the tracker's noise among the
-errors. See docs/method.md, Errors of tracked poses.
+errors.
+
+A place that is visited once may be stiff or reported too shallow. Refined poses are
+therefore kept only where the evidence gains, and where the field that belongs to them
+predicts each place from all others better than the field of the poses as reported does.
+See docs/method.md, Errors of tracked poses.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), chapters 2 and 5; errors in variables: W. A. Fuller, Measurement Error Models
@@ -30,23 +35,27 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.errors import InputError, MistakeWarning, warn
+from ttus_opt.errors import InputError, MistakeWarning, NumericalError, warn
 from ttus_opt.fitting.coarse_scene import coarser
-from ttus_opt.fitting.pose_error_step import PoseErrorProblem, State
+from ttus_opt.fitting.pose_error_step import (
+    LEAST_PLACES,
+    Check,
+    PoseErrorProblem,
+    State,
+)
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import FORCES, Scene
 from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
-from ttus_opt.terms.drag_estimate import estimate_drag
 
 #: Sampling of the depth map: without it, light and deep presses disagree on the depth
 SAMPLING = "contact-size"
 
 #: Steps in which hyperparameters are found, and most steps
-ESTIMATES, MOST_STEPS = 2, 8
+ESTIMATES, MOST_STEPS = 2, 12
 
 #: Mean change of ξ at which steps end [–]
-CONVERGED = 0.01
+CONVERGED = 0.02
 
 #: Least gain of the log evidence by the tracker's noise: strong evidence for it
 #: (R. E. Kass, A. E. Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995) [–]
@@ -65,23 +74,21 @@ class RefinedPoses:
         errors: Estimated errors of the reported poses, patient axes, (T, 6) [m, rad].
         std: Their posterior standard deviations, shape (T, 6) [m, rad].
         noise: The tracker's noise that was assumed.
-        friction: μ that was assumed [–].
         depth_map: Profile and hyperparameters of the field.
         steps: Number of steps.
-        change: Mean change of an error in the last step, over its standard deviation.
-        gain: Log evidence of the forces with the tracker's noise, less that without;
-            poses are left as reported if it is below `LEAST_GAIN` [–].
+        gain: Log evidence with the tracker's noise, less that without [–].
+        check: Forces at places left out, at refined poses and as reported; None if
+            poses are left as reported because of the gain alone.
     """
 
     trajectory: Trajectory
     errors: Array = field(repr=False)
     std: Array = field(repr=False)
     noise: TrackerNoise
-    friction: float
     depth_map: DepthMapEstimate
     steps: int
-    change: float
     gain: float
+    check: Check | None = None
 
     @property
     def recordings(self) -> list[Trajectory]:
@@ -89,11 +96,6 @@ class RefinedPoses:
         segment = self.trajectory.segment
         numbers = segment[np.sort(np.unique(segment, return_index=True)[1])]
         return [self.trajectory.select(segment == number) for number in numbers]
-
-    @property
-    def converged(self) -> bool:
-        """Whether the steps ended by themselves."""
-        return self.change <= CONVERGED
 
 
 @one_blas_thread()
@@ -114,18 +116,18 @@ def refine_poses(
 
     Returns:
         Refined poses. A `TtusWarning` says if the forces show no errors of this size,
-        so that poses are left as reported; if the steps did not converge; or if a
-        recording is off on average by more than the tracker's noise explains.
+        or if places left out are not predicted better, so that poses are left as
+        reported; or if a recording is off on average by more than the noise explains.
 
     Raises:
         InputError: No force was measured in contact, or the forces pull.
+        NumericalError: The steps did not converge: there are no refined poses.
     """
     own = TrackerNoise() if noise is None else noise
     if not scene.trajectory.has_wrench:
         raise InputError(f"poses are refined by measured {FORCES}: the scene has none")
     small = _sampled(coarser(scene))
-    drag = estimate_drag(small, places=("points",))
-    problem = PoseErrorProblem.of(small, own, drag.friction_coefficient)
+    problem = PoseErrorProblem.of(small, own)
     begin = progress or (lambda: None)
     begin()
     start = problem.start()
@@ -133,55 +135,70 @@ def refine_poses(
     gain = first.depth_map.log_evidence - start.depth_map.log_evidence
     if gain < LEAST_GAIN:
         return _left(scene.trajectory, problem, start, gain)
-    at, steps, change = _followed(problem, first, begin)
-    xi = at.xi.copy()  # less what all frames share, which the force law explains too
-    xi[problem.frames, :3] -= _depth(problem, at.xi).mean() * _into(problem)
-    found = RefinedPoses(
+    at, steps = _followed(problem, first, begin)
+    check = problem.check(at, start)
+    if not check.better:
+        return _left(scene.trajectory, problem, start, gain, check)
+    xi = problem.without_mean_depth(at.xi)
+    _warn_of_offset(problem, xi)
+    return RefinedPoses(
         own.without(scene.trajectory, xi),
         xi * own.sizes,
         at.std * own.sizes,
         own,
-        problem.rows.friction,
         at.depth_map,
         steps,
-        change,
         gain,
+        check,
     )
-    if not found.converged:
-        warn(
-            f"refined poses still moved by {change:.2g} of the tracker's noise after "
-            f"{steps} steps: the recordings hardly determine them",
-            2,
-        )
-    _warn_of_offset(problem, xi)
-    return found
 
 
 def _followed(
     problem: PoseErrorProblem, at: State, begin: Callable[[], None]
-) -> tuple[State, int, float]:
-    """The last state after the first step, number of steps, and the last change."""
-    steps, change = 1, float(np.abs(at.xi).mean())
-    while steps < MOST_STEPS and (steps <= ESTIMATES or change > CONVERGED):
+) -> tuple[State, int]:
+    """The last state after the first step, and the number of steps.
+
+    Raises:
+        NumericalError: They did not converge.
+    """
+    for steps in range(2, MOST_STEPS + 1):
         begin()
-        last, at = at, problem.step(at, estimate=steps < ESTIMATES)
-        steps, change = steps + 1, float(np.abs(at.xi - last.xi).mean())
-    return at, steps, change
+        last, at = at, problem.step(at, estimate=steps <= ESTIMATES)
+        change = float(np.abs(at.xi - last.xi).mean())
+        if steps > ESTIMATES and change <= CONVERGED:
+            return at, steps
+    raise NumericalError(
+        f"refined poses still move by {change:.2g} of the tracker's noise after "
+        f"{MOST_STEPS} steps, so that there are none: the recordings hardly determine "
+        "them; fit the poses as reported, or record more presses at the same places"
+    )
 
 
 def _left(
-    trajectory: Trajectory, problem: PoseErrorProblem, start: State, gain: float
+    trajectory: Trajectory,
+    problem: PoseErrorProblem,
+    start: State,
+    gain: float,
+    check: Check | None = None,
 ) -> RefinedPoses:
     """The recordings as they are, with a warning."""
     noise, none = problem.noise, np.zeros((len(trajectory), 6))
-    warn(
-        f"the forces show no errors of poses of {1e3 * noise.position:.3g} mm and "
-        f"{np.degrees(noise.rotation):.3g}° (log evidence {gain:+.1f}): the poses are "
-        "left as reported; give the noise of your tracker",
-        3,
-    )
+    if check is None:
+        reason = (
+            f"the forces show no errors of poses of {1e3 * noise.position:.3g} mm and "
+            f"{np.degrees(noise.rotation):.3g}° (log evidence {gain:+.1f})"
+        )
+    elif check.places >= LEAST_PLACES:
+        reason = (
+            "refined poses predict places left out not clearly better than reported "
+            f"({check.refined:.3f} N, {check.reported:.3f} N, their difference ± "
+            f"{check.difference_error:.2g} N)"
+        )
+    else:
+        reason = f"{check.places} places are too few to check refined poses by"
+    warn(f"{reason}: the poses are left as reported; give the noise of your tracker", 3)
     exact = none + noise.sizes
-    at = problem.rows.friction, start.depth_map, 1, 0.0, gain
+    at = start.depth_map, 1, gain, check
     return RefinedPoses(trajectory, none, exact, noise, *at)
 
 
@@ -192,25 +209,15 @@ def _sampled(scene: Scene) -> Scene:
     return replace(scene, sampling=SAMPLING, rows=rows)
 
 
-def _into(problem: PoseErrorProblem) -> Array:
-    """Direction into the patient, against the measured force, of the used frames."""
-    force = problem.scene.f.reshape(-1, 3)[problem.frames]
-    return np.asarray(-force / np.linalg.norm(force, axis=1)[:, None])
-
-
-def _depth(problem: PoseErrorProblem, xi: Array) -> Array:
-    """By how much the used frames are reported too deep, over the noise, (k,)."""
-    return np.asarray(np.einsum("ti,ti->t", xi[problem.frames, :3], _into(problem)))
-
-
 def _warn_of_offset(problem: PoseErrorProblem, xi: Array) -> None:
     """Warn of the recording whose mean depth differs most, where that is no noise.
 
     Compared with all others; the standard deviation of a mean is that of the
     Gauss–Markov process.
     """
-    deep, alike = _depth(problem, xi), problem.alike[problem.frames]
-    segment = problem.scene.trajectory.segment[problem.frames]
+    frames, alike = problem.frames, problem.alike[problem.frames]
+    deep = problem.depth(xi)[frames]
+    segment = problem.scene.trajectory.segment[frames]
     numbers = list(dict.fromkeys(segment.tolist()))
     if len(numbers) < 2:
         return
