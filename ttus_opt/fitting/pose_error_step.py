@@ -7,7 +7,7 @@ latest field, and y = f − J ξ₀ the forces seen from there, the model is lin
 
 b is minus the gradient of ½ log det(Σ + D C Dᵀ), by which the integral over all fields
 differs from the best one. Rows, f and J are those of the forces along the direction of
-contact: across it, drag and errors of the model are ten times as large
+contact: across it, errors of the model are ten times as large
 (`terms.part_noise`), and would be taken for errors of the poses. Signs: J is the change
 when a pose moves by +ξ; the errors ξ have moved the reported poses, so that taking them
 off moves by −ξ.
@@ -35,6 +35,7 @@ from ttus_opt.terms.depth_map_estimate import (
     DepthMapEstimate,
     estimate_depth_map,
 )
+from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.matern import SeparableCovariance, matern
 from ttus_opt.terms.part_noise import contact_directions
 
@@ -122,7 +123,10 @@ class PoseErrorProblem:
 
     @classmethod
     def of(cls, scene: Scene, noise: TrackerNoise) -> Self:
-        """The problem of a scene with measured forces."""
+        """The problem of a scene with measured forces, with drag where it is shown.
+
+        Drag has a component along the contact. It is that of the poses as reported.
+        """
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
         touching = scene.rows.contact_points > 0
         frames = np.flatnonzero(touching & (size > LEAST_FORCE))
@@ -131,10 +135,14 @@ class PoseErrorProblem:
         place = touched_places(touching, own.segment, own.position)[frames]
         alike = noise.correlations(own, frames)
         rows = PoseRows(scene.voxmap, scene.shell, scene.sampling)
+        drag, reported = estimate_drag(scene), scene.N
+        if drag.is_shown:
+            rubbed = drag.friction_coefficient * drag.drag.rows.force
+            reported = sp.csr_array(reported - rubbed)
         u, n = contact_directions(scene).ravel(), len(own)
         starts = 3 * np.arange(n + 1)
         normal = sp.csr_array((u, np.arange(3 * n), starts), shape=(n, 3 * n))
-        return cls(scene, noise, rows, frames, place, alike, scene.N, normal)
+        return cls(scene, noise, rows, frames, place, alike, reported, normal)
 
     def start(self) -> State:
         """The most likely field for exact poses.
@@ -155,6 +163,7 @@ class PoseErrorProblem:
         own = self.scene.trajectory
         poses = self.noise.moved(own.rotation, own.position, -last.xi)
         rows, changes = self.rows.at(*poses), self.rows.derivatives(*poses, self.noise)
+        rows = sp.csr_array(rows + (self.reported - self.scene.N))
         slope = np.stack([(each @ last.p).reshape(-1, 3) for each in changes], axis=2)
         force = self.scene.f - np.einsum("tij,tj->ti", slope, last.xi).ravel()
         depth_map = last.depth_map
