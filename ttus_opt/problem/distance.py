@@ -70,7 +70,7 @@ def energy(
     Args:
         program: The program.
         residual: r, the gradient of the Lagrangian, shape (n,).
-        fixed: Variables that equalities hold, shape (n,).
+        fixed: Variables that equalities hold, or whose gradient vanishes, shape (n,).
         enough: A bound below this is not tightened.
 
     Returns:
@@ -84,15 +84,17 @@ def energy(
     if not squares:
         return None
     fields = _fields(program, squares, fixed)
-    held = sum(f.part.stop - f.part.start for f in fields)
+    beside = ~fixed
+    for one in fields:
+        beside[one.part] = False
     try:
-        if fields and held == len(r):
+        if fields and not beside.any():
             first = 0.5 * (1.0 + CLOSE) * sum(f.square(r, CLOSE**2) for f in fields)
             if first <= enough:
                 return first
             return _by_steps(program, fields, fixed, r, enough)
-        if fields and len(r) - held <= MOST:
-            return _beside_parameters(squares, fields, r)
+        if fields and np.count_nonzero(beside) <= MOST:
+            return _beside_parameters(squares, fields, r, beside)
         return _by_solving(program, squares, fixed, r)
     except NumericalError:  # of the multigrid: no bound without its solves
         return None
@@ -271,12 +273,9 @@ def _steps(
 
 
 def _beside_parameters(
-    squares: list[ProgramTerm], fields: list[_Field], r: Array
+    squares: list[ProgramTerm], fields: list[_Field], r: Array, others: Mask
 ) -> float | None:
     """Fields and a few parameters: the second inequality of the module's docstring."""
-    others = np.ones(len(r), dtype=bool)
-    for one in fields:
-        others[one.part] = False
     own = [one.term for one in fields]
     rest = [t for t in squares if not any(t is mine for mine in own)]
     scaled = [np.sqrt(2.0 * t.weight) * t.matrix for t in rest]

@@ -18,9 +18,11 @@ set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) 
 
 Gap: Σ |y| · slack + Fenchel + ½ rᵀP⁻¹r, a bound by weak duality
 (`ttus_opt.problem.distance`). Where squares do not determine x, the other penalties'
-multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Without
-either, the customary |rᵀx|, summed over blocks of variables, replaces the last summand;
-it is not a bound.
+multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Over
+auxiliary variables, which have no squares, r must vanish: the bound is that of nearby
+multipliers for which it does (`ttus_opt.problem.loose_columns`). Without any of these,
+the customary |rᵀx|, summed over blocks of variables, replaces the last summand; it is
+not a bound.
 
 Relative figures are those of the worst block (the field, a parameter, a second field)
 or member: ``primal`` over the member's largest limit or value, at least a thousandth of
@@ -37,7 +39,7 @@ import hashlib
 import math
 import weakref
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -50,6 +52,7 @@ from ttus_opt.problem.gradient_blocks import (
     largest_of,
     quadratic_summands,
 )
+from ttus_opt.problem.loose_columns import exact_rows, loose_variables
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.violation import worst_violation
@@ -222,8 +225,12 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
     # scale: the objective at x = 0, with the values that equalities fix
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
     point = _Point(program, x, multipliers, blocks.gradient, fixed)
-    missing, is_bound = point.below(tolerance * objective)
-    gap += missing
+    bound = _without_loose(point, duals, tolerance * objective)
+    if bound is None:
+        missing, is_bound = point.below(tolerance * objective)
+        gap += missing
+    else:
+        gap, is_bound = bound, True
     return KKT(
         violation,
         blocks.error,
@@ -251,6 +258,34 @@ def _of_terms(
         found[term.name] = term.penalty.admissible(g)
         blocks.add(term.weight * (term.matrix.T @ found[term.name]))
     return found
+
+
+def _without_loose(point: _Point, duals: Duals, goal: float) -> float | None:
+    """The bound where auxiliary variables have no squares; None without any."""
+    program, x = point.program, point.x
+    loose = loose_variables(program, point.fixed)
+    if not loose.any():
+        return None
+    given = {}
+    for constraint in program.constraints:
+        y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
+        given[constraint.name], _ = _present(y, constraint.lower, constraint.upper)
+    for cone in program.cones:
+        y = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
+        given[cone.name] = cone.admissible(y)
+    rows = exact_rows(program, given, loose)
+    if rows is None:
+        return None
+    exact, blocks = Duals(rows, duals.bounds, duals.terms), GradientBlocks(program)
+    multipliers = _of_terms(program, x, exact, blocks)
+    gap = _of_bounds(program, x, exact, blocks) + _of_rows(program, x, exact, blocks)
+    gap += _of_cones(program, x, exact, blocks)
+    r = np.where(loose, 0.0, blocks.gradient)
+    rest = energy(program, r, point.fixed | loose, CLOSE_ENOUGH * goal)
+    if rest is None:
+        return None
+    there = replace(point, multipliers=multipliers, gradient=r)
+    return gap + rest + there.fenchel() + there.held_off(r)
 
 
 def _of_bounds(
@@ -321,19 +356,19 @@ class _Point:
         program, x, r = self.program, self.x, self.gradient
         bound = energy(program, r, self.fixed, CLOSE_ENOUGH * goal)
         if bound is not None:
-            return bound + self._fenchel() + self._held_off(r), True
+            return bound + self.fenchel() + self.held_off(r), True
         found = absorbed(program, x, self.multipliers, r, self.fixed, goal)
         if found is not None:
-            return found.gap + self._held_off(r - found.taken), True
+            return found.gap + self.held_off(r - found.taken), True
         parts = program.variables.values()
         shares = sum(abs(float(r[part] @ x[part])) for part in parts)
-        return shares + self._fenchel(), False
+        return shares + self.fenchel(), False
 
-    def _held_off(self, r: Array) -> float:
+    def held_off(self, r: Array) -> float:
         """Contribution of fixed variables, which move only by their violation."""
         return sum(_held(c, self.x, r) for c in self.program.constraints)
 
-    def _fenchel(self) -> float:
+    def fenchel(self) -> float:
         """Σ w (φ(r) + φ*(g) − gᵀr)."""
         gap = 0.0
         for term in self.program.terms:
