@@ -23,9 +23,6 @@ from ttus_opt.voxmap.field import PotentialField
 #: Seconds spent on naming the constraints in conflict, when no limit is given
 CONFLICT_SECONDS = 30.0
 
-#: Claims by which a solver rejects its own answer; only a proven bound overrides them
-_REJECTIONS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
-
 
 def checked_candidate(found: Candidate, program: Program, solver: str) -> Candidate:
     """A solver's candidate with vectors of its own, as it may be a user's.
@@ -184,7 +181,7 @@ def _verdict(
     """The status by residuals and certificates, not by the solver's claim."""
     claim = candidate.claim
     holds = kkt is not None and kkt.worst_relative <= request.tolerance
-    if kkt is not None and holds and (kkt.is_bound or claim not in _REJECTIONS):
+    if kkt is not None and holds and kkt.is_bound:
         return _Verdict(Status.SOLVED)
     broken = kkt is None or kkt.primal_relative > request.tolerance
     if claim is Claim.INFEASIBLE or (claim is not Claim.TIME_LIMIT and broken):
@@ -201,7 +198,7 @@ def _verdict(
     if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
         remark = f'"{claim.value}" is the solver\'s word, without a proof that holds'
     elif holds:
-        remark = "the residuals hold but the solver doubts its answer"
+        remark = "the residuals hold, but nothing bounds the gap to the optimum"
     return _Verdict(Status.FAILED if kkt is None else Status.INACCURATE, (), remark)
 
 
