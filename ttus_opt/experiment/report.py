@@ -198,9 +198,9 @@ def _chosen_weights(result: ExperimentResult) -> list[Block]:
 
 
 _ABOUT_WEIGHTS = Text(
-    "By marginal likelihood, as `ttus-opt fit` chooses them when no weight is given; "
-    "the formulation's own where the recordings bear no choice, or where those chosen "
-    "predict presses left out worse. Both recordings that are fitted are used, those "
+    "As `ttus-opt fit` chooses them when no weight is given: of a depth map by "
+    "marginal likelihood, of others by how well places left out are predicted; the "
+    "formulation's own where the recordings bear no choice. Both recordings that are fitted are used, those "
     "of new trajectories are not."
 )
 
