@@ -1,0 +1,398 @@
+"""The default beside formulations, comparators and four short rivals, by unseen force.
+
+    python benchmarks/truth.py --phantoms ../shared/data --tissue palpation
+    python benchmarks/truth.py --output truth.md --picture truth.png
+    python benchmarks/truth.py --cases bundled --models eq10 comparators rivals
+
+Cases: the independent phantoms (fitted to `*_fit`, judged on `*_test_truth` without
+noise, and reversed), real tissue as `palpation.py` prepares it, a folder per recording,
+and the bundled example. A score is the mean of ||f| - |f̂|| [N] over frames above 0.5 N,
+of tissue over the rows in scored.txt; the share of them that is off by more than 7 %
+and 0.36 N is kept too. Models: default, as `tt.fit(scene, weights="auto")`; a
+formulation, or formulation@sampling; c:comparator; r:rival; or a group of these. A
+result is kept in a file per case, and computed again when data, shape or code change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from truth_table import Row, against, errors, picture, table
+
+import ttus_opt as tt
+from ttus_opt import comparators, example, io
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import available
+from ttus_opt.scene import ScenePlan
+
+PHANTOMS = "phantom phantom_frictionless phantom_stiff phantom_stiff_frictionless"
+
+#: A frame is judged above this force [N]; a difference is felt beyond both of these
+LEAST, FELT = 0.5, (0.07, 0.36)
+
+#: Contacts a process is given at most; forces below are not fitted [N]
+MOST, LEAST_FITTED = 400, 0.1
+
+#: A millimetre of depth is as far as this way along the skin, for the neighbour [mm]
+ALONG = 10.0
+
+#: Candidates of a process: exponent, noise over deviation, lengths in place and depth
+#: [mm] and of the probe's direction [–]
+EXPONENTS = np.round(np.arange(0.2, 3.01, 0.1), 1)
+NOISES = np.geomspace(1e-4, 10.0, 16)
+LENGTHS = (
+    np.geomspace(5.0, 160.0, 11),
+    np.geomspace(1.0, 64.0, 13),
+    np.geomspace(0.1, 6.4, 7),
+)
+
+# Rivals: from contacts and their forces, the force of other contacts ------------------
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Depth (n,) and foot (n, 3) [mm], direction in the probe's axes (n, 3) [–]."""
+
+    depth: Array = field(repr=False)
+    place: Array = field(repr=False)
+    direction: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, geometry: ContactGeometry, poses: tt.Trajectory) -> Contacts:
+        """Contact of every pose; its depth is 0 in the air."""
+        surface, out = geometry.surface.surface, []
+        for R, at in zip(poses.rotation, poses.position, strict=True):
+            patch = geometry.touch(R, at).patch
+            x, y, z = patch.centre
+            theta = np.arctan2(y, x)
+            radius = float(surface.radius_at(theta, z))
+            foot = radius * np.cos(theta), radius * np.sin(theta), z
+            out.append([patch.depth, *foot, *(R.T @ patch.direction)])
+        table = np.array(out)
+        return cls(1e3 * table[:, 0], 1e3 * table[:, 1:4], table[:, 4:])
+
+    def __getitem__(self, rows: Any) -> Contacts:
+        return Contacts(self.depth[rows], self.place[rows], self.direction[rows])
+
+
+Law = Callable[[Contacts], Array]
+
+
+def linear_spring(x: Contacts, force: Array) -> Law:
+    """Force k h, by least squares."""
+    stiffness = x.depth @ force / (x.depth @ x.depth)
+    return lambda y: stiffness * y.depth
+
+
+def nearest_neighbour(x: Contacts, force: Array) -> Law:
+    """The force of the contact that is nearest in place and depth."""
+
+    def at(y: Contacts) -> Array:
+        return np.c_[y.place / ALONG, y.depth]
+
+    return lambda y: force[distance(at(y), at(x)).argmin(axis=1)]
+
+
+def kriged_power_law(x: Contacts, force: Array) -> Law:
+    """Force c hᵃ (1 + g(place)), g a Gaussian process."""
+    return process(x, force, lambda y: [y.place])
+
+
+def gaussian_process(x: Contacts, force: Array) -> Law:
+    """Force c hᵃ (1 + g(place, depth, direction)), g a Gaussian process."""
+    return process(x, force, lambda y: [y.place, y.depth[:, None], y.direction])
+
+
+RIVALS: dict[str, Callable[[Contacts, Array], Law]] = {
+    each.__name__: each
+    for each in (linear_spring, nearest_neighbour, kriged_power_law, gaussian_process)
+}
+
+
+def distance(a: Array, b: Array) -> Array:
+    """Distances of rows, shape (n, m)."""
+    return np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1))
+
+
+def process(x: Contacts, force: Array, parts: Callable[[Contacts], list[Array]]) -> Law:
+    """A power law times one plus a Matérn 3/2 process, all of it by evidence."""
+    kept = slice(None, None, -(-len(force) // MOST))
+    x, force = x[kept], force[kept]
+    own = parts(x)
+    apart = [distance(part, part) for part in own]
+
+    def kernel(apart: list[Array], lengths: Sequence[float]) -> Array:
+        far = [d / length for d, length in zip(apart, lengths, strict=True)]
+        scaled = np.sqrt(3.0 * np.sum(np.square(far), axis=0))
+        return (1.0 + scaled) * np.exp(-scaled)
+
+    def solved(exponent: float, noise: float, *lengths: float) -> tuple[Any, ...]:
+        """Log evidence without its scale, then c and the weights of the forces."""
+        power = x.depth**exponent
+        mean = power @ force / (power @ power)
+        cov = power[:, None] * power * kernel(apart, lengths)
+        cov += noise**2 * np.mean(power**2) * np.eye(len(power))
+        factor = np.linalg.cholesky(cov)
+        weights = np.linalg.solve(cov, force - mean * power)
+        scale = (force - mean * power) @ weights / len(power)
+        least = 1e-20 * np.mean(force**2) / np.mean(power**2)  # of an exact power law
+        log_evidence = -0.5 * len(power) * np.log(max(scale, 0.0) + least)
+        return log_evidence - np.log(np.diag(factor)).sum(), mean, power * weights
+
+    candidates = [EXPONENTS, NOISES, *LENGTHS[: len(own)]]
+    chosen, best = [float(c[len(c) // 2]) for c in candidates], -np.inf
+    while True:  # one hyperparameter after the other, while the evidence grows
+        before = best
+        for i, values in enumerate(candidates):
+            for value in values:
+                trial = [*chosen[:i], float(value), *chosen[i + 1 :]]
+                if (evidence := solved(*trial)[0]) > best:
+                    chosen, best = trial, evidence
+        if best <= before:
+            break
+    _, mean, weights = solved(*chosen)
+
+    def law(y: Contacts) -> Array:
+        far = [distance(a, b) for a, b in zip(parts(y), own, strict=True)]
+        return y.depth ** chosen[0] * (mean + kernel(far, chosen[2:]) @ weights)
+
+    return law
+
+
+# Cases ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """Recordings to fit and to judge by, by name."""
+
+    name: str
+    folder: Path
+    fitted: tuple[str, ...]
+    judged: Mapping[str, str]
+    kind: str
+    shape: tuple[int, int, int]
+
+    @cached_property
+    def shell(self) -> tt.PointShell:
+        """The probe."""
+        if self.kind != "tissue":
+            return tt.PointShell.from_spec(example.PROBE)
+        spec = (self.folder / "probe.txt").read_text().strip()
+        return tt.PointShell.from_spec(spec, n_points=400)
+
+    @cached_property
+    def surface(self) -> tt.Surface:
+        """The patient."""
+        return tt.Surface.load(self.folder / "surface.nc")
+
+    @cached_property
+    def recordings(self) -> list[tt.Trajectory]:
+        """What is fitted."""
+        return [tt.read_trajectory(self.folder / name) for name in self.fitted]
+
+    @cached_property
+    def unseen(self) -> dict[str, tt.Trajectory]:
+        """What is judged."""
+        named = self.judged.items()
+        return {name: tt.read_trajectory(self.folder / file) for name, file in named}
+
+    def plan(self, sampling: str) -> ScenePlan:
+        """The grid; of tissue a sector around the patch."""
+        own: dict[str, Any] = {"sampling": sampling} if sampling else {}
+        if self.kind == "tissue":
+            low, high = map(float, (self.folder / "sector.txt").read_text().split())
+            radius = self.surface.radius
+            own |= {"sector": (low, high), "r_inner": float(radius.min()) - 0.012}
+            own["r_outer"] = float(radius.max()) + 0.003
+        return ScenePlan(self.shape, **own)
+
+    def score(self, name: str, force: Array) -> dict[str, float]:
+        """Error [N], share off by more than is felt [%], and number of frames."""
+        size = np.linalg.norm(self.unseen[name].force, axis=1)
+        error = np.abs(size - np.linalg.norm(force, axis=1))
+        touch: Mask = size > LEAST
+        if self.kind == "tissue":
+            touch = np.zeros(len(size), dtype=bool)
+            touch[np.loadtxt(self.folder / "scored.txt", int)] = True
+        off = error > np.maximum(FELT[0] * size, FELT[1])
+        return {
+            "error_N": float(error[touch].mean()),
+            "off_percent": 100.0 * float(off[touch].mean()),
+            "frames": int(touch.sum()),
+        }
+
+    def forces(self, model: str) -> tuple[dict[str, Array], str]:
+        """Force on every unseen recording, and a note on how the model was fitted."""
+        kind, _, name = model.rpartition(":")
+        if kind == "c":
+            made = comparators.create(name, surface=self.surface, shell=self.shell)
+            found = made.fit(self.recordings)
+            return {n: found.wrenches(u)[:, :3] for n, u in self.unseen.items()}, ""
+        if kind == "r":
+            return self._of_rival(RIVALS[name]), ""
+        name, _, sampling = name.partition("@")
+        scene = self.plan(sampling).build(self.surface, self.shell, self.recordings)
+        chosen, note = None if name == "default" else name, ""
+        try:
+            solution = tt.fit(scene, chosen, weights="auto")
+        except InputError as error:  # it has no weights, or none that can be chosen
+            if chosen is None:
+                raise
+            solution, note = tt.fit(scene, chosen), f"its own weights: {error}"
+        field = solution.field
+        rendered = {
+            n: tt.evaluate(field, self.shell, u) for n, u in self.unseen.items()
+        }
+        return {n: one.rendered_force for n, one in rendered.items()}, note
+
+    def _of_rival(self, rival: Callable[[Contacts, Array], Law]) -> dict[str, Array]:
+        geometry = ContactGeometry(self.surface, self.shell)
+        fitted = tt.Trajectory.concatenate(self.recordings)
+        contacts = Contacts.of(geometry, fitted)
+        size = np.linalg.norm(fitted.force, axis=1)
+        used = (contacts.depth > 0.0) & (size > LEAST_FITTED)
+        law, out = rival(contacts[used], size[used]), {}
+        for name, unseen in self.unseen.items():
+            touched = Contacts.of(geometry, unseen)
+            force = np.where(touched.depth > 0.0, law(touched), 0.0)
+            out[name] = np.maximum(force, 0.0)[:, None] * [0.0, 0.0, 1.0]
+        return out
+
+    def stamp(self) -> str:
+        """Checksum of shape, data and code."""
+        root = Path(__file__).resolve().parents[1]
+        code = *root.glob("ttus_opt/**/*.py"), *root.glob("formulations/*.py")
+        data = (path for path in self.folder.iterdir() if path.is_file())
+        sums = map(io.sha256, (Path(__file__), *sorted(code), *sorted(data)))
+        return hashlib.sha256(" ".join([str(self.shape), *sums]).encode()).hexdigest()
+
+
+def cases(
+    phantoms: Path | None, tissue: Path | None, shape: Sequence[int] | None
+) -> tuple[list[Case], list[str]]:
+    """All cases whose data are there, and why others are not."""
+    torso, patch = (tuple(shape or usual) for usual in ((48, 120, 60), (24, 42, 38)))
+    bundled = Path(example.path("surface.nc")).parent
+    found, skipped = [], []
+    for name, sweep in (("example", "sweep"), ("example_drag", "sweep_drag")):
+        fitted = "press_fit.csv", f"{sweep}_fit.csv"
+        judged = {"press": "press_test.csv", "sweep": f"{sweep}_test.csv"}
+        found.append(Case(name, bundled, fitted, judged, "bundled", torso))
+    for name in PHANTOMS.split():
+        folder = None if phantoms is None else phantoms / name
+        if folder is None or not (folder / "surface.nc").is_file():
+            reason = f"no {folder}/surface.nc" if folder else "give --phantoms"
+            skipped.append(f"{name}: {reason}")
+            continue
+        for use, other, suffix in (("fit", "test", ""), ("test", "fit", "_reversed")):
+            files = {n: f"{n}_{other}_truth.csv" for n in ("press", "sweep")}
+            files |= {"places": "places_test_truth.csv"}
+            judged = {n: file for n, file in files.items() if (folder / file).is_file()}
+            fitted = f"press_{use}.csv", f"sweep_{use}.csv"
+            found.append(Case(name + suffix, folder, fitted, judged, "phantoms", torso))
+    folders = sorted(p.parent for p in tissue.glob("*/scored.txt")) if tissue else []
+    if not folders:
+        reason = f"no */scored.txt in {tissue}" if tissue else "give --tissue"
+        skipped.append(f"tissue: {reason}")
+    files = ("fit.csv",), {"tissue": "test.csv"}
+    found += [Case(one.name, one, *files, "tissue", patch) for one in folders]
+    return found, skipped
+
+
+# Results ----------------------------------------------------------------------------
+
+
+def run(case: Case, models: Iterable[str], results: Path) -> dict[str, Row]:
+    """Results of a case by model; those of the same data, shape and code are kept."""
+    file, stamp = results / f"{case.name}.json", case.stamp()
+    kept = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    for model in models:
+        if kept.get(model, {}).get("stamp") == stamp:
+            continue
+        start, row = time.perf_counter(), {"stamp": stamp, "note": "", "scores": {}}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", tt.TtusWarning)
+            try:
+                forces, row["note"] = case.forces(model)
+                row["scores"] = {n: case.score(n, f) for n, f in forces.items()}
+            except tt.TtusError as error:
+                row["note"] = f"refused: {error}"
+        kept[model] = row | {"seconds": time.perf_counter() - start}
+        io.write_bytes(file, json.dumps(kept, indent=1).encode())
+        told = " / ".join(f"{s['error_N']:.3f}" for s in row["scores"].values())
+        sys.stderr.write(f"{case.name} {model} {told or row['note']}\n")
+    return {model: kept[model] for model in models}
+
+
+def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options, with the cases and models that they name."""
+    usual = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=usual)
+    members = {
+        "formulations": [info.name for info in available()],
+        "comparators": [f"c:{name}" for name in comparators.available()],
+        "rivals": [f"r:{name}" for name in RIVALS],
+    }
+    add = parser.add_argument
+    add("--phantoms", type=Path, help="folder of the four phantoms")
+    add("--tissue", type=Path, help="folder that palpation.py has written")
+    add("--results", type=Path, default=Path("truth"), help="kept in this folder")
+    add("--cases", nargs="+", help="names, or bundled, phantoms, tissue")
+    add("--models", nargs="+", default=list(members), help="beside the default")
+    add("--shape", nargs=3, type=int, help="voxels of every case")
+    add("--json", action="store_true", help="print JSON, not the table")
+    add("--output", type=Path, help="write the table as Markdown here")
+    add("--picture", type=Path, help="draw it here")
+    asked = parser.parse_args(arguments)
+    models = [m for name in asked.models for m in members.get(name, [name])]
+    known = ["default", *(name for group in members.values() for name in group)]
+    for name in models:
+        plain, sampled, _ = name.partition("@")
+        if plain not in (members["formulations"] if sampled else known):
+            parser.error(f"no model {name}: take {', '.join([*members, *known])}")
+    asked.models = list(dict.fromkeys(["default", *models]))
+    asked.found, asked.skipped = cases(asked.phantoms, asked.tissue, asked.shape)
+    named = dict.fromkeys(w for case in asked.found for w in (case.name, case.kind))
+    wanted = set(asked.cases or named)
+    if wanted - set(named):
+        lost, there = ", ".join(sorted(wanted - set(named))), ", ".join(named)
+        why = "; ".join(asked.skipped)
+        parser.error(f"no case {lost}: take {there}; skipped are {why or 'none'}")
+    asked.found = [case for case in asked.found if {case.name, case.kind} & wanted]
+    return asked
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compute what is not kept yet, and report."""
+    asked = asked_of(arguments)
+    for reason in [] if asked.cases else asked.skipped:
+        sys.stderr.write(f"skipped {reason}\n")
+    asked.results.mkdir(parents=True, exist_ok=True)
+    results = {
+        case.name: run(case, asked.models, asked.results) for case in asked.found
+    }
+    found, text = errors(results), table(results)
+    if asked.output:
+        io.write_bytes(asked.output, f"{text}\n".encode())
+    if asked.picture:
+        tt.plots.save_picture(picture(found), asked.picture)
+    facts = {"skipped": asked.skipped, "results": results, "against": against(found)}
+    print(json.dumps(facts, indent=1) if asked.json else text)
+
+
+if __name__ == "__main__":
+    main()
