@@ -169,7 +169,8 @@ def first_hour() -> list[str]:
         "--trajectory sweep.csv --sampling trilinear --shape 40,96,48 -o field.nc"
     )
     said = terminal.run(f"{fit} --picture poses.png")
-    mends = mended(said, r"read them with ((?:--[a-z-]+(?: (?!--)\S+)? ?)+)").strip()
+    value = r"(?: (?!--)\S+(?<!:)(?!\S))?"  # of an option; no file that is told next
+    mends = mended(said, rf"read them with ((?:--[a-z-]+{value} ?)+)").strip()
     terminal.tell(
         "The warning says how the recordings were probably written. Add these options:"
     )

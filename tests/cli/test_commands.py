@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.conftest import PROBE, Run, fit_words
-from tests.conftest import torso
+from tests.cli.conftest import PROBE, Run, fit_words, refused
+from tests.conftest import presses, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -207,6 +207,51 @@ def test_evaluate_says_what_a_hand_could_tell_apart(
     share = json.loads(run(f"{words} --json").out)["share_told_apart"]
     assert 0.0 < share <= 1.0
     assert f"{100 * share:.1f} % of the frames in contact differ" in run(words).out
+
+
+def test_evaluate_tells_errors_by_recording_distance_and_depth(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.csv"
+    presses(torso(), 20, np.random.default_rng(5)).save(other)
+    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
+    both = f"evaluate --field {field} {words} --trajectory {other}"
+    told = json.loads(run(f"{both} --json").out)
+    alone = run(f"evaluate --field {field} {words} --json")
+    own, unseen = told["by_recording"]
+    whole = json.loads(alone.out)
+    assert own["errors"].items() <= whole.items()
+    mean = "force_magnitude_error_N"
+    errors = 30 * own["errors"][mean] + 20 * unseen["errors"][mean]
+    assert told[mean] == pytest.approx(errors / 50)
+    # presses that were fitted are near, and none is deeper than the deepest
+    assert [one["frames"] > 0 for one in whole["by_distance_m"]] == [True] + 3 * [False]
+    assert whole["by_relative_depth"][-1]["frames"] == 0
+    kinds = told["by_distance_m"], told["by_relative_depth"]
+    frames = [sum(one["frames"] for one in kind) for kind in kinds]
+    assert frames[0] == frames[1] > 30
+    table = run(both).out
+    assert "| press.csv " in table and "| other.csv " in table
+    assert "| 0 to 2 cm from fitted places" in table
+    assert "| 0.5 to 1 of the deepest fitted" in table
+
+
+def test_evaluate_says_when_the_fitted_places_are_unknown(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    older = PotentialField.load(field)
+    kept = {k: v for k, v in older.provenance.items() if k != "contacts"}
+    replace(older, provenance=kept).save(tmp_path / "older.nc")
+    replace(older, provenance={**kept, "contacts": "{}"}).save(tmp_path / "damaged.nc")
+    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
+    answer = run(f"evaluate --field {tmp_path / 'older.nc'} {words}")
+    assert answer.status == 0 and "near and far: unknown" in answer.out
+    told = json.loads(
+        run(f"evaluate --field {tmp_path / 'older.nc'} {words} --json").out
+    )
+    assert told["by_distance_m"] is None and told["by_relative_depth"] is None
+    damaged = run(f"evaluate --field {tmp_path / 'damaged.nc'} {words}")
+    refused(damaged, "contacts are damaged", "fit the field again")
 
 
 @pytest.mark.slow

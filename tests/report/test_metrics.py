@@ -166,3 +166,13 @@ def test_a_trajectory_without_wrench_is_refused() -> None:
     bare = replace(SCENE.trajectory, force=None, torque=None)
     with pytest.raises(InputError, match="no wrench"):
         evaluate(FIELD, SCENE.shell, bare)
+
+
+def test_some_frames_are_judged_as_if_recorded_alone() -> None:
+    measured = replace(SCENE.trajectory, force=np.full((20, 3), 0.7))
+    own = np.arange(20) % 3 == 0
+    whole = evaluate(FIELD, SCENE.shell, measured, force_threshold=1.0)
+    part = whole.over(own)
+    alone = evaluate(FIELD, SCENE.shell, measured.select(own), force_threshold=1.0)
+    assert part.errors == alone.errors != whole.errors
+    np.testing.assert_array_equal(part.time, alone.time)

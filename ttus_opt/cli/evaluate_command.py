@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ttus_opt.cli.recording_lines import RecordingLine
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.report.extrapolation import Bin
     from ttus_opt.report.metrics import Errors, Evaluation
+    from ttus_opt.voxmap.field import PotentialField
 
 
 def evaluate(
@@ -71,7 +75,8 @@ def evaluate(
         found = metrics.evaluate(potential, shell, recorded)
         cut = cut_off(potential.voxmap, shell, recorded.rotation, recorded.position)
         warn_of_poses(found.in_grid, found.beyond_inner, cut)
-        each = recording_lines(potential, shell, recorded, recordings.names, stated)
+        each = recording_lines(found, shell, recorded, recordings.names, stated)
+        far, deep = _extrapolated(potential, shell, recorded, found)
         scene = scene_of_field(potential.voxmap, shell, recorded)
         if scene is not None:
             warn_of_mistake(scene, (as_written, recordings.conventions))
@@ -87,6 +92,8 @@ def evaluate(
         "frames_over_limit": over,
         "recordings": fitted_to,
         "by_recording": [one.as_dict() for one in each],
+        "by_distance_m": [one.as_dict() for one in far] or None,
+        "by_relative_depth": [one.as_dict() for one in deep] or None,
     }
     known = [
         f"{r['name']}: the field was fitted to this recording"
@@ -99,7 +106,56 @@ def evaluate(
             f"{over} of {errors.frames} frames have more force or torque than a "
             "renderer gives by default; they are judged without its limits"
         )
-    tell(facts, *known, *_lines(errors, recorded.has_torque), *each_own, json=json)
+    told = [*_lines(errors, recorded.has_torque), *_table(each, far, deep)]
+    tell(facts, *known, *told, *each_own, json=json)
+
+
+def _extrapolated(
+    potential: PotentialField,
+    shell: PointShell,
+    recorded: Trajectory,
+    found: Evaluation,
+) -> tuple[list[Bin], list[Bin]]:
+    """Errors by distance and by depth; empty where the fitted places are unknown.
+
+    Raises:
+        FileError: The field's provenance is damaged.
+    """
+    from ttus_opt.report import extrapolation
+
+    text = potential.provenance.get("contacts")
+    if text is None:
+        return [], []
+    fitted = extrapolation.FittedContacts.from_text(text)
+    surface = potential.voxmap.surface
+    contacts = extrapolation.Contacts.of(surface, shell, recorded)
+    return extrapolation.by_distance_and_depth(fitted, contacts, found)
+
+
+def _table(each: list[RecordingLine], far: list[Bin], deep: list[Bin]) -> list[str]:
+    """Errors of each recording, near and far from the fitted places, light and deep."""
+    from ttus_opt.report.tables import errors_by_name
+
+    rows = {one.name: one.errors for one in each} if len(each) > 1 else {}
+    for one in far:
+        rows[f"{_between(one, 100.0, ' cm')} from fitted places"] = one.errors
+    for one in deep:
+        rows[f"{_between(one, 1.0, ' of')} the deepest fitted"] = one.errors
+    known = {name: errors for name, errors in rows.items() if errors is not None}
+    lines = [errors_by_name(known)] if known else []
+    if not far:
+        lines.append(
+            "near and far: unknown, the field file does not say where it was fitted: "
+            "write it with ttus-opt fit"
+        )
+    return lines
+
+
+def _between(one: Bin, scale: float, unit: str) -> str:
+    """Limits of a bin in words."""
+    if math.isinf(one.high):
+        return f"over {scale * one.low:g}{unit}"
+    return f"{scale * one.low:g} to {scale * one.high:g}{unit}"
 
 
 def _draw(

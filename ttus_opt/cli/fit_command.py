@@ -18,7 +18,7 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
-from ttus_opt.cli.sources import sources
+from ttus_opt.cli.sources import fitted_contacts, sources
 from ttus_opt.errors import InputError, MistakeWarning, TtusWarning, warn
 
 if TYPE_CHECKING:
@@ -174,7 +174,10 @@ def fit(
         report = None
         if solution.verified_field is not None:
             found = solution.field
-            origin = sources(surface, probe, recordings, context.params)
+            origin = {
+                **sources(surface, probe, recordings, context.params),
+                **fitted_contacts(patient, shell, recorded),
+            }
             draws = doubt or doubt_picture is not None
             begin("checking the recordings")
             report = check_recordings(

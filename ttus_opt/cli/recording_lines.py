@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.report.calibration_curve import CalibrationCurve
-    from ttus_opt.voxmap.field import PotentialField
+    from ttus_opt.report.metrics import Errors, Evaluation
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class RecordingLine:
         doubt: Stated doubt against errors; None if not requested.
         refused: Why the requested doubt is missing; "" otherwise.
         curve: The same comparison as curves; None without doubt.
+        errors: Errors of its frames.
     """
 
     name: str
@@ -37,6 +38,7 @@ class RecordingLine:
     doubt: Calibration | None = None
     refused: str = ""
     curve: CalibrationCurve | None = None
+    errors: Errors | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; with ``doubt`` only if requested."""
@@ -44,6 +46,7 @@ class RecordingLine:
             "name": self.name,
             "frames": self.frames,
             "hysteresis_share": self.hysteresis_share,
+            "errors": None if self.errors is None else self.errors.as_dict(),
         }
         if self.doubt is not None or self.refused:
             facts["doubt"] = None if self.doubt is None else self.doubt.as_dict()
@@ -95,7 +98,7 @@ def _with_error(correlation: float, error: float) -> str:
 
 
 def recording_lines(
-    field: PotentialField,
+    judged: Evaluation,
     shell: PointShell,
     recorded: Trajectory,
     names: Sequence[str],
@@ -104,7 +107,7 @@ def recording_lines(
     """Report on each recording.
 
     Args:
-        field: The field.
+        judged: Measured and rendered wrenches of all recordings.
         shell: The probe.
         recorded: All recordings as one.
         names: Names of the recordings; numbers if a file has several.
@@ -114,22 +117,22 @@ def recording_lines(
 
     from ttus_opt.fitting.doubt_check import calibration_curve, check_doubt
     from ttus_opt.report.hysteresis import hysteresis_share
-    from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 
     numbers = np.unique(recorded.segment)
     if len(names) != len(numbers):
         names = [f"recording {number}" for number in numbers]
     out = []
     for name, number in zip(names, numbers, strict=True):
-        own = recorded.select(recorded.segment == number)
-        lost = hysteresis_share(own, shell, FORCE_THRESHOLD)
+        frames = recorded.segment == number
+        own, part = recorded.select(frames), judged.over(frames)
+        lost = hysteresis_share(own, shell, judged.errors.force_threshold_N)
         found, refused, curve = None, "", None
         if doubt is not None:
             try:
-                judged = evaluate(field, shell, own)
-                found = check_doubt(doubt, judged, own)
-                curve = calibration_curve(doubt, judged, own)
+                found = check_doubt(doubt, part, own)
+                curve = calibration_curve(doubt, part, own)
             except InputError as error:
                 refused = str(error)
-        out.append(RecordingLine(name, len(own), lost, found, refused, curve))
+        line = RecordingLine(name, len(own), lost, found, refused, curve, part.errors)
+        out.append(line)
     return out

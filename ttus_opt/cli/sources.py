@@ -3,6 +3,7 @@
 The provenance of a field file has texts by key. ``probe``, ``trajectories``,
 ``surface`` are names; ``recordings`` and ``hashes`` are JSON objects of file names and
 SHA-256 sums; ``conventions``, ``options`` and ``versions`` are JSON objects too.
+``contacts`` is what `ttus_opt.report.extrapolation` writes of the fitted places.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from ttus_opt.errors import FileError, MistakeWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.scan.surface import Surface
 
 #: Packages that a field's numbers depend on
 PACKAGES = ("ttus-opt", "numpy", "scipy", "numba")
@@ -52,6 +56,16 @@ def sources(
         "options": json.dumps(options, default=str),
         "versions": json.dumps(_versions()),
     }
+
+
+def fitted_contacts(
+    surface: Surface, shell: PointShell, recorded: Trajectory
+) -> dict[str, str]:
+    """What a field file says of the places that it was fitted to."""
+    from ttus_opt.report.extrapolation import Contacts, FittedContacts
+
+    found = FittedContacts.of(Contacts.of(surface, shell, recorded))
+    return {} if found is None else {"contacts": found.text}
 
 
 def seen(

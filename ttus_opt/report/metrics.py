@@ -103,6 +103,22 @@ class Evaluation:
     in_grid: NDArray[np.bool_] = field(repr=False)
     beyond_inner: NDArray[np.int64] = field(repr=False)
 
+    def over(self, frames: NDArray[np.bool_]) -> Evaluation:
+        """The same of some of the frames, at least one, shape (T,)."""
+        force, torque = self.measured_force[frames], self.measured_torque[frames]
+        rendered = self.rendered_force[frames], self.rendered_torque[frames]
+        thresholds = self.errors.force_threshold_N, self.errors.torque_threshold_Nm
+        return Evaluation(
+            _errors(force, torque, *rendered, thresholds),
+            self.time[frames],
+            force,
+            rendered[0],
+            torque,
+            rendered[1],
+            self.in_grid[frames],
+            self.beyond_inner[frames],
+        )
+
 
 def evaluate(
     potential: PotentialField,
@@ -158,10 +174,9 @@ def compare(
     torque = trajectory.torque
     if torque is None:
         torque = np.full_like(trajectory.force, np.nan)
-    measured = trajectory.force, torque
-    errors = _errors(*measured, rendered, force_threshold, torque_threshold)
+    wrenches = trajectory.force, torque, rendered.force, rendered.torque
     return Evaluation(
-        errors,
+        _errors(*wrenches, (force_threshold, torque_threshold)),
         trajectory.time,
         trajectory.force,
         rendered.force,
@@ -195,11 +210,11 @@ def angles(a: Array, b: Array) -> Array:
 def _errors(
     force: Array,
     torque: Array,
-    rendered: FieldWrenches,
-    force_threshold: float,
-    torque_threshold: float,
+    force_hat: Array,
+    torque_hat: Array,
+    thresholds: tuple[float, float],
 ) -> Errors:
-    force_hat, torque_hat = rendered.force, rendered.torque
+    force_threshold, torque_threshold = thresholds
     size, size_torque = np.linalg.norm(force, axis=1), np.linalg.norm(torque, axis=1)
     d_force = np.linalg.norm(force_hat, axis=1) - size
     d_torque = np.linalg.norm(torque_hat, axis=1) - size_torque

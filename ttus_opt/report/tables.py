@@ -89,6 +89,17 @@ def error_cells(
     return header, rows
 
 
+def errors_by_name(named: Mapping[str, Errors]) -> str:
+    """Errors and the frames in contact, one row per name."""
+    header = ["", "frames", *(name for name, _, _ in _COLUMNS), "felt [%]"]
+    rows = []
+    for name, errors in named.items():
+        cells = [name, f"{errors.frames_in_contact}/{errors.frames}"]
+        cells += [number(read(errors), form) for _, read, form in _COLUMNS]
+        rows.append([*cells, number(100.0 * errors.share_told_apart, ".1f")])
+    return table(header, rows)
+
+
 def write_report(
     path: str | os.PathLike[str],
     comparisons: Sequence[Comparison],

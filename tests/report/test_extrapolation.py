@@ -1,0 +1,144 @@
+"""Errors near and far from the fitted places, light and deep, by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import small_scene
+from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.errors import FileError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.extrapolation import (
+    CELL,
+    CHUNK,
+    MOST_CELLS,
+    Contacts,
+    FittedContacts,
+    bins,
+    by_distance_and_depth,
+)
+from ttus_opt.report.metrics import as_rendered, compare
+from ttus_opt.scan.surface import Surface
+
+RADIUS, BALL = 0.1, 0.02
+
+
+def cylinder() -> Surface:
+    return Surface.from_radius(np.full((36, 21), RADIUS), np.linspace(0.0, 0.2, 21))
+
+
+def presses(angle: np.ndarray, depth: np.ndarray) -> Trajectory:
+    """A ball pressed along the radius at half the height."""
+    r, n = RADIUS + BALL - depth, len(depth)
+    at = np.c_[r * np.cos(angle), r * np.sin(angle), np.full(n, 0.1)]
+    force = np.zeros((n, 3))
+    return Trajectory(
+        0.1 * np.arange(n), at, np.tile(np.eye(3), (n, 1, 1)), force, force
+    )
+
+
+def test_depth_and_place_of_a_ball_on_a_cylinder() -> None:
+    n = CHUNK + 50  # more than is in memory at once
+    angle, depth = np.linspace(0.3, 5.0, n), np.linspace(-0.002, 0.008, n)
+    shell = PointShell.sphere(BALL, 3000)
+    found = Contacts.of(cylinder(), shell, presses(angle, depth))
+    np.testing.assert_allclose(found.depth, np.maximum(depth, 0.0), atol=2e-4)
+    on = depth > 1e-3
+    place = RADIUS * np.c_[np.cos(angle), np.sin(angle), np.ones(n)]
+    place[:, 2] = 0.1
+    assert np.linalg.norm(found.place - place, axis=1)[on].max() < 1e-3
+    assert not found.depth[depth < 0.0].any()
+
+
+def test_a_file_keeps_places_to_half_a_cell() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-0.05, 0.05, (300, 3)) * [1.0, 1.0, 0.0]
+    depth = np.r_[np.zeros(100), rng.uniform(0.001, 0.02, 200)]
+    kept = FittedContacts.of(Contacts(place, depth))
+    assert kept is not None and kept.cell == CELL
+    read = FittedContacts.from_text(kept.text)
+    assert read.deepest == depth.max()
+    assert read.distance(place[100:]).max() <= CELL / math.sqrt(2.0)
+    assert read.distance(np.array([[0.0, 0.0, 0.3]]))[0] == pytest.approx(0.3, abs=1e-3)
+    assert read.distance(place[:100]).max() > 2.0 * CELL  # these were in the air
+
+
+def test_many_places_are_kept_in_larger_cells() -> None:
+    place = np.random.default_rng(1).uniform(0.0, 0.4, (20_000, 3)) * [1.0, 1.0, 0.0]
+    kept = FittedContacts.of(Contacts(place, np.ones(len(place))))
+    assert kept is not None and len(kept.cells) <= MOST_CELLS
+    assert kept.cell == 4.0 * CELL and len(kept.text) < 20_000
+    assert kept.distance(place).max() <= kept.cell / math.sqrt(2.0) + 1e-12
+
+
+def test_nothing_is_kept_of_a_probe_in_the_air() -> None:
+    assert FittedContacts.of(Contacts(np.zeros((5, 3)), np.zeros(5))) is None
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        [1, 2],
+        {"cell_m": 0.004, "deepest_m": 0.01},
+        {"cell_m": 0.004, "deepest_m": 0.01, "cells": []},
+        {"cell_m": 0.004, "deepest_m": 0.01, "cells": [[1, 2]]},
+        {"cell_m": 0.004, "deepest_m": 0.01, "cells": [[1, 2, math.nan]]},
+        {"cell_m": -0.004, "deepest_m": 0.01, "cells": [[1, 2, 3]]},
+        {"cell_m": 0.004, "deepest_m": "deep", "cells": [[1, 2, 3]]},
+    ],
+)
+def test_damaged_contacts_are_refused(facts: object) -> None:
+    with pytest.raises(FileError, match="fit the field again"):
+        FittedContacts.from_text(json.dumps(facts))
+
+
+def test_every_frame_in_contact_is_in_one_bin_of_each_kind() -> None:
+    """Fitted at one place, 10 mm deep; errors of 1, 2, … N at chosen distances."""
+    away = np.array([0.0, 0.019, 0.021, 0.06, 0.3, 0.5])
+    depth = np.array([0.004, 0.006, 0.01, 0.012, 0.004, 0.0])  # the last in the air
+    fitted = FittedContacts(CELL, np.zeros((1, 3)), 0.01)
+    place = np.c_[away, np.zeros((6, 2))]
+    recorded = presses(np.zeros(6), depth)
+    wrench = np.zeros((6, 6))
+    wrench[:, 0] = np.arange(1.0, 7.0)
+    judged = compare(recorded, as_rendered(wrench))
+    far, deep = by_distance_and_depth(fitted, Contacts(place, depth), judged)
+
+    def told(found):
+        sizes = [b.errors and b.errors.force_magnitude_error_N for b in found]
+        return [b.frames for b in found], sizes
+
+    assert told(far) == ([2, 1, 1, 1], [1.5, 3.0, 4.0, 5.0])
+    # as deep as the deepest is not deeper
+    assert told(deep) == ([2, 2, 1], [3.0, 2.5, 4.0])
+    assert [b.as_dict()["to"] for b in far] == [0.02, 0.05, 0.1, None]
+    (empty,) = bins(np.full(6, np.nan), (0.0, 1.0), judged)
+    assert empty.as_dict() == {"from": 0.0, "to": 1.0, "frames": 0, "errors": None}
+
+
+def test_tilted_probes_touch_as_in_the_rows_and_as_for_comparators() -> None:
+    scene = small_scene("trilinear", n_poses=20)
+    poses, surface = scene.trajectory, scene.voxmap.surface
+    tilted = replace(poses, rotation=Rotation.random(20, random_state=2).as_matrix())
+    geometry = ContactGeometry(surface, scene.shell)
+    touches = map(geometry.touch, tilted.rotation, tilted.position)
+    patches = [touch.patch for touch in touches]
+    found = Contacts.of(surface, scene.shell, tilted)
+    np.testing.assert_allclose(found.depth, [p.depth for p in patches], atol=1e-3)
+    on = found.depth > 2e-3
+    centre = np.array([p.centre for p in patches])[on]
+    centre[:, :2] *= (
+        np.linalg.norm(found.place[on, :2], axis=1)
+        / np.linalg.norm(centre[:, :2], axis=1)
+    )[:, None]
+    assert on.sum() > 10
+    np.testing.assert_allclose(found.place[on], centre, atol=1e-3)
+    upright = Contacts.of(surface, scene.shell, poses).depth
+    np.testing.assert_array_equal(upright > 0.0, scene.rows.contact_points > 0)
