@@ -101,6 +101,7 @@ def judged(
     known = depths(surface, shell, fitted)
     for truth in truths:
         force = tt.evaluate(solution.field, shell, truth).rendered_force
+        assert truth.force is not None
         size, true = (np.linalg.norm(f, axis=1) for f in (force, truth.force))
         along = force / np.maximum(size, np.finfo(float).tiny)[:, None]
         cov = stated.std(truth).covariance[:, :3, :3]

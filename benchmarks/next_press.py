@@ -62,6 +62,7 @@ class Presses:
         surface = tt.Surface.load(folder / "surface.nc")
         names = "press_fit.csv", "places_test.csv", "places_test_truth.csv"
         first, measured, truth = (tt.read_trajectory(folder / n) for n in names)
+        assert truth.force is not None
         touching = np.linalg.norm(truth.force, axis=1) > 0.0
         run = runs(touching, truth.segment)
         frames = tuple(np.flatnonzero(run == r) for r in np.unique(run[touching]))
@@ -91,6 +92,7 @@ class Presses:
         others = [own for k, own in enumerate(self.frames) if k not in chosen]
         truth = self.truth.select(np.concatenate(others))
         force = tt.evaluate(solution.field, self.shell, truth).rendered_force
+        assert truth.force is not None
         size, true = (np.linalg.norm(f, axis=1) for f in (force, truth.force))
         return float(np.abs(size - true)[true > LEAST_FORCE].mean())
 

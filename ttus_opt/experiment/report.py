@@ -200,8 +200,8 @@ def _chosen_weights(result: ExperimentResult) -> list[Block]:
 _ABOUT_WEIGHTS = Text(
     "As `ttus-opt fit` chooses them when no weight is given: of a depth map by "
     "marginal likelihood, of others by how well places left out are predicted; the "
-    "formulation's own where the recordings bear no choice. Both recordings that are fitted are used, those "
-    "of new trajectories are not."
+    "formulation's own where the recordings bear no choice. Both recordings that are "
+    "fitted are used, those of new trajectories are not."
 )
 
 
