@@ -125,3 +125,43 @@ def test_a_ray_within_limits_but_for_its_rounding() -> None:
     held = program([down], [tied], [bounds("half", [0.0, -INF], [INF, 3.0])])
     assert not decreases_forever(held, np.array([0.0, -1.0]))
     assert decreases_forever(held, np.array([1.0, -1.0]))
+
+
+def test_upper_limits_hold_a_ray() -> None:
+    """x² − y falls as y grows, until a bound or a row limits y from above."""
+    terms = [
+        term([[1, 0]], [0]),
+        term([[0, -1]], [0], 1.0, Linear(), name="downhill"),
+    ]
+    up, box = np.array([0.0, 1.0]), bounds("half", [-1, -3], [1, INF])
+    below = rows("below", [[0, 1]], [-3], [INF])
+    free = program(terms, [below], [box])
+    ray = falling_ray(free)
+    assert decreases_forever(free, up)
+    assert ray is not None
+    assert ray[1] > 0.0 == ray[0]
+    above = rows("above", [[0, 1]], [-INF], [3])
+    bound = bounds("box", [-1, -INF], [1, 3])
+    for held in (program(terms, [above], [box]), program(terms, (), [bound])):
+        assert not decreases_forever(held, up)
+        assert falling_ray(held) is None
+
+
+@pytest.mark.parametrize("tiny", [1e-6, 1e-10])
+def test_an_upper_limit_of_what_does_not_cancel(tiny: float) -> None:
+    """x₀ − ε x₁ ≤ 0 and x₀ ≥ 1 hold at x₁ = 1/ε, unless x₁ stays below that."""
+    low = rows("low", [[1.0, -tiny]], [-INF], [0.0])
+    given = Duals({"low": np.array([1.0])}, np.array([-1.0, 0.0]))
+    for most, proven in ((INF, False), (2.0 / tiny, False), (0.5 / tiny, True)):
+        box = bounds("box", [1.0, -INF], [INF, most])
+        one = program([term(np.eye(2), [0, 0])], [low], [box])
+        assert contradicts(one, given) == proven
+
+
+def test_a_ray_that_only_a_row_above_stops() -> None:
+    """y may fall only while x rises, and x has an upper limit."""
+    down = term([[0, 1]], [0], 1.0, Linear(), name="downhill")
+    tied = rows("tied", [[-1, -1], [1, 0]], [-INF, -INF], [0.0, 3.0])
+    held = program([down], [tied], [bounds("free", [-INF, -INF], [INF, INF])])
+    assert falling_ray(held) is None  # −x ≤ y and x ≤ 3: y ≥ −3
+    assert not decreases_forever(held, np.array([1.0, -1.0]))
