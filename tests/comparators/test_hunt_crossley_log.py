@@ -22,3 +22,9 @@ def test_the_logarithm_finds_the_same_where_damping_is_small() -> None:
     np.testing.assert_allclose(law.per_patch.mean(axis=0), expected, rtol=0.02)
     fast = Contact(0.8, 3.0, found[0].place, STILL, NO_PATCH)
     assert law._normal_force(fast) == pytest.approx(6.0 * 0.8**1.7 * 1.3, rel=0.03)
+
+
+def test_a_fast_retreat_does_not_pull() -> None:
+    law = HuntCrossleyLog._law
+    back = Contact(0.8, -30.0, np.zeros(3), STILL, NO_PATCH)
+    assert law(made(HuntCrossleyLog), np.array([math.log(6.0), 1.7, 0.1]), back) == 0.0

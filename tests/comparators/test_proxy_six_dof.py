@@ -66,3 +66,17 @@ def test_where_no_point_is_below_the_surface_nothing_moves() -> None:
     rows = rng.normal(size=(8, 6)) + np.eye(6)[0]
     for least in (-rng.uniform(0.1, 1.0, 8), np.zeros(8)):
         assert not least_motion(rows, least).any()
+
+
+def test_six_dof_turns_by_the_moment_of_its_force() -> None:
+    """Where one spot touches, the torque is its lever times the force."""
+    made = fitted_six_dof()
+    R, at = facing(torso(), 1.4, 0.1, 0.002)
+    R = R @ Rotation.from_rotvec([0.5, 0.4, 0.0]).as_matrix()
+    unit, _ = made._unit_wrench(R, at)
+    arm = (made.shell.points - made.shell.reference) @ R.T
+    depth, _ = made.geometry.surface.depth(made.shell.points @ R.T + at)
+    moment = np.cross(arm[depth.argmax()], unit[:3])
+    assert np.linalg.norm(moment) > 0.0
+    off = np.linalg.norm(unit[3:] - moment)
+    assert off < 0.2 * np.linalg.norm(moment), off / np.linalg.norm(moment)
