@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import small_scene
 from tests.dragging import dragged_scene
 from ttus_opt.fitting import coarse_scene
-from ttus_opt.fitting.coarse_scene import coarser
+from ttus_opt.fitting.coarse_scene import coarse_shape, coarser
 from ttus_opt.scene import Scene
 
 
@@ -46,3 +46,9 @@ def test_a_boundary_that_was_fitted_is_fitted_again(
     coarse = coarser(scene)
     assert coarse.inner == coarse.parameters["boundary_scale"] != scene.inner
     assert coarse.outer / coarse.inner == pytest.approx(0.7)
+
+
+def test_a_coarse_shape_has_about_as_many_voxels_as_asked() -> None:
+    shape = coarse_shape((96, 240, 120), 60_000)
+    assert np.prod(shape) == pytest.approx(60_000, rel=0.2)
+    assert coarse_shape((24, 72, 30), 60_000) == (24, 72, 30)

@@ -165,3 +165,15 @@ def test_a_ray_that_only_a_row_above_stops() -> None:
     held = program([down], [tied], [bounds("free", [-INF, -INF], [INF, INF])])
     assert falling_ray(held) is None  # −x ≤ y and x ≤ 3: y ≥ −3
     assert not decreases_forever(held, np.array([1.0, -1.0]))
+
+
+@pytest.mark.parametrize("limit", ["row", "bound"])
+def test_a_ray_is_sought_within_upper_limits(limit: str) -> None:
+    """−x − y falls along y alone where x has an upper limit."""
+    down = term([[-1, -1]], [0], 1.0, Linear(), name="downhill")
+    high = rows("high", [[1, 0]], [-INF], [3]), bounds("box", [-1, -1], [3, INF])
+    held = [high[0]] if limit == "row" else []
+    box = [] if limit == "row" else [high[1]]
+    ray = falling_ray(program([down], held, box))
+    assert ray is not None
+    assert ray[1] > 0.0

@@ -44,3 +44,14 @@ def test_a_jump_of_the_slope_is_closed_in_on() -> None:
     """Where no slope is small enough the bracket shrinks to the kink."""
     step, _ = along(lambda s: -1.0 if s < 0.37 else 1.0, -1.0)
     assert step == pytest.approx(0.37, abs=1e-3)
+
+
+def test_a_straight_slope_takes_one_secant() -> None:
+    calls = []
+
+    def slope(step: float) -> float:
+        calls.append(step)
+        return step - 0.3
+
+    along(slope, -0.3)
+    assert calls == pytest.approx([1.0, 0.3])
