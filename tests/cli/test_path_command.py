@@ -134,3 +134,13 @@ def test_nothing_solved_is_status_one(
     assert answer.status == 1
     assert "error: no point was solved: see residuals in" in answer.err
     assert output.exists()
+
+
+def test_a_list_of_weights_is_positive() -> None:
+    from ttus_opt.cli.path_command import _list
+
+    found = _list("0.5,2")
+    assert found is not None
+    assert found.tolist() == [0.5, 2.0]
+    for text in ("0,1", "1,inf", "-1,2", "1,x"):
+        assert _list(text) is None
