@@ -181,4 +181,4 @@ def test_missing_folders_are_skipped_with_a_reason(truth: Any, tmp_path: Path) -
     found, skipped = truth.cases(tmp_path, None, None, None)
     assert [case.name for case in found] == ["example", "example_drag"]
     assert skipped[0] == f"phantom: no {tmp_path}/phantom/surface.nc"
-    assert skipped[-1] == "tissue: give --tissue"
+    assert skipped[-2:] == ["tissue: give --tissue", "patients: give --patients"]

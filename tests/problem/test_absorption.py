@@ -143,3 +143,13 @@ def test_networks_live_as_long_as_their_rows(monkeypatch: pytest.MonkeyPatch) ->
         assert len(absorption._networks) == before + 1
     del program
     assert len(absorption._networks) == before
+
+
+def test_two_points_of_the_same_objective_are_no_further_apart() -> None:
+    """x₀² + |x₁| at (a, 0) and (−a, 0): 2a apart, P = 2, which is as far as can be."""
+    a, theta = 1.5, 0.7
+    square = term([[1.0, 0.0]], [0.0])
+    size = term([[0.0, 1.0]], [0.0], name="own", penalty=Absolute())
+    one, x = bare([square, size]), np.array([a, 0.0])
+    made = absorption._Rows(one, x, {"own": np.zeros(1)}, [one.terms[1]])
+    assert made._apart(theta) >= np.sqrt(theta * 2.0) * 2.0 * a

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.certificate import contradicts, decreases_forever, falling_ray
 from ttus_opt.problem.conflict import conflicting
 from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramCones
 from ttus_opt.terms.penalties.linear import Linear
 
 INF = np.inf
@@ -177,3 +181,34 @@ def test_a_ray_is_sought_within_upper_limits(limit: str) -> None:
     ray = falling_ray(program([down], held, box))
     assert ray is not None
     assert ray[1] > 0.0
+
+
+def test_limits_that_meet_contradict_nothing() -> None:
+    """x ≤ 1 and x ≥ 1: the limits add up to exactly zero."""
+    meet = rows("meet", [[1.0, 0.0], [1.0, 0.0]], [-INF, 1.0], [1.0, INF])
+    one = program([term(np.eye(2), [0, 0])], [meet])
+    assert not contradicts(one, Duals({"meet": np.array([1.0, -1.0])}))
+
+
+def test_a_ray_stays_below_upper_limits_and_falls() -> None:
+    up = term([[0.0, -1.0]], [0.0], 1.0, Linear(), name="uphill")
+    flat = term([[0.0, 0.0]], [0.0], 1.0, Linear(), name="flat")
+    capped = rows("capped", [[0.0, 1.0]], [-INF], [5.0])
+    ray = np.array([0.0, 1.0])
+    assert decreases_forever(program([up]), ray)
+    assert not decreases_forever(program([up], [capped]), ray)
+    box = bounds("box", [-INF, -INF], [INF, 5.0])
+    assert not decreases_forever(program([up], (), [box]), ray)
+    assert not decreases_forever(program([flat]), ray)
+    down = term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="down")
+    assert not decreases_forever(program([up, down]), ray)
+
+
+def test_a_ray_stays_within_cones() -> None:
+    """y falls within y ≤ −|x|, but not within y ≥ |x|."""
+    down = term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="down")
+    for sign in (1.0, -1.0):
+        matrix = sp.csr_array(np.array([[0.0, sign], [1.0, 0.0]]))
+        cone = ProgramCones("cone", matrix, np.zeros(2), (2,))
+        one = replace(program([down]), cones=(cone,))
+        assert decreases_forever(one, np.array([0.0, -1.0])) == (sign < 0.0)

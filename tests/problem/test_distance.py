@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -10,7 +12,7 @@ from tests.conftest import small_scene
 from tests.dragging import dragged_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
-from ttus_opt.problem.distance import CLOSE, energy, held_by_equalities
+from ttus_opt.problem.distance import CLOSE, energy, field_of, held_by_equalities
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
@@ -18,6 +20,7 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.terms.penalties.linear import Linear
+from ttus_opt.terms.structure import LaplaceRows
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
 
@@ -78,6 +81,48 @@ def test_a_bound_that_is_close(name: str, weight: float) -> None:
         loose = energy(program, r, fixed, enough=100.0 * truth)
         assert loose is not None
         assert loose >= truth * (1.0 - 1e-6)
+
+
+@pytest.mark.parametrize("weight", [1e-4, 10.0])
+@pytest.mark.parametrize("name", ["viscous_drag", "coulomb_drag"])
+def test_the_bound_beside_parameters_holds_for_the_worst_residuals(
+    name: str, weight: float
+) -> None:
+    """Over a parameter alone, and what the weakest directions make of both parts."""
+    program = compiled(name, force_weight=weight, torque_weight=weight)
+    free = ~held_by_equalities(program)
+    assert free.all()
+    P = sum(2.0 * t.weight * (t.matrix.T @ t.matrix).toarray() for t in program.terms)
+    inverse = np.linalg.inv(P)
+    (at,) = [v.start for v in program.variables.values() if v.stop - v.start == 1]
+    unit = np.zeros(len(free))
+    unit[at] = 1.0
+    weakest = np.linalg.eigh(P)[1][:, :4]
+    mixed = [unit * size + P @ v for v in weakest.T for size in (1.0, -1.0)]
+    steered = inverse[:, at] / inverse[at, at]  # x that the parameter drags along
+    aside = steered - unit * steered[at]
+    others = [P @ steered, steered, steered - 2.0 * unit * steered[at]]
+    others += [unit + sign * aside / (aside @ aside) for sign in (1.0, -1.0)]
+    for r in (unit, *mixed, *others):
+        bound = energy(program, r, ~free)
+        assert bound is not None
+        assert bound >= 0.5 * float(r @ inverse @ r) * (1.0 - 1e-6)
+
+
+def test_rows_of_free_voxels_alone_determine_a_field_only_with_the_others_fixed() -> (
+    None
+):
+    laplace = SCENE.laplace
+    V = len(laplace.free)
+    none, given = np.zeros(V, dtype=bool), ~laplace.free
+    own = next(t for t in compiled("volume_weighted").terms if t.laplace_rows)
+    assert len(own.target) < V
+    assert field_of(own, "p", slice(0, V), none, laplace) is None
+    assert field_of(own, "p", slice(0, V), given, laplace) is not None
+    whole = next(t for t in compiled("eq10").terms if t.laplace_rows)
+    scaled = replace(whole, tags=frozenset({LaplaceRows("p", np.ones(V))}))
+    for term_of_all in (whole, scaled):
+        assert field_of(term_of_all, "p", slice(0, V), none, laplace) is not None
 
 
 def test_nothing_is_said_where_squares_leave_something_open() -> None:

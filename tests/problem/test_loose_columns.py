@@ -112,6 +112,16 @@ def test_multipliers_become_exact_nearby() -> None:
     assert exact_rows(hinge(-1.0), {"above": np.array([-0.7, -0.3])}, loose) is None
 
 
+def test_the_bound_counts_slack_of_rows() -> None:
+    """At x = 0, t = 3 the row t ≥ 0 is 3 away: all of the excess is there."""
+    one = hinge()
+    x = np.array([2.0, 3.0])
+    kkt = kkt_residuals(one, x, Duals({"above": np.array([-0.4, -0.6])}))
+    assert kkt.is_bound
+    # least: x = 1.5, t = 0.5 with 0.25 + 0.5
+    assert kkt.gap >= (0.0 + 3.0) - 0.75
+
+
 def test_variables_with_limits_or_squares_are_not_loose() -> None:
     held = program(hinge().terms, (), [bounds("half", [-INF, 0.0], [INF, INF])])
     assert not loose_variables(held, np.zeros(2, dtype=bool)).any()
