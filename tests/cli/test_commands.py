@@ -204,9 +204,13 @@ def test_evaluate_says_what_a_hand_could_tell_apart(
 ) -> None:
     words = f"evaluate --field {field} --probe {PROBE} --points 300"
     words += f" --trajectory {files / 'press.csv'}"
-    share = json.loads(run(f"{words} --json").out)["share_told_apart"]
+    told, spoken = json.loads(run(f"{words} --json").out), run(words).out
+    share = told["share_told_apart"]
     assert 0.0 < share <= 1.0
-    assert f"{100 * share:.1f} % of the frames in contact differ" in run(words).out
+    assert f"{100 * share:.1f} % of the frames in contact differ" in spoken
+    for key, word in (("error", "mean"), ("rmse", "rmse")):
+        torque = 1e3 * told[f"torque_magnitude_{key}_Nm"]
+        assert f"{torque:.1f} mN m {word}" in spoken
 
 
 def test_evaluate_tells_errors_by_recording_distance_and_depth(

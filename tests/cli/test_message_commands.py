@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import Run, empty, refused
+from ttus_opt.message import envelope
 from ttus_opt.message.field_message import sampled
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
@@ -79,3 +80,15 @@ def test_a_damaged_message_leaves_nothing(
     message.write_bytes(content)
     refused(run(f"decode {message} -o {output / 's.nc'}"), "checksum")
     assert [path.name for path in output.iterdir()] == ["surface.msg"]
+
+
+def test_one_byte_after_the_longest_message_is_refused(
+    run: Run, output: Path, message: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(envelope, "LONGEST", len(message.read_bytes()))
+    target = output / "surface.nc"
+    assert run(f"decode {message} -o {target}").status == 0
+    longer = output / "longer.msg"
+    longer.write_bytes(message.read_bytes() + b"x")
+    assert run(f"decode {longer} -o {output / 'none.nc'}").status == 2
+    assert not (output / "none.nc").exists()

@@ -132,7 +132,10 @@ def test_turning_the_scene_turns_the_wrench(name: str) -> None:
         both.append(made.wrenches(recordings()[1].transformed(move)))
     back = np.hstack([quarter.inv().apply(part) for part in np.hsplit(both[1], 2)])
     size = np.abs(both[0][:, :3]).max()
-    np.testing.assert_allclose(back[:, :3], both[0][:, :3], atol=1e-3 * size)
+    # a quarter turn moves the nodes between which a depth map's evidence interpolates,
+    # which forces without noise resolve
+    near = 1e-2 if name.startswith("depth_map") else 1e-3
+    np.testing.assert_allclose(back[:, :3], both[0][:, :3], atol=near * size)
 
 
 @every

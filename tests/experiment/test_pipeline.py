@@ -98,7 +98,7 @@ def test_weights_are_chosen_and_told(done):
     folder, result, _ = done
     told = json.loads((folder / "lean" / "eq10_auto.json").read_text(encoding="utf-8"))
     choice = told["facts"]["weights_chosen"]
-    assert choice["by"] == "marginal likelihood"
+    assert choice["by"] == "places left out"
     assert choice["weights"]["force"] not in (0.0, 1.0)
     rows = [r.score for r in result.rows if r.setting == "eq10_auto" and not r.seen]
     assert len(rows) == 4
