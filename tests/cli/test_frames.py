@@ -160,7 +160,7 @@ def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
     ]
     text = run(evaluate_words(field, Path(both)).replace("--json", "")).out
     assert "renamed.csv: the field was fitted to this recording" in text
-    assert "unseen.csv" not in text
+    assert "unseen.csv: the field was fitted" not in text
 
 
 @pytest.mark.slow
