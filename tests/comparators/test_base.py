@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing, recordings
 from tests.conftest import ellipsoid, torso
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import LEAST_FORCE, OneStiffness, positive_scale
 from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
 
 
 class Straight(OneStiffness):
@@ -88,3 +90,23 @@ def test_a_cloud_that_is_none_is_told(cloud: Array, words: str) -> None:
 def test_without_a_cloud_the_surface_s_own_points_are_it() -> None:
     made = Straight(surface=torso(), shell=ellipsoid())
     np.testing.assert_array_equal(made.cloud, torso().points().reshape(-1, 3))
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_contact_is_judged_with_the_probe_as_it_is_turned(turned: bool) -> None:
+    """A probe of 30 × 10 × 10 mm points 25 mm inwards, or aside and touches nothing."""
+    shell, surface = ellipsoid(300, (0.03, 0.01, 0.01)), torso()
+    theta = 1.0
+    out = np.array([np.cos(theta), np.sin(theta), 0.0])
+    at = (float(surface.radius_at(theta, 0.1)) + 0.025) * out + [0.0, 0.0, 0.1]
+    angle = theta if turned else -theta
+    R = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    own = Trajectory(
+        np.arange(3.0), np.tile(at, (3, 1)), np.tile(R, (3, 1, 1)), np.tile(out, (3, 1))
+    )
+    made = Straight(surface=surface, shell=shell)
+    if turned:
+        made._require_contact(own, np.tile(out, (3, 1)))
+    else:
+        with pytest.raises(InputError, match="touches the surface in no frame"):
+            made._require_contact(own, np.tile(out, (3, 1)))

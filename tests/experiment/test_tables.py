@@ -3,12 +3,14 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from ttus_opt.experiment import tables
 from ttus_opt.experiment.boundary import BoundaryError
 from ttus_opt.experiment.report import best_setting
 from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.probe.trajectory import Trajectory
 
 
 def row(patient, recording, setting, error, told=0.5, against="true"):
@@ -153,3 +155,22 @@ def test_rivals_stand_in_a_table_of_their_own_with_those_that_failed():
         "eq. 10"
     ]
     assert best_setting(whole) == "eq10"
+
+
+def test_recordings_are_told_in_newtons_and_millinewton_metres():
+    """Ten frames at rest, seven of them pressed with 4 N and 25 mN·m."""
+    pressed = np.arange(10) >= 3
+    force, torque = np.zeros((10, 3)), np.zeros((10, 3))
+    force[pressed, 0], torque[pressed, 1] = 4.0, 0.025
+    own = Trajectory(
+        0.1 * np.arange(10.0),
+        np.tile([0.0, 0.14, 0.1], (10, 1)),
+        np.tile(np.eye(3), (10, 1, 1)),
+        force,
+        torque,
+    )
+    examined = SimpleNamespace(measured={"press_fit": own})
+    lean = SimpleNamespace(patient=SimpleNamespace(name="lean"), examination=examined)
+    found = tables.recordings_table(SimpleNamespace(patients=[lean]))
+    (line,) = found.rows
+    assert line[:5] == ["lean, press_fit", "7/10", "4.0", "4.0", "25"]
