@@ -11,7 +11,13 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scan import contour_filter
 from ttus_opt.scan.candidates import Candidates
-from ttus_opt.scan.contour_filter import ContourModel, associate, follow
+from ttus_opt.scan.contour_filter import (
+    Contour,
+    ContourModel,
+    associate,
+    follow,
+    without_end_cliffs,
+)
 
 
 def test_association_does_not_pull_inwards() -> None:
@@ -253,3 +259,17 @@ def test_a_contour_jumps_after_the_spoke_that_it_missed(
 def test_an_unusable_model() -> None:
     with pytest.raises(InputError, match="slope_std must be positive"):
         ContourModel(slope_std=0.0)
+
+
+def test_cliffs_at_the_ends_are_not_seen() -> None:
+    """From the cliff to the end of its spoke's row; one amid the body stays."""
+    radius = np.full((8, 60), 0.15)
+    radius[2, -2:] = 0.10  # a cap
+    radius[5, 30:] = 0.12  # the body's own step
+    radius[6, 0] = 0.13
+    radius[7, -12:] = 0.15 - 0.0074 * np.arange(12)  # a shoulder within 1.5
+    seen = np.ones(radius.shape, dtype=bool)
+    found = without_end_cliffs(Contour(radius, radius, seen), 0.005)
+    expected = seen.copy()
+    expected[2, -3:] = expected[6, :2] = False
+    np.testing.assert_array_equal(found.observed, expected)

@@ -309,6 +309,47 @@ def test_ct_torso_seen_by_cameras(frame: str) -> None:
     assert np.sqrt(np.mean(score**2)) < 1.5
 
 
+@pytest.mark.parametrize("bed", [True, False])
+def test_errors_of_a_hidden_back_are_as_stated(bed: bool) -> None:
+    """The CT skin from the front alone: without a bed, 3 of 4 nodes lay outside."""
+    scan, rng = ct_scan(), np.random.default_rng(2)
+    cloud = seen_from_the_front(scan, rng, bed=bed)
+    surface = extract_surface(cloud, axis=Axis.from_cloud(cloud, head=[0.0, 0.0, 1.0]))
+    error = surface.radius - true_radius(scan, surface)
+    filled = np.isfinite(error) & ~surface.observed
+    assert 0.4 < filled.mean() < 0.65
+    within = np.abs(error[filled]) < 1.96 * surface.radius_std[filled]
+    assert within.mean() > 0.9
+    assert np.median(surface.radius_std[filled]) < 0.05
+
+
+def seen_from_the_front(
+    scan: Simulated, rng: np.random.Generator, *, bed: bool
+) -> Array:
+    """Points that a camera above the front sees."""
+    points, normals = camera.sample_mesh(scan.vertices, scan.faces, 600_000, rng)
+    low, high = points[:, 2].min() + 0.002, points[:, 2].max() - 0.002
+    side = (points[:, 2] > low) & (points[:, 2] < high)
+    points, normals = points[side], normals[side]
+    if bed:
+        under = np.array([0, points[:, 1].min(), 0.26])
+        plane, up = camera.bed_plane(under, (0.9, 0.7), 600_000, rng)
+        points, normals = np.concatenate([points, plane]), np.concatenate([normals, up])
+    seen = camera.see(points, normals, camera.View((0, -1, 0), 0.003), rng)
+    return rng.permutation(seen)[:100_000]
+
+
+@pytest.mark.parametrize("n_z", [60, 100])
+def test_caps_of_a_cut_body_are_not_its_side(n_z: int) -> None:
+    """The front half of the CT skin with its cut ends: cliffs of up to 65 mm."""
+    vertices = ct_scan().vertices
+    cloud = vertices[vertices[:, 1] > np.median(vertices[:, 1])]
+    surface = extract_surface(cloud, axis=Axis.from_cloud(cloud), n_z=n_z)
+    both = surface.observed[:, 1:] & surface.observed[:, :-1]
+    assert (np.abs(np.diff(surface.radius, axis=1)) * both).max() < 0.010
+    assert 0.3 < surface.observed[:, [0, -1]].mean() < 0.6
+
+
 def test_camera_sees_one_side_only() -> None:
     """The test's own camera: nothing from the far side, noise along the ray."""
     rng = np.random.default_rng(0)
@@ -342,6 +383,9 @@ def test_real_scan_is_followed() -> None:
     body = s.axis.to_patient(cloud[plane.above(cloud)])
     body = body[(body[:, 2] >= s.z[0]) & (body[:, 2] <= s.z[-1])]
     assert np.ptp(s.z) > 0.4 and len(body) > 30_000
+    back, _ = cKDTree(body).query(s.points()[s.observed])
+    # the last 4 cm are the shoulders, cliffs that count as not seen
+    body = body[body[:, 2] <= s.z[-1] - 0.04]
     theta, z = np.meshgrid(
         np.linspace(0, 2 * np.pi, 1080, endpoint=False),
         np.linspace(s.z[0], s.z[-1], 360),
@@ -354,11 +398,19 @@ def test_real_scan_is_followed() -> None:
     distance, _ = cKDTree(dense[s.observed[j, k]]).query(body)
     assert np.median(distance) < 0.0015  # asked for: 3 mm
     assert np.percentile(distance, 95) < 0.005  # asked for: 8 mm
-    back, _ = cKDTree(body).query(s.points()[s.observed])
     assert np.median(back) < 0.002  # points are about 3 mm apart
     assert np.percentile(back, 95) < 0.005
     per_section = s.observed.sum(axis=0) / len(s.theta) * 36
     assert 12 < np.median(per_section) < 26  # 16-25 of 36 by eye
+
+
+def test_real_shoulders_are_not_a_side() -> None:
+    """The last slices fell by up to 59 mm from one to the next, marked as seen."""
+    _, s = real_scan()
+    both = s.observed[:, 1:] & s.observed[:, :-1]
+    steps = np.abs(np.diff(s.radius, axis=1)) * both
+    assert steps.max() < 2.0 * (s.z[1] - s.z[0])
+    assert 0.15 < s.observed[:, -5:].mean() < 0.35
 
 
 def test_real_table_is_never_skin() -> None:

@@ -110,7 +110,12 @@ def test_unseen_back_stops_at_the_support() -> None:
 def test_deviation_grows_with_the_distance() -> None:
     truth = ellipse(0.14, 0.14)
     seen = np.broadcast_to(np.cos(THETA) > 0, truth.shape)
-    std = fill_smoothly(truth, np.full(truth.shape, 1e-6), seen, z_step=Z_STEP).std
     quarter, half = N_THETA // 4 + 1, N_THETA // 2
-    assert (np.diff(std[quarter:half, 5]) > 0).all()
-    assert std[half, 5] == pytest.approx(0.15 * 0.14 * np.pi / 2, rel=0.05)
+    distance = 0.14 * np.pi / 2
+    far = np.full(truth.shape, 9.0)
+    for limit, (most, length) in ((None, (0.060, 0.130)), (far, (0.020, 0.045))):
+        variance = np.full(truth.shape, 1e-6)
+        std = fill_smoothly(truth, variance, seen, z_step=Z_STEP, limit=limit).std
+        assert (np.diff(std[quarter:half, 5]) > 0).all()
+        expected = most * (1.0 - np.exp(-distance / length))
+        assert std[half, 5] == pytest.approx(expected, rel=0.05)

@@ -86,7 +86,8 @@ def surface(
         f"{output}: {facts['n_theta']} x {facts['n_z']} radii, "
         f"{100 * facts['observed']:.0f} % observed, "
         f"R {100 * facts['radius_min_m']:.1f} to {100 * facts['radius_max_m']:.1f} cm, "
-        f"z {100 * facts['z_min_m']:.1f} to {100 * facts['z_max_m']:.1f} cm"
+        f"z {100 * facts['z_min_m']:.1f} to {100 * facts['z_max_m']:.1f} cm",
+        *_deviations(facts),
     ]
     if changes:
         shares = ", ".join(
@@ -148,13 +149,32 @@ def _read(
     return points, std, found
 
 
+def _deviations(facts: dict[str, Any]) -> list[str]:
+    """A line of the filled part's standard deviations; none where all was seen."""
+    if facts["std_filled_m"] is None:
+        return []
+    seen, filled, most = (
+        1e3 * facts[f"std_{name}_m"] for name in ("observed", "filled", "largest")
+    )
+    return [
+        f"standard deviation of R: {seen:.1f} mm where observed, {filled:.0f} mm where "
+        f"filled (medians), at most {most:.0f} mm"
+    ]
+
+
 def _summary(found: Surface, n_points: int, output: Path) -> dict[str, Any]:
+    from numpy import median
+
+    seen, std = found.observed, found.radius_std
     return {
         "output": str(output),
         "points": n_points,
         "n_theta": len(found.theta),
         "n_z": len(found.z),
         "observed": float(found.observed.mean()),
+        "std_observed_m": float(median(std[seen])) if seen.any() else None,
+        "std_filled_m": None if seen.all() else float(median(std[~seen])),
+        "std_largest_m": float(std.max()),
         "radius_min_m": float(found.radius.min()),
         "radius_max_m": float(found.radius.max()),
         "z_min_m": float(found.z[0]),

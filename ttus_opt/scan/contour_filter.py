@@ -27,7 +27,7 @@ contour, which removes the lag of weighting around a prediction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,9 @@ _GATE = 4.0  # candidates more deviations away than this are ignored
 _SAME_SURFACE = 4.0  # gap between two surfaces, in depth deviations
 _JUMP = 0.015  # deviation added per spoke whose candidates are all outside [m]
 _N_REWEIGHT = 2  # rounds of weighing around the smoothed contour
+_CLIFF = 2.0  # slope |dr/dz| of an end's cap or shoulder, 63°; a body's side has ≤ 1.5
+_CLIFF_LENGTH = 0.005  # least length along z over which a slope is judged [m]
+_END = 0.04  # cliffs farther than this from both ends are the body's own [m]
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,33 @@ def follow(candidates: Candidates, model: ContourModel) -> Contour:
         found = associate(radius, smooth.radius, smooth.variance, noise)
         smooth = _two_laps(lap, found)
     return Contour(smooth.radius, smooth.variance, found.seen)
+
+
+def without_end_cliffs(contour: Contour, z_step: float) -> Contour:
+    """Contours whose first and last slices are not seen where they fall off a cliff.
+
+    Points on the cap of a cut body, on an arm stub or across a shoulder make the radius
+    jump from slice to slice. There r(θ, z) is not the body's side: every node from the
+    cliff to the end of its spoke's row counts as not seen.
+
+    Args:
+        contour: Contours of all sections.
+        z_step: Distance between slices [m].
+    """
+    seen, n_z = contour.observed, contour.radius.shape[1]
+    over = min(max(1, round(_CLIFF_LENGTH / z_step)), n_z - 1)
+    end = min(round(_END / z_step) + 1, n_z // 4)
+    first, last = np.zeros_like(seen), np.zeros_like(seen)
+    for apart in range(1, over + 1):
+        low, high = slice(None, n_z - apart), slice(apart, None)
+        fall = np.abs(contour.radius[:, high] - contour.radius[:, low])
+        cliff = (fall > _CLIFF * over * z_step) & (seen[:, high] | seen[:, low])
+        first[:, high] |= cliff
+        last[:, low] |= cliff
+    first[:, end:], last[:, : n_z - end] = False, False
+    beyond = np.logical_or.accumulate(first[:, ::-1], axis=1)[:, ::-1]
+    beyond |= np.logical_or.accumulate(last, axis=1)
+    return replace(contour, observed=seen & ~beyond)
 
 
 def _noise(candidates: Candidates, model: ContourModel) -> float | Array:

@@ -15,7 +15,12 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.candidates import collect, stray, usable_range
-from ttus_opt.scan.contour_filter import Contour, ContourModel, follow
+from ttus_opt.scan.contour_filter import (
+    Contour,
+    ContourModel,
+    follow,
+    without_end_cliffs,
+)
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
@@ -131,7 +136,8 @@ def _contours(
         slice_distance=of_slice or by_default,
         std=std,
     )
-    return follow(candidates, model or ContourModel())
+    found = follow(candidates, model or ContourModel())
+    return without_end_cliffs(found, float(z[1] - z[0]))
 
 
 def filled_surface(

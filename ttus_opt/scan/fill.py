@@ -25,8 +25,10 @@ from ttus_opt.scan.outline import outline
 CURVATURE = 0.4
 #: Length ℓ over which the plate returns to the outline [m].
 RETURN_LENGTH = 0.03
-#: Growth of the unseen radius' deviation with the distance from the seen part [–].
-GROWTH = 0.15
+#: Limit s and length ℓ of an unseen radius' deviation s (1 − e^(−ρ/ℓ)) at the distance
+#: ρ from the seen part, on a supporting plane and without one [m]: fitted to errors on
+#: a CT torso and a depth camera's scan with sides hidden (docs/method.md, 2.4)
+ON_PLANE, WITHOUT_PLANE = (0.020, 0.045), (0.060, 0.130)
 _LEAST_RADIUS = 0.02  # [m]
 _HELD_STD = 0.002  # of a radius held at the supporting plane [m]
 
@@ -62,7 +64,8 @@ def fill_smoothly(
         limit: Largest possible radius (the support), same shape; inf for none [m].
 
     Returns:
-        Radius everywhere; its deviation grows with the distance from the seen part.
+        Radius everywhere; its deviation grows with the distance from the seen part, to
+        20 mm where a supporting plane is known and to 60 mm where none is.
     """
     shape = radius.shape
     arc = float(np.median(radius[observed])) * 2.0 * np.pi / shape[0]
@@ -83,7 +86,8 @@ def fill_smoothly(
         weight = np.where(through, 1.0 / _HELD_STD**2, weight)
         data = np.where(through, room, data)
     solution = base + np.where(seen, plate, np.minimum(plate, room))
-    std = _std(variance, observed, arc, z_step)
+    growth = WITHOUT_PLANE if limit is None else ON_PLANE
+    std = _std(variance, observed, (arc, z_step), growth)
     return Filled(np.maximum(solution, _LEAST_RADIUS).reshape(shape), std)
 
 
@@ -122,7 +126,10 @@ def _bending(shape: tuple[int, ...], arc: float, z_step: float) -> sp.csr_array:
 
 
 def _std(
-    variance: Array, observed: NDArray[np.bool_], arc: float, z_step: float
+    variance: Array,
+    observed: NDArray[np.bool_],
+    steps: tuple[float, float],
+    growth: tuple[float, float],
 ) -> Array:
     """Deviation: the filter's where observed, growing with distance elsewhere."""
     from scipy.ndimage import distance_transform_edt
@@ -131,6 +138,7 @@ def _std(
     half = n // 2 + 1  # wrap around: half a turn on either side
     wrapped = np.concatenate([observed[-half:], observed, observed[:half]])
     edge = np.sqrt(np.median(variance[observed]))
-    distance = distance_transform_edt(~wrapped, sampling=(arc, z_step))
-    grown = np.hypot(edge, GROWTH * distance[half : half + n])
+    distance = distance_transform_edt(~wrapped, sampling=steps)[half : half + n]
+    most, length = growth
+    grown = np.hypot(edge, -most * np.expm1(-distance / length))
     return np.where(observed, np.sqrt(variance), grown)
