@@ -302,6 +302,12 @@ def test_render_gives_what_evaluate_compares(
     assert json.loads(answer.out)["frames"] == 30
     again = run(f"evaluate {words} --trajectory {output} --json")
     assert json.loads(again.out)["force_vector_rmse_N"] < 1e-12
+    refused = run(
+        f"render {words} --trajectory {files / 'press.csv'} -o {tmp_path / 'r.csv'} "
+        "--presliding-length -1"
+    )
+    assert refused.status == 2 and not (tmp_path / "r.csv").exists()
+    assert "presliding_length of a field must not be negative" in refused.err
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.haptic.blend import (
+    BENT,
     DIFFERENCE,
     GAP,
     INJECTED,
@@ -35,7 +36,7 @@ def stepped(
     ledger, origin = settled_ledger(tank), np.zeros(3)
     follow(ledger, np.eye(3), origin, origin)
     ledger[PROGRESS], ledger[GAP] = 0.0, gap
-    ledger[DIFFERENCE:] = target - current if last is None else last
+    ledger[DIFFERENCE:BENT] = target - current if last is None else last
     at = origin if motion is None else motion
     moved = follow(ledger, np.eye(3), at, origin)
     advance(ledger, limits, contact, moved, current, target, *drags)
@@ -78,7 +79,7 @@ def test_stored_energy_falls_by_the_trapezoid() -> None:
     )
     work = 0.5 * (last[:3] + PUSH[:3]) @ motion
     assert ledger[GAP] == pytest.approx(0.3 - work, rel=1e-12)
-    np.testing.assert_array_equal(ledger[DIFFERENCE:], PUSH)
+    np.testing.assert_array_equal(ledger[DIFFERENCE:BENT], PUSH)
 
 
 def test_in_the_air_nothing_is_stored() -> None:

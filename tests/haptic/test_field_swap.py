@@ -12,6 +12,7 @@ from tests.haptic.test_renderer import random_field
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import (
+    BENT,
     DIFFERENCE,
     PLACE,
     PROGRESS,
@@ -110,7 +111,7 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(
     assert now.ledger[PROGRESS] == 0.0
     opened = opened_ledger(ledger, now.current, now.target, data)
     np.testing.assert_array_equal(now.ledger, opened)
-    assert opened[DIFFERENCE:].any() == touches
+    assert opened[DIFFERENCE:BENT].any() == touches
 
 
 def test_after_a_swap_the_field_in_force_is_its_target(scene: Scene) -> None:

@@ -20,6 +20,7 @@ def render(
     output: Path,
     force_limit: float = 40.0,
     torque_limit: float = 4.0,
+    presliding_length: float | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -34,6 +35,8 @@ def render(
         output: Trajectory CSV with wrenches.
         force_limit: Limit the magnitude of the force to this, inf for none [N].
         torque_limit: Limit the magnitude of the torque to this, inf for none [N m].
+        presliding_length: Let friction hold a probe at rest: it builds up over this
+            travel [m], 0 for none; by default the field's.
 
     Example:
         ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -42,6 +45,7 @@ def render(
     import numpy as np
 
     from ttus_opt.contact.cut_off import cut_off
+    from ttus_opt.contact.friction import PRESLIDING
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
@@ -51,6 +55,9 @@ def render(
         begin("reading field and poses")
         as_written = recordings.as_written()
         potential = PotentialField.load(field)
+        if presliding_length is not None:
+            given = {PRESLIDING: presliding_length}
+            potential = replace(potential, parameters={**potential.parameters, **given})
         warn_of_another_probe(potential.provenance, probe, recordings)
         shell, patient = probe.read(), potential.voxmap.surface
         poses = recordings.read(as_written, shell, patient)

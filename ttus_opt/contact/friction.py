@@ -270,7 +270,7 @@ def viscous_rows(
 #: Names of the drag parameters of a fitted field
 FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
 DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
-DRAG_AT_POINTS = "drag_at_points"
+DRAG_AT_POINTS, PRESLIDING = "drag_at_points", "presliding_length"
 DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
 SECTORS, BANDS = "viscous_sectors", "viscous_bands"
 

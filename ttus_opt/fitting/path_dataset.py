@@ -36,7 +36,11 @@ MISSING = -1
 PARAMETER = "parameter_"
 
 #: Units of parameters that have one
-PARAMETER_UNITS = {"viscous_coefficient": "N s m-1", "drag_deadband": "m s-1"}
+PARAMETER_UNITS = {
+    "viscous_coefficient": "N s m-1",
+    "drag_deadband": "m s-1",
+    "presliding_length": "m",
+}
 
 #: Variables per held-out recording: unit, field of `Errors`, and its factor
 HELD_OUT = {

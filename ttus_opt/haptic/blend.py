@@ -19,10 +19,11 @@ decreases by Δw·δx (trapezoidal rule) with the motion, and is 0 without conta
 exact for conservative fields: trilinear ones are conservative up to the quadrature of
 the shell, voxel-mean ones only approximately, because they jump.
 
-Drag is blended with the same a, within the same rate. It stores no energy and only
-dissipates it, as does a convex combination of two drags, so U, ΔU and w above are those
-of contact alone. This holds for the twist that the drag uses; an estimated twist lags
-(`ttus_opt.haptic.motion`). A force limit is not part of this energy balance.
+Drag is blended with the same a, within the same rate. It stores no energy that a swap
+could raise and only dissipates it, as does a convex combination of two drags, so U, ΔU
+and w above are those of contact alone. This holds for the twist that the drag uses; an
+estimated twist lags (`ttus_opt.haptic.motion`). A force limit is not part of this
+energy balance.
 """
 
 from __future__ import annotations
@@ -39,11 +40,14 @@ from ttus_opt.errors import InputError
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import turn_between
+from ttus_opt.haptic.presliding import BRISTLE
 
 #: Indices in a ledger: share a of the new field; ΔU; tank; energy injected so far; 1
-#: when a pose is known; then that pose and Δw there
+#: when a pose is known; then that pose, Δw there, and a bristle of
+#: `ttus_opt.haptic.presliding`
 PROGRESS, GAP, TANK, INJECTED, SEEN = 0, 1, 2, 3, 4
-ROTATION, PLACE, DIFFERENCE, LEDGER = 5, 14, 17, 23
+ROTATION, PLACE, DIFFERENCE, BENT = 5, 14, 17, 23
+LEDGER = BENT + BRISTLE
 
 #: Step of the path out of the body along which the stored energy is integrated [m]
 RETREAT_STEP = 5e-4

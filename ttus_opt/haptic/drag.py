@@ -11,7 +11,8 @@ contact force, sliding velocity and drag are
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
 
 Instead of the term in μ, Coulomb drag may act at every point of the shell
-(`ttus_opt.haptic.point_drag`); viscous drag always acts on the patch.
+(`ttus_opt.haptic.point_drag`), or hold a probe at rest (`ttus_opt.haptic.presliding`);
+viscous drag always acts on the patch.
 
 The power is f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag only dissipates energy, for any pose,
 twist and field. To ensure this, a contact that pulls (n̂ᵀf < 0) has no drag, and
@@ -39,9 +40,10 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Indices in `DragLaw.numbers`: 1 if there is drag, `BY_PATCH` if any is on the patch;
 #: μ [–]; v₀ [m/s]; where it acts; the pressing axis; sectors and bands; lowest height
-#: and length of the grid [m]; then c of every region, sector by sector [N·s/m]
+#: and length of the grid [m]; ℓ of `ttus_opt.haptic.presliding`, 0 for none [m]; then c
+#: of every region, sector by sector [N·s/m]
 ACTIVE, FRICTION, DEADBAND, ACTS_AT, AXIS = 0, 1, 2, 3, 4
-SECTORS, BANDS, LOWEST, LENGTH, VISCOUS = 7, 8, 9, 10, 11
+SECTORS, BANDS, LOWEST, LENGTH, PRESLIDING, VISCOUS = 7, 8, 9, 10, 11, 12
 
 #: Value of `ACTIVE` if any drag acts on the patch
 BY_PATCH = 2.0
@@ -73,14 +75,15 @@ class DragLaw:
             parameters: ``friction_coefficient`` [–], ``viscous_coefficient`` [N·s/m]
                 with ``viscous_sectors``, ``viscous_bands`` and one
                 ``viscous_coefficient_<i>`` for each region where they are regional,
-                ``drag_deadband`` [m/s], ``drag_at_points`` and
-                ``drag_at_reference`` (1 or 0) and ``drag_axis_x, _y, _z``.
+                ``drag_deadband`` [m/s], ``presliding_length`` (0 for none) [m],
+                ``drag_at_points`` and ``drag_at_reference`` (1 or 0) and
+                ``drag_axis_x, _y, _z``.
             grid: Grid of the field, along which bands are counted.
 
         Raises:
             InputError: A coefficient that is negative or not finite, a deadband that
-                is not positive, drag at the reference without a unit axis, a flag
-                other than 0 and 1, or no region.
+                is not positive, drag at the reference without a unit axis, presliding
+                at every point, a flag other than 0 and 1, or no region.
         """
         numbers = np.zeros(VISCOUS)
         numbers[FRICTION] = _coefficient(parameters, friction.FRICTION, 0.0)
@@ -94,6 +97,12 @@ class DragLaw:
                     f"both {friction.DRAG_AT_REFERENCE} and {friction.DRAG_AT_POINTS}"
                 )
             numbers[ACTS_AT] = AT_POINTS
+        numbers[PRESLIDING] = _coefficient(parameters, friction.PRESLIDING, 0.0)
+        if numbers[PRESLIDING] > 0.0 and numbers[ACTS_AT] == AT_POINTS:
+            raise InputError(
+                f"{friction.PRESLIDING} needs drag on the contact or at the reference: "
+                f"leave it out, or set {friction.DRAG_AT_POINTS} to 0"
+            )
         counts = [int(parameters.get(n, 1)) for n in (friction.SECTORS, friction.BANDS)]
         numbers[SECTORS], numbers[BANDS] = counts
         numbers[LOWEST], numbers[LENGTH] = grid.z_min, grid.z_max - grid.z_min
@@ -238,7 +247,8 @@ def drag_of(
     speed = math.sqrt(ux * ux + uy * uy + uz * uz)
     f = contact_wrench
     pressed = max(nx * f[0] + ny * f[1] + nz * f[2], 0.0)
-    friction = 0.0 if numbers[ACTS_AT] == AT_POINTS else numbers[FRICTION]
+    elsewhere = numbers[ACTS_AT] == AT_POINTS or numbers[PRESLIDING] > 0.0
+    friction = 0.0 if elsewhere else numbers[FRICTION]
     k = friction * pressed / max(speed, numbers[DEADBAND])
     place = at[0] + x + patch[3], at[1] + y + patch[4], at[2] + z + patch[5]
     k += numbers[VISCOUS + _region(place[0], place[1], place[2], numbers)]

@@ -14,7 +14,7 @@ from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.friction import FRICTION, VISCOUS
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import PROGRESS, SEEN, opened_ledger
-from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.drag import PRESLIDING, DragLaw
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.tables import table_of
 from ttus_opt.haptic.wrench import FieldPair, mixed, mixed_drag
@@ -72,6 +72,11 @@ class RenderedFields:
         if self.target_drag:
             return self.target_drag
         return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
+
+    @property
+    def held_by_poses(self) -> bool:
+        """Whether all drag is friction with presliding, which needs no twist."""
+        return bool(self.pair.target_drag[PRESLIDING]) and VISCOUS not in self.drag
 
 
 def swapped(

@@ -7,7 +7,8 @@ probe and the torque about the shell's reference point are, in patient axes,
 
 with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (f_d,
 τ_d) of `ttus_opt.haptic.drag`, which depends on pose, twist and contact. At rest there
-is no drag.
+is no drag, except that of `ttus_opt.haptic.presliding`, which depends on the motion of
+all frames so far.
 
 `wrenches_along` computes it for a whole recording from the rows, `ttus_opt.Renderer`
 for one pose in compiled code; both agree up to rounding, up to the renderer's limits:
@@ -29,10 +30,12 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
-from ttus_opt.haptic.drag import ACTS_AT, AT_POINTS, DragLaw, drag_of
+from ttus_opt.haptic.blend import BENT, follow, settled_ledger
+from ttus_opt.haptic.drag import ACTS_AT, AT_POINTS, PRESLIDING, DragLaw, drag_of
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.point_drag import add_point_drag
+from ttus_opt.haptic.presliding import add_presliding, bend, strength_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -61,8 +64,9 @@ class Wrench:
         beyond_inner: Points in contact beyond the inner layer, where the field
             continues with that layer's values [–].
         drag: Whether the wrench includes drag: ``none`` for a field without friction,
-            ``given`` or ``estimated`` after the source of the twist, ``left out`` for
-            a field with friction and an unknown motion.
+            ``given`` or ``estimated`` after the source of the motion, ``left out`` for
+            a field with friction and an unknown motion. Friction with a presliding
+            length takes it from the poses alone.
         limited_by: The renderer's limit to which the wrench was scaled down, as a whole
             and so with its direction kept: ``force``, ``torque``; "" for none. A
             wrench that is not finite is zero, ``force``. Without these, ``end`` tells
@@ -166,11 +170,18 @@ def _drags(
     patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
     twist, reference = trajectory.twist(), np.array(shell.reference)
     drag = np.empty_like(contact)
-    R, at = np.empty((3, 3)), np.empty(3)
+    R, at, numbers = np.empty((3, 3)), np.empty(3), law.numbers
     for t in range(len(trajectory)):
         # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
-        drag_of(R, at, twist[t], reference, patch[t], contact[t], law.numbers, drag[t])
+        drag_of(R, at, twist[t], reference, patch[t], contact[t], numbers, drag[t])
+        if numbers[PRESLIDING] > 0.0:
+            if t == 0 or trajectory.segment[t] != trajectory.segment[t - 1]:
+                ledger = settled_ledger(0.0)
+            way = follow(ledger, R, at, reference)
+            strength = strength_of(patch[t], contact[t], numbers)
+            bend(ledger[BENT:], way, R, patch[t], strength, numbers)
+            add_presliding(ledger[BENT:], patch[t], contact[t], numbers, drag[t])
     if law.numbers[ACTS_AT] == AT_POINTS:
         _add_point_drags(law, potential, shell, trajectory, drag)
     return drag

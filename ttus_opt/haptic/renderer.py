@@ -290,6 +290,8 @@ class Renderer:
             self._refuse(counts[0], time)
         if not drag:
             return counts, "none"
+        if source == "left out" and fields.held_by_poses:
+            return counts, "estimated"
         if source == "left out" and not self._warned:
             self._warn(drag)
         return counts, source

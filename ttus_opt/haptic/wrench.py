@@ -13,7 +13,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.haptic.blend import PROGRESS, advance, follow, pose_of
+from ttus_opt.haptic.blend import BENT, PROGRESS, advance, follow, pose_of
 from ttus_opt.haptic.drag import (
     ACTIVE,
     ACTS_AT,
@@ -21,6 +21,7 @@ from ttus_opt.haptic.drag import (
     BANDS,
     BY_PATCH,
     FRICTION,
+    PRESLIDING,
     SECTORS,
     VISCOUS,
     drag_of,
@@ -30,10 +31,14 @@ from ttus_opt.haptic.frame import near_end, touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
+from ttus_opt.haptic.presliding import add_presliding, bend, strength_of
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: Returned by a frame instead of a count if its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
+
+#: No motion since the last frame
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class FieldPair(NamedTuple):
@@ -137,30 +142,33 @@ def render_frame(
         return BAD_TWIST, False, 0, UNLIMITED
     contact, in_grid, beyond = touch(R, at, data)
     wrench_of(pair.target, contact, R, data, wrench)
-    moves = _may_drag(pair, twist)
-    if moves and max(pair.target_drag[ACTIVE], pair.current_drag[ACTIVE]) == BY_PATCH:
+    moves, holds = _may_drag(pair, twist), _may_hold(pair)
+    if (moves or holds) and max(
+        pair.target_drag[ACTIVE], pair.current_drag[ACTIVE]
+    ) == BY_PATCH:
         patch_of(R, contact, data.touched, data.depth, limits.weights, patch)
     else:
         _clear(patch)
     _drag(buffers, moves, contact, data, pair.target_drag, WRENCH, DRAG)
-    if ledger[PROGRESS] < 1.0:
-        old, old_drag = rows[OLD], rows[OLD_DRAG]
-        wrench_of(pair.current, contact, R, data, old)
+    motion = follow(ledger, R, at, reference) if may_write else STILL
+    swaps = ledger[PROGRESS] < 1.0
+    if swaps:
+        wrench_of(pair.current, contact, R, data, rows[OLD])
         _drag(buffers, moves, contact, data, pair.current_drag, OLD, OLD_DRAG)
+    if holds:
+        _hold(buffers, pair, swaps, may_write, motion)
+    if swaps:
+        old, old_drag = rows[OLD], rows[OLD_DRAG]
+        limit = numbers[BLEND:FORCE]
         if may_write:
-            motion = follow(ledger, R, at, reference)
-            limit = numbers[BLEND:FORCE]
             advance(ledger, limit, contact, motion, old, wrench, old_drag, drag)
         _mix(ledger[PROGRESS], old, wrench)
         _mix(ledger[PROGRESS], old_drag, drag)
-    elif may_write:
-        follow(ledger, R, at, reference)
     for c in range(6):
         wrench[c] += drag[c]
     by = _cut(wrench, numbers[FORCE], numbers[TORQUE])
-    if by == UNLIMITED and near_end(contact, data):
-        by = BY_END
-    return contact, in_grid, beyond, by
+    ends = by == UNLIMITED and near_end(contact, data)
+    return contact, in_grid, beyond, BY_END if ends else by
 
 
 @compiled(inline="always")
@@ -179,6 +187,34 @@ def _drag(
     drag_of(R, buffers.at, twist, reference, rows[PATCH], rows[of], numbers, drag)
     if moves and numbers[ACTS_AT] == AT_POINTS and numbers[FRICTION] > 0.0:
         add_point_drag(R, twist, contact, data, numbers, drag)
+
+
+@compiled(error_model="numpy")
+def _hold(
+    buffers: FrameBuffers,
+    pair: FieldPair,
+    swaps: bool,
+    may_write: bool,
+    motion: tuple[float, float, float, float, float, float],
+) -> None:
+    """Bend the bristle and add its drag to that of the fields (compiled).
+
+    During a swap both fields share it: M is that of their mixture, so that a swap
+    leaves the force where it would raise the bristle's energy.
+    """
+    rows, bristle = buffers.rows, pair.ledger[BENT:]
+    patch, new, old = rows[PATCH], pair.target_drag, pair.current_drag
+    strength, law = strength_of(patch, rows[WRENCH], new), new
+    if swaps:
+        share = pair.ledger[PROGRESS]
+        other = strength_of(patch, rows[OLD], old)
+        strength = share * strength + (1.0 - share) * other
+        law = new if new[PRESLIDING] > 0.0 else old
+    if may_write:
+        bend(bristle, motion, buffers.R, patch, strength, law)
+    add_presliding(bristle, patch, rows[WRENCH], new, rows[DRAG])
+    if swaps:
+        add_presliding(bristle, patch, rows[OLD], old, rows[OLD_DRAG])
 
 
 @compiled(inline="always")
@@ -203,6 +239,12 @@ def _clear(values: Array) -> None:
     """Set to zero (compiled)."""
     for i in range(values.size):
         values[i] = 0.0
+
+
+@compiled(inline="always")
+def _may_hold(pair: FieldPair) -> bool:
+    """Whether a field has friction before sliding (compiled)."""
+    return bool(pair.target_drag[PRESLIDING] + pair.current_drag[PRESLIDING] > 0.0)
 
 
 @compiled(inline="always")

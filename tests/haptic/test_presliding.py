@@ -1,0 +1,185 @@
+"""Friction before sliding: it holds, it is Coulomb's on a slide, it gives no energy."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.drags import LAWS, SHELL, SURFACE, pushing
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap.field import PotentialField
+
+LENGTH, STILL = 1e-3, np.zeros(6)
+LAW = {**LAWS["coulomb"], "presliding_length": LENGTH}
+AT_REFERENCE = {**LAWS["coulomb-reference"], "presliding_length": LENGTH}
+
+
+def held(law: dict[str, float], scale: float = 1.0) -> PotentialField:
+    field = pushing("trilinear", law)
+    return replace(field, values=scale * field.values)
+
+
+def unlimited(field: PotentialField) -> Renderer:
+    return Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)
+
+
+def place(along: float, depth: float = 0.004, angle: float = 1.2) -> np.ndarray:
+    """Origin of an upright probe, ``along`` z from the middle, pressed in [m]."""
+    z = 0.1 + along
+    r = float(SURFACE.radius_at(np.array(angle), np.array(z))) + 0.012 - depth
+    return np.array([r * np.cos(angle), r * np.sin(angle), z]) - SHELL.reference
+
+
+def drag_at(renderer: Renderer, bare: Renderer, at: np.ndarray) -> np.ndarray:
+    return (
+        renderer.render(np.eye(3), at, STILL).force - bare.render(np.eye(3), at).force
+    )
+
+
+def test_a_hand_that_stops_still_feels_the_drag() -> None:
+    renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+    coulomb = unlimited(held(LAWS["coulomb"]))
+    for along in np.linspace(0.0, 0.01, 101):
+        drag = drag_at(renderer, bare, place(along))
+    at, sliding = place(0.01), np.array([0.0, 0.0, 1e-1, 0.0, 0.0, 0.0])
+    slid = place(0.01) - place(0.0099)
+    sliding[:3] = 0.1 * slid / np.linalg.norm(slid)
+    whole = coulomb.render(np.eye(3), at, sliding).force
+    expected = whole - bare.render(np.eye(3), at).force
+    assert np.linalg.norm(drag) > 0.5
+    np.testing.assert_allclose(drag, expected, atol=0.01 * np.linalg.norm(expected))
+    for _ in range(50):  # where the drag of today is none
+        np.testing.assert_allclose(drag_at(renderer, bare, at), drag, rtol=1e-12)
+    assert not (
+        coulomb.render(np.eye(3), at, STILL).force - bare.render(np.eye(3), at).force
+    ).any()
+
+
+def test_drag_builds_up_over_the_length() -> None:
+    renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+    sizes = [
+        np.linalg.norm(drag_at(renderer, bare, place(along)))
+        for along in LENGTH * np.array([0.0, 0.25, 0.5, 1.5])
+    ]
+    assert sizes[0] == 0.0
+    renderer.render(np.eye(3), place(0.0, -0.03), STILL)  # the way down counts not
+    assert not drag_at(renderer, bare, place(LENGTH)).any()
+    assert sizes[1] / sizes[3] == pytest.approx(0.25, abs=0.02)
+    assert sizes[2] / sizes[3] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("law", [LAW, AT_REFERENCE])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_closed_path_gives_energy(law: dict[str, float], seed: int) -> None:
+    """Random loops that slide, turn, press and lift: work taken is never negative."""
+    rng = np.random.default_rng(seed)
+    renderer, bare = unlimited(held(law)), unlimited(held({}))
+    phase = 2.0 * np.pi * np.linspace(0.0, 1.0, 300)
+    wave = rng.normal(size=(3, 6)) / (1.0 + np.arange(3))[:, None]
+    offset = rng.uniform(0.0, 2.0 * np.pi, (3, 6))
+    size = LENGTH * 10.0 ** rng.uniform(-0.5, 1.0) * np.array([1, 1, 1, 40, 40, 40])
+    taken, last, lowest = 0.0, None, 0.0
+    for angle in np.concatenate([phase, phase, phase]):
+        shift = size * (
+            wave * np.sin((1 + np.arange(3))[:, None] * angle + offset)
+        ).sum(0)
+        R = Rotation.from_rotvec(shift[3:]).as_matrix()
+        at = place(0.0, 0.006) + SHELL.reference + shift[:3] - R @ SHELL.reference
+        a, b = renderer.render(R, at, STILL), bare.render(R, at)
+        reference = at + R @ SHELL.reference
+        if law is AT_REFERENCE:  # the flanks' drag stays across the pressing axis
+            axis = R @ np.array(
+                [LAWS["coulomb-reference"][f"drag_axis_{c}"] for c in "xyz"]
+            )
+            assert abs((a.force - b.force) @ axis) < 1e-12
+        if last is not None:
+            turn = Rotation.from_matrix(R @ last[1].T).as_rotvec()
+            taken -= (a.force - b.force) @ (reference - last[0])
+            taken -= (a.torque - b.torque) @ turn
+        last = reference, R
+        lowest = min(lowest, taken)
+    assert taken > 0.0
+    assert lowest >= -1e-12
+
+
+def test_pressing_harder_while_held_gives_no_energy() -> None:
+    """Bent lightly, pressed, let go: b shrinks so that the force stays."""
+    renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+    path = [(0.0, 0.002), (0.5, 0.002), (0.5, 0.006), (0.0, 0.006), (0.0, 0.002)]
+    taken, last = 0.0, None
+    forces = []
+    for (a, low), (b, high) in itertools.pairwise(path):
+        for share in np.linspace(0.0, 1.0, 200):
+            at = place(LENGTH * (a + share * (b - a)), low + share * (high - low))
+            drag = drag_at(renderer, bare, at)
+            if last is not None:
+                taken -= drag @ (at - last)
+            last = at
+        forces.append(drag)
+    assert taken >= 0.0
+    assert abs(forces[1][2]) < 1.1 * abs(forces[0][2])
+
+
+def test_a_recording_feels_what_the_renderer_renders() -> None:
+    rng, n = np.random.default_rng(3), 60
+    along = np.cumsum(rng.normal(size=n)) * LENGTH
+    position = np.stack(
+        [place(a, 0.004 + 0.002 * np.sin(k / 9)) for k, a in enumerate(along)]
+    )
+    position[30:35] += 0.05  # lifted off
+    motion = Trajectory.from_arrays(
+        position, np.tile(np.eye(3), (n, 1, 1)), times=0.05 * np.arange(n)
+    )
+    field, renderer = held(LAW), unlimited(held(LAW))
+    along_all = wrenches_along(field, SHELL, motion)
+    for k in range(n):
+        one = renderer.render(np.eye(3), position[k], motion.twist()[k])
+        np.testing.assert_allclose(one.force, along_all.force[k], atol=1e-10)
+        np.testing.assert_allclose(one.torque, along_all.torque[k], atol=1e-10)
+    twice = wrenches_along(field, SHELL, Trajectory.concatenate([motion, motion]))
+    np.testing.assert_allclose(twice.force[n:], along_all.force, atol=1e-12)
+
+
+def test_poses_alone_are_enough() -> None:
+    renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+    renderer.render(np.eye(3), place(0.0))
+    moved = renderer.render(np.eye(3), place(2 * LENGTH))  # no warning
+    assert moved.drag == "estimated"
+    assert (
+        np.linalg.norm(moved.force - bare.render(np.eye(3), place(2 * LENGTH)).force)
+        > 0.5
+    )
+
+
+def test_an_update_leaves_the_force_of_a_held_probe() -> None:
+    """To a stiffer, rougher field and to one without presliding: within the rate."""
+    for new in (held({**LAW, "friction_coefficient": 0.6}, 2.0), held(LAWS["coulomb"])):
+        renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+        for along in np.linspace(0.0, 0.003, 61):
+            before = renderer.render(np.eye(3), place(along), STILL).force
+        assert np.linalg.norm(drag_at(renderer, bare, place(0.003))) > 0.5
+        renderer.update(new)
+        for _ in range(400):
+            force = renderer.render(np.eye(3), place(0.003), STILL).force
+            assert np.linalg.norm(force - before) < 0.0051  # 5 N/s, 1 ms
+            before = force
+
+
+@pytest.mark.parametrize(
+    ("law", "word"),
+    [
+        ({**LAW, "presliding_length": -1.0}, "presliding_length of a field must not"),
+        ({**LAW, "drag_at_points": 1.0}, "presliding_length needs drag on the contact"),
+    ],
+)
+def test_unusable_lengths_are_refused(law: dict[str, float], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        unlimited(held(law))

@@ -1,0 +1,101 @@
+"""Friction of a probe that does not slide yet: a bristle of bounded deflection.
+
+Coulomb drag needs a direction of sliding, which a hand that holds still has not. With a
+presliding length ℓ > 0 it becomes Dahl's model with exponent 0 (a Prandtl stop): the
+deflection b, tangential and of length at most 1, follows the displacement δs of the
+probe where drag acts, found from successive poses,
+
+    b ← (b + δs/ℓ) / max(1, ‖b + δs/ℓ‖),   f_d = −M b,   M = μ max(n̂ᵀf, 0).
+
+It holds its drag when the hand stops, and is Coulomb's once a slide is reversed by 2ℓ.
+Its energy E = M ℓ ‖b‖²/2 never rises by more than the work −f_dᵀδs that the hand does:
+the step of b is a projection onto a ball; where M rises, b shrinks so that the force
+stays; where M falls or the contact turns, E falls. Without contact b is zero.
+
+References: P. R. Dahl, A solid friction model, Aerospace Corporation TOR-0158, 1968;
+V. Hayward, B. Armstrong, A new computational model of friction applied to haptic
+rendering, 2000.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+from ttus_opt.contact.rows import rotated
+from ttus_opt.haptic.drag import ACTS_AT, AT_REFERENCE, AXIS, FRICTION, PRESLIDING
+
+#: Entries of a bristle: b [–], then the M [N] and ℓ [m] it was last bent at
+STRENGTH, LENGTH, BRISTLE = 3, 4, 5
+
+
+@compiled(inline="always")
+def strength_of(patch: Array, wrench: Array, numbers: Array) -> float:
+    """M of a field with presliding, 0 without [N] (compiled)."""
+    if numbers[PRESLIDING] == 0.0:
+        return 0.0
+    pressed = patch[0] * wrench[0] + patch[1] * wrench[1] + patch[2] * wrench[2]
+    return numbers[FRICTION] * max(pressed, 0.0)  # type: ignore[no-any-return]
+
+
+@compiled(error_model="numpy", nogil=True)
+def bend(
+    bristle: Array,
+    way: tuple[float, float, float, float, float, float],
+    R: Array,
+    patch: Array,
+    strength: float,
+    numbers: Array,
+) -> None:
+    """Let a bristle follow one frame's motion (compiled).
+
+    Args:
+        bristle: b, M and ℓ, shape (BRISTLE,), zeros at first; written.
+        way: Displacement of the reference and rotation vector, patient axes [m, rad].
+        R: Rotation, probe to patient, shape (3, 3) [–].
+        patch: `drag.patch_of`, shape (6,).
+        strength: M of this frame [N].
+        numbers: `DragLaw.numbers` of the field.
+    """
+    held, before, length = bristle[STRENGTH], bristle[LENGTH], numbers[PRESLIDING]
+    bristle[STRENGTH], bristle[LENGTH] = strength, length
+    if strength == 0.0 or held == 0.0:  # a contact begins with a straight bristle
+        bristle[0], bristle[1], bristle[2] = 0.0, 0.0, 0.0
+        return
+    ax, ay, az, ex, ey, ez = patch[3], patch[4], patch[5], patch[0], patch[1], patch[2]
+    if numbers[ACTS_AT] == AT_REFERENCE:
+        ax, ay, az = 0.0, 0.0, 0.0
+        ex, ey, ez = rotated(R, numbers[AXIS], numbers[AXIS + 1], numbers[AXIS + 2])
+    keep = min(held / strength, 1.0) * min(math.sqrt(before / length), 1.0)
+    bx = keep * bristle[0] + (way[0] + way[4] * az - way[5] * ay) / length
+    by = keep * bristle[1] + (way[1] + way[5] * ax - way[3] * az) / length
+    bz = keep * bristle[2] + (way[2] + way[3] * ay - way[4] * ax) / length
+    along = ex * bx + ey * by + ez * bz
+    bx, by, bz = bx - along * ex, by - along * ey, bz - along * ez
+    size = max(math.sqrt(bx * bx + by * by + bz * bz), 1.0)
+    bristle[0], bristle[1], bristle[2] = bx / size, by / size, bz / size
+
+
+@compiled(error_model="numpy", nogil=True)
+def add_presliding(
+    bristle: Array, patch: Array, wrench: Array, numbers: Array, drag: Array
+) -> None:
+    """Add the drag of a bent bristle; none for a field without presliding (compiled).
+
+    Args:
+        bristle: As `bend` left it.
+        patch: `drag.patch_of`, shape (6,).
+        wrench: Contact wrench of the field, shape (6,) [N, N·m].
+        numbers: `DragLaw.numbers` of the field.
+        drag: Force and torque about the reference, shape (6,) [N, N·m]; added to.
+    """
+    strength = strength_of(patch, wrench, numbers)
+    ax, ay, az = patch[3], patch[4], patch[5]
+    if numbers[ACTS_AT] == AT_REFERENCE:
+        ax, ay, az = 0.0, 0.0, 0.0
+    fx, fy, fz = -strength * bristle[0], -strength * bristle[1], -strength * bristle[2]
+    drag[0], drag[1], drag[2] = drag[0] + fx, drag[1] + fy, drag[2] + fz
+    drag[3] += ay * fz - az * fy
+    drag[4] += az * fx - ax * fz
+    drag[5] += ax * fy - ay * fx
