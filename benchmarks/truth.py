@@ -4,6 +4,7 @@
     python benchmarks/truth.py --cases patients --patients experiment-results
     python benchmarks/truth.py --output truth.md --picture truth.png
     python benchmarks/truth.py --cases bundled --models eq10 comparators rivals
+    python benchmarks/truth.py --phantoms ../shared/data --ablate --shape 24 72 30
 
 Cases: the independent phantoms (fitted to `*_fit`, judged on `*_test_truth` without
 noise, and reversed), real tissue as `palpation.py` prepares it, a folder per recording,
@@ -11,8 +12,9 @@ the patients of `ttus-opt experiment`, whose poses have a tracker's noise, and t
 bundled example. A score is the mean of ||f| - |f̂|| [N] over frames above 0.5 N,
 of tissue over the rows in scored.txt; the share of them that is off by more than 7 %
 and 0.36 N is kept too. Models: default, as `tt.fit(scene, weights="auto")`; a
-formulation, or formulation@sampling; c:comparator; r:rival; or a group of these. A
-result is kept in a file per case, and computed again when data, shape or code change.
+formulation, or formulation@sampling; c:comparator; r:rival; or a group of these. With
+``--ablate`` they are the default with one part off or changed (`truth_ablation.py`).
+A result is kept in a file per case, and computed again when data, shape or code change.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from truth_ablation import MODELS
 from truth_table import Row, against, errors, picture, table
 
 import ttus_opt as tt
@@ -268,6 +271,8 @@ class Case:
             return self._of_rival(RIVALS[name]), ""
         name, _, sampling = name.partition("@")
         scene = self.plan(sampling).build(self.surface, self.shell, self.recordings)
+        if kind == "a":
+            return self._rendered(tt.fit(*MODELS[name].choice(scene))), ""
         chosen, note = None if name == "default" else name, ""
         try:
             solution = tt.fit(scene, chosen, weights="auto")
@@ -275,11 +280,12 @@ class Case:
             if chosen is None:
                 raise
             solution, note = tt.fit(scene, chosen), f"its own weights: {error}"
-        field = solution.field
-        rendered = {
-            n: tt.evaluate(field, self.shell, u) for n, u in self.unseen.items()
-        }
-        return {n: one.rendered_force for n, one in rendered.items()}, note
+        return self._rendered(solution), note
+
+    def _rendered(self, solution: tt.Solution) -> dict[str, Array]:
+        field, unseen = solution.field, self.unseen.items()
+        found = {n: tt.evaluate(field, self.shell, own) for n, own in unseen}
+        return {n: one.rendered_force for n, one in found.items()}
 
     def _of_rival(self, rival: Callable[[Contacts, Array], Law]) -> dict[str, Array]:
         geometry = ContactGeometry(self.surface, self.shell)
@@ -297,7 +303,8 @@ class Case:
     def stamp(self) -> str:
         """Checksum of shape, data and code."""
         root = Path(__file__).resolve().parents[1]
-        code = *root.glob("ttus_opt/**/*.py"), *root.glob("formulations/*.py")
+        own = "ttus_opt/**/*.py", "formulations/*.py", "benchmarks/truth_ablation.py"
+        code = (path for pattern in own for path in root.glob(pattern))
         data = (path for path in self.folder.iterdir() if path.is_file())
         sums = map(io.sha256, (Path(__file__), *sorted(code), *sorted(data)))
         return hashlib.sha256(" ".join([str(self.shape), *sums]).encode()).hexdigest()
@@ -313,7 +320,7 @@ def cases(
     shape: Shape | None,
 ) -> tuple[list[Case], list[str]]:
     """All cases whose data are there, and why others are not."""
-    torso, patch = shape or (48, 120, 60), shape or (24, 42, 38)
+    torso, patch = shape or (48, 120, 60), (24, 42, 38)
     bundled = Path(example.path("surface.nc")).parent
     found, skipped = [], []
     for name, sweep in (("example", "sweep"), ("example_drag", "sweep_drag")):
@@ -384,6 +391,7 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
         "formulations": [info.name for info in available()],
         "comparators": [f"c:{name}" for name in comparators.available()],
         "rivals": [f"r:{name}" for name in RIVALS],
+        "ablation": [f"a:{name}" for name in MODELS],
     }
     add = parser.add_argument
     add("--phantoms", type=Path, help="folder of the four phantoms")
@@ -391,13 +399,15 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--patients", type=Path, help="results of ttus-opt experiment")
     add("--results", type=Path, default=Path("truth"), help="kept in this folder")
     add("--cases", nargs="+", help="names, or bundled, phantoms, tissue, patients")
-    add("--models", nargs="+", default=list(members), help="beside the default")
-    add("--shape", nargs=3, type=int, help="voxels of every case")
+    add("--models", nargs="+", default=list(members)[:3], help="beside the default")
+    add("--ablate", action="store_true", help="as --models ablation")
+    add("--shape", nargs=3, type=int, help="voxels of a torso, not of tissue")
     add("--json", action="store_true", help="print JSON, not the table")
     add("--output", type=Path, help="write the table as Markdown here")
     add("--picture", type=Path, help="draw it here")
     asked = parser.parse_args(arguments)
-    models = [m for name in asked.models for m in members.get(name, [name])]
+    groups = ["ablation"] if asked.ablate else asked.models
+    models = [m for name in groups for m in members.get(name, [name])]
     known = ["default", *(name for group in members.values() for name in group)]
     for name in models:
         plain, sampled, _ = name.partition("@")

@@ -18,7 +18,6 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.terms.depth_map_limits import check_depth_map
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.torque import TorqueTerm
 
@@ -34,21 +33,20 @@ def build(
     length_ratio: float | None = None,
 ) -> Formulation:
     """Weights λ_f, λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m], ratio [–]."""
-    check_depth_map(
-        scene.voxmap.grid,
+    found = estimate_depth_map(
+        scene,
         deviation=deviation,
         surface_length=surface_length,
         depth_length=depth_length,
         length_ratio=length_ratio,
     )
-    found = estimate_depth_map(scene, depth_length=depth_length)
     noise = found.part_noise(scene)
     likely = noise.level**-2
     force = likely if force_weight is None else force_weight
     torque = likely if torque_weight is None else torque_weight
     return Formulation(
         terms=[
-            DepthMapTerm.of(scene, found, deviation, surface_length, length_ratio),
+            DepthMapTerm.of(scene, found),
             ForceTerm(scene, force, noise=noise),
             TorqueTerm(scene, torque, torque_length, noise=noise),
         ]

@@ -16,7 +16,6 @@ from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.terms.depth_map_limits import check_depth_map
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
@@ -34,7 +33,6 @@ def build(
 ) -> Formulation:
     """λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
     check_coefficient(largest_friction)
-    check_depth_map(scene.voxmap.grid, depth_length=depth_length)
     guess = estimate_drag(scene, acts_at, deadband)
     drag = guess.drag
     first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))

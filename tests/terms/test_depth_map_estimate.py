@@ -195,6 +195,20 @@ def test_the_posterior_has_the_priors_of_the_method(
     assert asked[2][1] == 8 and exact.depth_error == 0.0
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("deviation", 0.7), ("surface_length", 0.05), ("length_ratio", 0.5)],
+)
+def test_what_is_given_is_not_estimated(name: str, value: float) -> None:
+    """It keeps its value, where the evidence would have another one."""
+    scene = drawn(0, 40)
+    found = estimate_depth_map(scene, **{name: value})  # type: ignore[arg-type]
+    assert getattr(found, name) == value
+    assert getattr(estimate_depth_map(scene), name) != pytest.approx(value, rel=0.1)
+    with pytest.raises(InputError, match=f"{name} must lie between .*, got -1.0"):
+        estimate_depth_map(scene, **{name: -1.0})  # type: ignore[arg-type]
+
+
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
     """Rows twice as large are those of a field half as large; all else stays."""
     scene = drawn(3, 40)

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from ttus_opt.errors import InputError
-from ttus_opt.terms.depth_map_limits import (
-    check_depth_map,
-    depth_lengths,
-    surface_lengths,
-)
+from ttus_opt.terms.depth_map_limits import check_depth_map, depth_map_limits
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.4, (11, 36, 21))
+LIMITS = depth_map_limits(GRID)
 
 
 def matern(distance: float, length: float) -> float:
@@ -22,16 +19,15 @@ def matern(distance: float, length: float) -> float:
 
 
 def test_below_the_least_length_neighbours_are_independent() -> None:
-    assert matern(GRID.r_step, depth_lengths(GRID)[0]) == pytest.approx(
-        0.0077, abs=2e-4
-    )
+    least = LIMITS["depth_length"][0]
+    assert matern(GRID.r_step, least) == pytest.approx(0.0077, abs=2e-4)
     nearest = min(GRID.z_step, GRID.theta_step * GRID.r_inner)
-    assert matern(nearest, surface_lengths(GRID)[0]) < 0.01
+    assert matern(nearest, LIMITS["surface_length"][0]) < 0.01
 
 
 def test_beyond_the_largest_a_field_is_one_constant() -> None:
-    assert depth_lengths(GRID)[1] == pytest.approx(0.1)
-    assert surface_lengths(GRID)[1] == pytest.approx(2.0 * np.pi * 0.13)
+    assert LIMITS["depth_length"][1] == pytest.approx(0.1)
+    assert LIMITS["surface_length"][1] == pytest.approx(2.0 * np.pi * 0.13)
 
 
 @pytest.mark.parametrize("name", ["deviation", "surface_length", "depth_length"])

@@ -58,26 +58,15 @@ class DepthMapTerm(Term):
     name = "depth_map"
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        estimate: DepthMapEstimate,
-        deviation: float | None = None,
-        surface_length: float | None = None,
-        length_ratio: float | None = None,
-    ) -> Self:
-        """A term with the estimated values, except those given."""
+    def of(cls, scene: Scene, estimate: DepthMapEstimate) -> Self:
+        """A term with the estimated values."""
         return cls(
             scene,
             profile=estimate.profile,
-            deviation=estimate.deviation if deviation is None else deviation,
-            surface_length=(
-                estimate.surface_length if surface_length is None else surface_length
-            ),
+            deviation=estimate.deviation,
+            surface_length=estimate.surface_length,
             depth_length=estimate.depth_length,
-            length_ratio=(
-                estimate.length_ratio if length_ratio is None else length_ratio
-            ),
+            length_ratio=estimate.length_ratio,
             log_evidence=estimate.log_evidence,
         )
 

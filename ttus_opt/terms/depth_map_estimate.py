@@ -37,12 +37,7 @@ from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.places import runs
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
-from ttus_opt.terms.depth_map_limits import (
-    DEVIATIONS,
-    RATIOS,
-    depth_lengths,
-    surface_lengths,
-)
+from ttus_opt.terms.depth_map_limits import check_depth_map, depth_map_limits
 from ttus_opt.terms.depth_profile import (
     EXPONENTS,
     DepthProfile,
@@ -54,6 +49,7 @@ from ttus_opt.terms.matern import matern
 from ttus_opt.terms.part_noise import (
     RELATIVE,
     SENSOR,
+    TURN,
     PartNoise,
     contact_directions,
     lasting,
@@ -145,14 +141,15 @@ class DepthMapEstimate:
     shared_error: float = 0.0
     depth_error: float = 0.0
 
-    def part_noise(self, scene: Scene) -> PartNoise:
-        """Relative errors of the parts of a scene's wrenches."""
+    def part_noise(self, scene: Scene, turn: float = TURN) -> PartNoise:
+        """Relative errors of the parts of a scene's wrenches, by the direction's."""
         depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
         normal = normal_rows(contact_directions(scene)) @ scene.N
         force = normal @ self.profile(depth)
         slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
         own = np.hypot(self.sensor_noise, self.relative_noise * force)
-        return PartNoise.of(scene, own, force, self.depth_error * (normal @ slope))
+        drift = self.depth_error * (normal @ slope)
+        return PartNoise.of(scene, own, force, drift, turn)
 
 
 def estimate_depth_map(
@@ -161,8 +158,7 @@ def estimate_depth_map(
     *,
     force: Array | None = None,
     errors: Callable[[IntArray], Array] | None = None,
-    depth_length: float | None = None,
-    depth_error: float | None = None,
+    **given: float | None,
 ) -> DepthMapEstimate:
     """Estimate profile, deviation, lengths and noise.
 
@@ -172,31 +168,27 @@ def estimate_depth_map(
         force: Forces to take instead of the scene's, shape (3T,) [N].
         errors: Covariance of the forces' errors by wrong poses for k frames, given
             their numbers, (3k, 3k) [N²]; by default none.
-        depth_length: Matérn length along the depth [m]; None estimates it.
-        depth_error: δ [m]; None estimates it.
+        given: Values that are not estimated, lengths in m, by their names in `PRIOR`;
+            None where there is none.
 
     Raises:
+        InputError: A value outside its range (`depth_map_limits`).
         UnusableForcesError: No force was measured in contact, or the forces pull.
     """
+    check_depth_map(scene.voxmap.grid, **given)
     rows = scene.N if rows is None else rows
     problem = _Problem.of(scene, rows, force, errors)
-    given = {"depth_length": depth_length, "depth_error": depth_error}
     held = {name: value for name, value in given.items() if value is not None}
     names = [name for name in PRIOR if name not in held]
     medians = np.log([PRIOR[name][0] for name in names])
     widths = np.array([PRIOR[name][1] for name in names])
 
-    grid = scene.voxmap.grid
-    limits = {
-        "surface_length": surface_lengths(grid),
-        "depth_length": depth_lengths(grid),
-        "deviation": DEVIATIONS,
-        "length_ratio": RATIOS,
-    }
+    limits = depth_map_limits(scene.voxmap.grid)
 
     def chosen(steps: Array) -> _Chosen:
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
-        values["surface_length"] *= scene.shell.rms_radius
+        if "surface_length" in values:
+            values["surface_length"] *= scene.shell.rms_radius
         for name in limits.keys() & values.keys():
             values[name] = np.clip(values[name], *limits[name])
         return _Chosen(**held, **{name: float(v) for name, v in values.items()})

@@ -23,46 +23,36 @@ RATIOS = (1e-3, 1e3)
 LEAST_SPACINGS = 0.25
 
 
-def check_depth_map(
-    grid: CylindricalGrid,
-    *,
-    deviation: float | None = None,
-    surface_length: float | None = None,
-    depth_length: float | None = None,
-    length_ratio: float | None = None,
-) -> None:
+def depth_map_limits(grid: CylindricalGrid) -> dict[str, tuple[float, float]]:
+    """Ranges by name, of σ [–], lengths [m] and length around over along [–].
+
+    Lengths along the surface reach from a quarter of the innermost layer's spacing to
+    the outermost's extent, those along the depth from a quarter of a layer to all.
+    """
+    least = LEAST_SPACINGS * min(grid.theta_step * grid.r_inner, grid.z_step)
+    extent = max(2.0 * np.pi * grid.r_outer, grid.z_max - grid.z_min)
+    return {
+        "deviation": DEVIATIONS,
+        "surface_length": (least, extent),
+        "depth_length": (LEAST_SPACINGS * grid.r_step, grid.r_outer - grid.r_inner),
+        "length_ratio": RATIOS,
+    }
+
+
+def check_depth_map(grid: CylindricalGrid, **given: float | None) -> None:
     """Validate given hyperparameters of a depth map.
 
     Args:
         grid: The voxels.
-        deviation: σ [–].
-        surface_length: Matérn length along the surface [m].
-        depth_length: Matérn length along the depth [m].
-        length_ratio: Length around over length along [–].
+        given: By name, as in `depth_map_limits`; None where it is not given.
 
     Raises:
         InputError: One of them lies outside its range.
     """
-    given = {
-        "deviation": (deviation, DEVIATIONS),
-        "surface_length": (surface_length, surface_lengths(grid)),
-        "depth_length": (depth_length, depth_lengths(grid)),
-        "length_ratio": (length_ratio, RATIOS),
-    }
-    for name, (value, (low, high)) in given.items():
+    for name, (low, high) in depth_map_limits(grid).items():
+        value = given.get(name)
         if value is not None and not low <= value <= high:
             where = " m on this grid" if name.endswith("_length") else ""
             raise InputError(
                 f"{name} must lie between {low:.3g} and {high:.3g}{where}, got {value}"
             )
-
-
-def surface_lengths(grid: CylindricalGrid) -> tuple[float, float]:
-    """A quarter of the innermost layer's spacing, to the outermost's extent [m]."""
-    least = LEAST_SPACINGS * min(grid.theta_step * grid.r_inner, grid.z_step)
-    return least, max(2.0 * np.pi * grid.r_outer, grid.z_max - grid.z_min)
-
-
-def depth_lengths(grid: CylindricalGrid) -> tuple[float, float]:
-    """A quarter of a layer, to all of them [m]."""
-    return LEAST_SPACINGS * grid.r_step, grid.r_outer - grid.r_inner

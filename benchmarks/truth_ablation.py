@@ -1,0 +1,153 @@
+"""The default model with one part off or changed, for `truth.py --ablate`.
+
+It is assembled here from the package's parts: drag where it is shown, hyperparameters
+by evidence, errors by parts, the likelier sampling. "as it is" has all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+from unittest import mock
+
+import scipy.sparse as sp
+
+from ttus_opt.blas_threads import one_blas_thread
+from ttus_opt.fitting.weight_choice import SAMPLINGS, resampled
+from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.scene import Scene
+from ttus_opt.terms import depth_map_estimate
+from ttus_opt.terms.base import Term
+from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_map_estimate import (
+    PRIOR,
+    DepthMapEstimate,
+    estimate_depth_map,
+)
+from ttus_opt.terms.drag_estimate import estimate_drag
+from ttus_opt.terms.drag_force import DragForceTerm
+from ttus_opt.terms.drag_torque import DragTorqueTerm
+from ttus_opt.terms.part_noise import TURN
+
+
+@dataclass(frozen=True)
+class Model:
+    """The default, but for what is given.
+
+    Attributes:
+        held: Values that are not estimated, as medians in `PRIOR`.
+        median: Of the prior of the length along the surface [m]; None for one in
+            radii of the probe.
+        starts: Whether the evidence is climbed from the likeliest of several points.
+        late_in_fit: Whether a tracker's error counts in the fit, too.
+        turn: Error of a force's direction [rad].
+        beside: Factor on errors of tangential forces and torques [–].
+        torque: Whether torques are fitted.
+        samplings: Candidates.
+        drag: Whether drag is looked for; None for drag that is taken unasked.
+        acts_at: Where drag acts.
+        searched: Whether μ is the best of many fits, not the first estimate.
+    """
+
+    held: Mapping[str, float] = field(default_factory=dict)
+    median: float | None = None
+    starts: bool = True
+    late_in_fit: bool = True
+    turn: float = TURN
+    beside: float = 1.0
+    torque: bool = True
+    samplings: tuple[str, ...] = SAMPLINGS
+    drag: bool | None = True
+    acts_at: str = "auto"
+    searched: bool = True
+
+    def choice(self, scene: Scene) -> tuple[Scene, Formulation]:
+        """The likelier sampling, and what is to be fitted in it."""
+        found = []
+        for sampling in self.samplings:
+            own = scene if scene.sampling == sampling else resampled(scene, sampling)
+            found.append((own, *self.built(own)))
+        scene, formulation, _ = max(found, key=lambda one: one[2])
+        return scene, formulation
+
+    def built(self, scene: Scene) -> tuple[Formulation, float]:
+        """The formulation in one sampling, and its log evidence."""
+        shown = self.drag is None or (self.drag and estimate_drag(scene).is_shown)
+        guess = estimate_drag(scene, self.acts_at)
+        mu = min(guess.friction_coefficient, 1.0) if shown else 0.0
+        rows = sp.csr_array(scene.N - mu * guess.drag.rows.force)
+        found = self.estimate(scene, rows)
+        fitted = found if self.late_in_fit else replace(found, depth_error=0.0)
+        noise = fitted.part_noise(scene, self.turn)
+        noise = replace(noise, across=self.beside * noise.across)
+        prior, weight = DepthMapTerm.of(scene, found), noise.level**-2
+
+        def given(mu: float) -> Formulation:
+            drag = guess.drag.with_coefficient(mu)
+            force = DragForceTerm(scene, weight, noise=noise, drag=drag)
+            torque = DragTorqueTerm(scene, weight, noise=noise, drag=drag)
+            terms: list[Term] = [prior, force, torque]
+            return Formulation(terms=terms if self.torque else terms[:2])
+
+        formulation = given(mu)
+        if shown and self.searched:
+            search = Search("friction_coefficient", 0.0, 1.0, given)
+            formulation = formulation.with_search(search)
+        return formulation, found.log_evidence
+
+    def estimate(self, scene: Scene, rows: sp.csr_array) -> DepthMapEstimate:
+        """The hyperparameters, some of them held."""
+        radius = scene.shell.rms_radius
+        held: dict[str, Any] = dict(self.held)
+        if "surface_length" in held:
+            held["surface_length"] *= radius
+        length, width = PRIOR["surface_length"]
+        median = length if self.median is None else self.median / radius
+        starts = depth_map_estimate.STARTS if self.starts else ()
+        with (
+            mock.patch.dict(PRIOR, {"surface_length": (median, width)}),
+            mock.patch.object(depth_map_estimate, "STARTS", starts),
+            one_blas_thread(),
+        ):
+            return estimate_depth_map(scene, rows, **held)
+
+
+def held(**values: float) -> Model:
+    """The default with some values not estimated."""
+    return Model(held=values)
+
+
+#: By what is changed
+MODELS = {
+    "as it is": Model(),
+    "exponent 1": held(exponent=1.0),
+    "exponent 1.3": held(exponent=1.3),
+    "law alone": held(deviation=1e-3),
+    "deviation 0.4": held(deviation=0.4),
+    "no variation with depth": held(depth_length=0.09),
+    "depth length 10 mm": held(depth_length=0.01),
+    "surface length about 30 mm": Model(median=0.03),
+    "surface length 2.6 radii": held(surface_length=2.6),
+    "same length around and along": held(length_ratio=1.0),
+    "no relative error": held(relative_noise=0.0),
+    "no shared error": held(shared_error=0.0),
+    "no depth error": held(depth_error=0.0),
+    "depth error not in the fit": Model(late_in_fit=False),
+    "only noise by evidence": held(
+        **{name: median for name, (median, _) in PRIOR.items() if name != "noise"}
+    ),
+    "one start": Model(starts=False),
+    "direction exact": Model(turn=0.0),
+    "tangential, torque × 10": Model(turn=0.0, beside=10.0),
+    "neither tangential nor torque": Model(beside=1e4),
+    "no torque": Model(torque=False),
+    "trilinear": Model(samplings=("trilinear",)),
+    "contact-size": Model(samplings=("contact-size",)),
+    "no drag": Model(drag=False),
+    "drag unasked": Model(drag=None),
+    "drag at points": Model(acts_at="points"),
+    "drag at contact": Model(acts_at="contact"),
+    "drag at reference": Model(acts_at="reference"),
+    "first friction": Model(searched=False),
+}
