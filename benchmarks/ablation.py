@@ -20,10 +20,10 @@ from dataclasses import fields
 from typing import Any
 
 from ttus_opt.benchmark import reference_cases
-from ttus_opt.multigrid.workspace import Workspace
+from ttus_opt.laplace.multigrid.workspace import Workspace
 from ttus_opt.problem import formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.structured import Structured

@@ -27,16 +27,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt import comparators
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.fields import FieldModel
-from ttus_opt.errors import TtusError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import TtusError
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import default_model
+from ttus_opt.fitting.weights.weight_choice import default_model
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 
 #: Radius and height of the body; it is flat on the scale of a contact [m]
 BODY, HEIGHT = 0.15, 0.2

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 import ttus_opt as tt
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.fitting.posterior import NORMAL
-from ttus_opt.fitting.weight_choice import default_model
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.fitting.uncertainty.posterior import NORMAL
+from ttus_opt.fitting.weights.weight_choice import default_model
 
 #: What is fitted
 FITTED = (("press",), ("sweep",), ("press", "sweep"))

@@ -23,14 +23,18 @@ from typing import Any
 import numpy as np
 
 import ttus_opt as tt
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, Patient, patients
 from ttus_opt.experiment.recordings import Examination, examine
 from ttus_opt.experiment.settings import AUTO, GIVEN, Setting, chosen, compared
-from ttus_opt.fitting.doubt_check import StatesDoubt, check_doubt, stated_in_contact
-from ttus_opt.fitting.posterior import NORMAL
+from ttus_opt.fitting.uncertainty.doubt_check import (
+    StatesDoubt,
+    check_doubt,
+    stated_in_contact,
+)
+from ttus_opt.fitting.uncertainty.posterior import NORMAL
 from ttus_opt.phantom.recording import add_noise, add_pose_noise
 
 #: First word of all seeds, away from those of the patients and of other benchmarks

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 import ttus_opt as tt
+from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.experiment.fits import FITTED
 from ttus_opt.experiment.patients import PROBE, PROBE_SPEC, Patient, patients
 from ttus_opt.experiment.recordings import Examination, examine, skin_file
@@ -35,7 +36,6 @@ from ttus_opt.phantom.examination import sweep_handling
 from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.recording import add_noise, add_pose_noise, record
 from ttus_opt.report.metrics import FORCE_THRESHOLD
-from ttus_opt.scene import ScenePlan
 
 UNSEEN = ("press_test", "sweep_test")
 

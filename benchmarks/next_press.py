@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 import ttus_opt as tt
-from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.places import runs
-from ttus_opt.fitting.doubt import Doubt
-from ttus_opt.fitting.next_press import greedy, normal_forces
-from ttus_opt.fitting.skin_doubt import presses_at, skin_nodes, usual_depth
-from ttus_opt.fitting.weight_choice import default_model
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.fitting.uncertainty.doubt import Doubt
+from ttus_opt.fitting.uncertainty.next_press import greedy, normal_forces
+from ttus_opt.fitting.uncertainty.skin_doubt import presses_at, skin_nodes, usual_depth
+from ttus_opt.fitting.weights.weight_choice import default_model
 
 #: Presses chosen, draws at random, least true force [N], margin of the region around
 #: the places [m], distance of its nodes [m]

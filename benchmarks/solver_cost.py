@@ -22,13 +22,13 @@ import warnings
 from dataclasses import dataclass, field, replace
 
 from ttus_opt.benchmark.cases import reference_cases
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.compression import Compression
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Status
-from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
 

@@ -36,12 +36,13 @@ from truth_ablation import MODELS
 from truth_table import Row, against, errors, picture, table
 
 import ttus_opt as tt
-from ttus_opt import comparators, example, io
-from ttus_opt.arrays import Array, Mask
+from ttus_opt import comparators, example
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import ScenePlan
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import available
-from ttus_opt.scene import ScenePlan
 
 PHANTOMS = "phantom phantom_frictionless phantom_stiff phantom_stiff_frictionless"
 

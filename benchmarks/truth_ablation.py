@@ -13,22 +13,22 @@ from unittest import mock
 
 import scipy.sparse as sp
 
-from ttus_opt.blas_threads import one_blas_thread
-from ttus_opt.fitting.weight_choice import SAMPLINGS, resampled
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.blas_threads import one_blas_thread
+from ttus_opt.fitting.weights.weight_choice import SAMPLINGS, resampled
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.scene import Scene
-from ttus_opt.terms import depth_map_estimate
-from ttus_opt.terms.base import Term
-from ttus_opt.terms.depth_map import DepthMapTerm
-from ttus_opt.terms.depth_map_estimate import (
+from ttus_opt.problem.terms import depth_map_estimate
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import (
     PRIOR,
     DepthMapEstimate,
     estimate_depth_map,
 )
-from ttus_opt.terms.drag_estimate import estimate_drag
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.drag_torque import DragTorqueTerm
-from ttus_opt.terms.part_noise import TURN
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.part_noise import TURN
 
 
 @dataclass(frozen=True)

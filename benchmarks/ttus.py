@@ -24,7 +24,7 @@ from ttus_opt.benchmark import CaseSpec, reference_cases
 from ttus_opt.benchmark.settings import WEIGHTS
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.quadratic import OneSided
+from ttus_opt.solvers.packages.quadratic import OneSided
 
 #: Every formulation here is a QP as it stands
 FORMULATIONS = ("eq10", "eq10_hard_boundary", "eq10_sign", "eq10_sign_monotone")

@@ -20,7 +20,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt.benchmark import reference_cases
-from ttus_opt.scene import Scene
+from ttus_opt.contact.scene import Scene
 
 
 @contextmanager

@@ -22,7 +22,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt import example
-from ttus_opt.scene import ScenePlan
+from ttus_opt.contact.scene import ScenePlan
 
 #: Weights of the grid, per term [–]
 GRID = np.geomspace(1e-2, 1e2, 13)

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 import ttus_opt as tt
-from ttus_opt import demo, example, plots
-from ttus_opt.fitting.weight_choice import default_model
+from ttus_opt import example, plots
+from ttus_opt.fitting.weights.weight_choice import default_model
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, MEASURED, look, new_figure
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection
+from ttus_opt.session import demo
 
 FOLDER = Path(__file__).parent / "pictures"
 

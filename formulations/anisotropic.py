@@ -5,11 +5,11 @@ min_p ‖L(k_r, k_θ, k_z) p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - �
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with ∇·(K ∇p) in place of ∇²p.
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.anisotropic import AnisotropicTerm
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.anisotropic import AnisotropicTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

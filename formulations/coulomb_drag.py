@@ -11,18 +11,18 @@ convex in (p, q, m). m is the mean friction coefficient: q = m p where it applie
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
-from ttus_opt.constraints.drag_limit import DragLimit, check_coefficient
-from ttus_opt.constraints.drag_sign import DragSign
-from ttus_opt.constraints.mean_friction import MeanFriction
 from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.drag_limit import DragLimit, check_coefficient
+from ttus_opt.problem.constraints.drag_sign import DragSign
+from ttus_opt.problem.constraints.mean_friction import MeanFriction
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.drag import CoulombField
-from ttus_opt.terms.drag_estimate import estimate_drag
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.drag_smoothness import DragSmoothnessTerm
-from ttus_opt.terms.drag_torque import DragTorqueTerm
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.drag import CoulombField
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_smoothness import DragSmoothnessTerm
+from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 
 def build(

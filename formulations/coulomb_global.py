@@ -19,15 +19,15 @@ stiff, this improves its magnitudes. Torque rows worsen force directions by abou
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
-from ttus_opt.constraints.drag_limit import check_coefficient
 from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
+from ttus_opt.problem.constraints.drag_limit import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.scene import BOUNDARY_SCALE, Scene
-from ttus_opt.terms.drag_estimate import estimate_drag
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.drag_torque import DragTorqueTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.part_noise import PartNoise
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.part_noise import PartNoise
 
 
 def build(

@@ -7,19 +7,19 @@ RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance along 
 and along the depth. c, a, σ, both lengths and the noise of normal forces, which grows
 with the force, are chosen by their evidence unless they are given. Tangential forces
 and torques have an error of 0.2 rad besides, and a tracker's error of depth lasts a
-second (`ttus_opt.terms.part_noise`).
+second (`ttus_opt.problem.terms.part_noise`).
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006); the precision after F. Lindgren, H. Rue, J. Lindström, J. R. Stat. Soc. B 73
 (2011).
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.depth_map import DepthMapTerm
-from ttus_opt.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

@@ -10,15 +10,15 @@ first estimate of μ. F p is drag of every point of the probe, or of the whole p
 Source: as `depth_map`, with Coulomb's law.
 """
 
-from ttus_opt.constraints.drag_limit import check_coefficient
 from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.drag_limit import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.scene import Scene
-from ttus_opt.terms.depth_map import DepthMapTerm
-from ttus_opt.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.terms.drag_estimate import estimate_drag
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
 
 
 def build(

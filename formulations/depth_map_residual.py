@@ -11,12 +11,12 @@ the rest as in C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machin
 Learning (2006), section 2.7.
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.depth_map_estimate import least_squares_profile
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace_residual import LaplaceResidualTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace_residual import LaplaceResidualTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

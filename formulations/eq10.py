@@ -4,18 +4,18 @@ min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 
 Source: Yeung, Black, Salcudean, Measurement and Potential Field-Based Patient
 Modeling for Model-Mediated Tele-ultrasound (2025); the paper has
-λ_f = λ_τ = 1e-4 (`ttus_opt.paper`). ℓ makes torque comparable with force;
+λ_f = λ_τ = 1e-4 (`ttus_opt.core.paper`). ℓ makes torque comparable with force;
 ``torque_length=1`` is the paper's literal form in SI units. ``direction_error=0.2``
 divides tangential forces and torques by errors of 0.2 rad of the force besides those of
-normal forces (`ttus_opt.terms.part_noise`); the paper's rows have errors alike.
+normal forces (`ttus_opt.problem.terms.part_noise`); the paper's rows have errors alike.
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.part_noise import PartNoise
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.part_noise import PartNoise
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

@@ -6,12 +6,12 @@ s.t.  p ≥ 0 inside, p ≤ 0 outside
 Source: Yeung, Black, Salcudean (2025), eq. 10; the sign is that of eqs. 6-8.
 """
 
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

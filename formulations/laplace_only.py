@@ -3,9 +3,9 @@
 min_p ‖L p - b‖²
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 
 def build(scene: Scene) -> Formulation:

@@ -6,11 +6,11 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025); P. J. Huber, Robust Estimation
 Location Parameter (1964).
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.robust_force import RobustForceTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.robust_force import RobustForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

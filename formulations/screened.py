@@ -5,11 +5,11 @@ min_p ‖(L - Δr²κ²) p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with ∇²p = κ²p in place of ∇²p = 0.
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.screened import ScreenedTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.screened import ScreenedTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

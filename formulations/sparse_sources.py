@@ -8,13 +8,13 @@ By default α = 3 λ_f, or 3 λ_τ where λ_f = 0. Source: eq. 10 of Yeung, Blac
 Lasso (1996).
 """
 
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

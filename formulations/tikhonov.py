@@ -6,12 +6,12 @@ p_ref is the Laplace field L⁻¹b, or zero. Source: eq. 10 of Yeung, Black, Sal
 (2025); A. N. Tikhonov, Solution of Incorrectly Formulated Problems (1963).
 """
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.tikhonov import TikhonovTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 
 def build(

@@ -8,13 +8,13 @@ E. Fatemi, Nonlinear Total Variation Based Noise Removal Algorithms (1992), arou
 of Yeung, Black, Salcudean (2025).
 """
 
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.torque import TorqueTerm
-from ttus_opt.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 
 
 def build(

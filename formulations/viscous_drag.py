@@ -6,14 +6,14 @@ v is the sliding velocity along the contact and a the arm of drag. Source: eq. 1
 Yeung, Black, Salcudean (2025), with a column per drag coefficient.
 """
 
-from ttus_opt.constraints.viscous_sign import ViscousSign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.viscous_sign import ViscousSign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.drag import Viscous
-from ttus_opt.terms.drag_estimate import estimate_drag
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.drag_torque import DragTorqueTerm
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.drag import Viscous
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 
 def build(

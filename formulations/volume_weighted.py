@@ -7,12 +7,12 @@ s.t.  (p - b)_boundary = 0
 Source: eq. 10 of Yeung, Black, Salcudean (2025), its sum over voxels as an integral.
 """
 
-from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.torque import TorqueTerm
-from ttus_opt.terms.volume_weighted import VolumeWeightedTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.volume_weighted import VolumeWeightedTerm
 
 
 def build(

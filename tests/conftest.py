@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"

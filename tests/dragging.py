@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.point_drag import drag_rows
+from ttus_opt.contact.scene import Scene
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.cylindrical import cylindrical
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ttus_opt.errors import TtusError, TtusWarning
+from ttus_opt.core.errors import TtusError, TtusWarning
 
 SEED = 20261122
 

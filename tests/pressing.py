@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.scene import Scene
+from ttus_opt.contact.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
 DRAG = {"friction_coefficient": 0.3}

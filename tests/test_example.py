@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ttus_opt import example
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import skin_compliance, torso_body
 from ttus_opt.phantom.example_data import (
     DRAG,

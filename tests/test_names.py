@@ -9,25 +9,25 @@ import pytest
 
 import ttus_opt as tt
 
-#: A public path and a name it gives; users' files import them.
+#: A path and a name that users' files import
 KEPT = {
-    "ttus_opt.constraints.sign": "Sign",
+    "ttus_opt.problem.constraints.sign": "Sign",
     "ttus_opt.report.metrics": "evaluate",
     "ttus_opt.report.plots": "overview",
     "ttus_opt.problem.formulation": "Formulation",
-    "ttus_opt.scene": "Scene",
+    "ttus_opt.contact.scene": "Scene",
     "ttus_opt.solvers.registry": "solvers",
-    "ttus_opt.terms.laplace": "LaplaceTerm",
+    "ttus_opt.problem.terms.laplace": "LaplaceTerm",
 }
 
 
 #: Public names that are called otherwise where they live
 OTHERWISE = {
-    "constraints": "ttus_opt.constraints",
+    "constraints": "ttus_opt.problem.constraints",
     "load_formulation": "load",
-    "paper": "ttus_opt.paper",
+    "paper": "ttus_opt.core.paper",
     "plots": "ttus_opt.report.plots",
-    "terms": "ttus_opt.terms",
+    "terms": "ttus_opt.problem.terms",
 }
 
 
@@ -37,7 +37,7 @@ def test_a_public_name_is_loaded_on_first_use(name: str) -> None:
 
 
 def test_a_shelf_gives_its_classes_by_name() -> None:
-    from ttus_opt.terms.laplace import LaplaceTerm
+    from ttus_opt.problem.terms.laplace import LaplaceTerm
 
     assert tt.terms.LaplaceTerm is LaplaceTerm
     assert {"CvxpyTerm", "ForceTerm"} <= set(dir(tt.terms))

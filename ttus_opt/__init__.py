@@ -10,90 +10,94 @@ TYPE_CHECKING = False  # without the cost of loading typing
 if TYPE_CHECKING:
     from typing import Any
 
-    from ttus_opt import constraints as constraints
-    from ttus_opt import paper as paper
-    from ttus_opt import terms as terms
-    from ttus_opt.errors import TtusError as TtusError
-    from ttus_opt.errors import TtusWarning as TtusWarning
+    from ttus_opt.contact.scene import Scene as Scene
+    from ttus_opt.core import paper as paper
+    from ttus_opt.core.errors import TtusError as TtusError
+    from ttus_opt.core.errors import TtusWarning as TtusWarning
     from ttus_opt.fitting.batch import Fitter as Fitter
     from ttus_opt.fitting.batch import fit as fit
-    from ttus_opt.fitting.doubt import doubt as doubt
-    from ttus_opt.fitting.next_press import next_press as next_press
-    from ttus_opt.fitting.path_dataset import read_solution_path as read_solution_path
-    from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
-    from ttus_opt.fitting.pose_refinement import refine_poses as refine_poses
-    from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
-    from ttus_opt.fitting.solution_path import solution_path as solution_path
-    from ttus_opt.fitting.tuning import tune as tune
+    from ttus_opt.fitting.path.path_dataset import (
+        read_solution_path as read_solution_path,
+    )
+    from ttus_opt.fitting.path.path_dataset import (
+        write_solution_path as write_solution_path,
+    )
+    from ttus_opt.fitting.path.solution_path import solution_path as solution_path
+    from ttus_opt.fitting.poses.pose_refinement import refine_poses as refine_poses
+    from ttus_opt.fitting.recursion.recursive import RecursiveFit as RecursiveFit
+    from ttus_opt.fitting.uncertainty.doubt import doubt as doubt
+    from ttus_opt.fitting.uncertainty.next_press import next_press as next_press
+    from ttus_opt.fitting.weights.tuning import tune as tune
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
     from ttus_opt.haptic.renderer import Renderer as Renderer
     from ttus_opt.probe.point_shell import PointShell as PointShell
     from ttus_opt.probe.tracker_noise import TrackerNoise as TrackerNoise
     from ttus_opt.probe.trajectory import Trajectory as Trajectory
     from ttus_opt.probe.trajectory import read_trajectory as read_trajectory
+    from ttus_opt.problem import constraints as constraints
+    from ttus_opt.problem import terms as terms
     from ttus_opt.problem.formulation import Formulation as Formulation
     from ttus_opt.problem.formulation import load_formulation as load_formulation
     from ttus_opt.problem.solution import NoSolutionError as NoSolutionError
     from ttus_opt.problem.solution import Solution as Solution
     from ttus_opt.problem.solution import Status as Status
+    from ttus_opt.problem.terms.base import AffineRows as AffineRows
+    from ttus_opt.problem.terms.base import Term as Term
+    from ttus_opt.problem.terms.cvxpy_term import CvxpyTerm as CvxpyTerm
     from ttus_opt.report import plots as plots
     from ttus_opt.report.metrics import evaluate as evaluate
     from ttus_opt.scan.cloud import read_cloud as read_cloud
     from ttus_opt.scan.extraction import extract_surface as extract_surface
     from ttus_opt.scan.frame import Axis as Axis
     from ttus_opt.scan.surface import Surface as Surface
-    from ttus_opt.scene import Scene as Scene
     from ttus_opt.session.pipeline import run_session as run_session
-    from ttus_opt.terms.base import AffineRows as AffineRows
-    from ttus_opt.terms.base import Term as Term
-    from ttus_opt.terms.cvxpy_term import CvxpyTerm as CvxpyTerm
     from ttus_opt.voxmap.field import PotentialField as PotentialField
     from ttus_opt.voxmap.voxmap import Voxmap as Voxmap
 
 _HOME = {
-    "AffineRows": "terms.base",
+    "AffineRows": "problem.terms.base",
     "Axis": "scan.frame",
     "BlendLaw": "haptic.blend",
-    "CvxpyTerm": "terms.cvxpy_term",
+    "CvxpyTerm": "problem.terms.cvxpy_term",
     "Fitter": "fitting.batch",
     "Formulation": "problem.formulation",
     "NoSolutionError": "problem.solution",
     "PointShell": "probe.point_shell",
     "PotentialField": "voxmap.field",
-    "RecursiveFit": "fitting.recursive",
+    "RecursiveFit": "fitting.recursion.recursive",
     "Renderer": "haptic.renderer",
-    "Scene": "scene",
+    "Scene": "contact.scene",
     "Solution": "problem.solution",
     "Status": "problem.solution",
     "Surface": "scan.surface",
-    "Term": "terms.base",
+    "Term": "problem.terms.base",
     "TrackerNoise": "probe.tracker_noise",
     "Trajectory": "probe.trajectory",
-    "TtusError": "errors",
-    "TtusWarning": "errors",
+    "TtusError": "core.errors",
+    "TtusWarning": "core.errors",
     "Voxmap": "voxmap.voxmap",
-    "doubt": "fitting.doubt",
+    "doubt": "fitting.uncertainty.doubt",
     "evaluate": "report.metrics",
     "extract_surface": "scan.extraction",
     "fit": "fitting.batch",
     "load_formulation": "problem.formulation",
-    "next_press": "fitting.next_press",
+    "next_press": "fitting.uncertainty.next_press",
     "read_cloud": "scan.cloud",
-    "read_solution_path": "fitting.path_dataset",
+    "read_solution_path": "fitting.path.path_dataset",
     "read_trajectory": "probe.trajectory",
-    "refine_poses": "fitting.pose_refinement",
+    "refine_poses": "fitting.poses.pose_refinement",
     "run_session": "session.pipeline",
-    "solution_path": "fitting.solution_path",
-    "tune": "fitting.tuning",
-    "write_solution_path": "fitting.path_dataset",
+    "solution_path": "fitting.path.solution_path",
+    "tune": "fitting.weights.tuning",
+    "write_solution_path": "fitting.path.path_dataset",
 }
 
 #: Modules whose content is found by name, such as ``tt.terms.LaplaceTerm``
 _SHELVES = {
-    "constraints": "constraints",
-    "paper": "paper",
+    "constraints": "problem.constraints",
+    "paper": "core.paper",
     "plots": "report.plots",
-    "terms": "terms",
+    "terms": "problem.terms",
 }
 
 __all__ = [*_HOME, *_SHELVES]

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.problem.formulation import load
-from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.base import AffineRows, Term
 
 
 @dataclass(frozen=True)

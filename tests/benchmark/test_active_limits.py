@@ -13,7 +13,7 @@ from tests.solvers import taking
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import reference_cases
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Solver
 
 #: A small case whose limits hold back or not

@@ -16,7 +16,7 @@ from ttus_opt.benchmark.cases import (
     reference_cases,
     with_new_values,
 )
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 
 
 def test_reference_cases_have_the_sizes_of_the_design() -> None:

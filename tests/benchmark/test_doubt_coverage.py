@@ -13,7 +13,7 @@ from ttus_opt import example
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, patients
 from ttus_opt.experiment.recordings import Examination
-from ttus_opt.fitting.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "doubt_coverage.py"
 

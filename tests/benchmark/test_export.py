@@ -11,9 +11,9 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark.export import export_program
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
@@ -52,7 +52,7 @@ def test_exported_problem_is_the_same_problem(tmp_path: Path) -> None:
 
 def test_group_norms_are_not_exported(tmp_path: Path) -> None:
     from tests.solvers.problems import program, term
-    from ttus_opt.terms.penalties.groups import Groups
+    from ttus_opt.problem.terms.penalties.groups import Groups
 
     bent = program([term(np.eye(2), [0, 0], 1.0, Groups(2))])
     with pytest.raises(InputError, match="not a QP"):

@@ -56,7 +56,7 @@ def test_memory_limit_is_a_row(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path: Path) -> None:
     """Refused by its own process, which had a size by then."""
-    deed = """from ttus_opt.errors import InputError
+    deed = """from ttus_opt.core.errors import InputError
 raise InputError("not on this grid")"""
     (row,) = run_isolated(trapped(tmp_path, deed), tmp_path)
     assert (row["status"], row["detail"]) == ("refused", "not on this grid")

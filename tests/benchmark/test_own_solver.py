@@ -9,11 +9,11 @@ import pytest
 
 from tests.benchmark.tiny import tiny_suite
 from ttus_opt.benchmark.own_solver import options_of, solver_of
-from ttus_opt.errors import InputError
-from ttus_opt.solvers.closed_form import ClosedForm
+from ttus_opt.core.errors import InputError
+from ttus_opt.solvers.packages.closed_form import ClosedForm
 
 FILE = """
-from ttus_opt.solvers.closed_form import ClosedForm
+from ttus_opt.solvers.packages.closed_form import ClosedForm
 
 class Mine(ClosedForm):
     name = "mine"

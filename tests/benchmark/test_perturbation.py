@@ -11,7 +11,7 @@ import pytest
 from ttus_opt import example
 from ttus_opt.benchmark.cases import CaseSpec, reference_cases
 from ttus_opt.benchmark.perturbation import PERTURBATIONS, perturbed
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import read_trajectory
 
 PLAIN = read_trajectory(example.path("press_fit.csv"))

@@ -17,7 +17,7 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
-from ttus_opt.solvers.closed_form import ClosedForm
+from ttus_opt.solvers.packages.closed_form import ClosedForm
 
 CASE = replace(TINY, shape=(6, 9, 6), n_poses=5, n_points=200)
 

@@ -15,7 +15,7 @@ from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.contact.rows import Sampling
-from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.core.errors import InputError, MissingPackageError
 
 
 def never(*arguments: object) -> list[Row]:

@@ -15,7 +15,7 @@ from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import STAGES, Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
-from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.core.errors import InputError, MissingPackageError
 
 SPEC = RunSpec("mine", options={"voxel": 3}, time_limit=5.0)
 MEBIBYTE = 2**20

@@ -12,7 +12,7 @@ import pytest
 from tqdm import tqdm
 
 from ttus_opt.cli import console
-from ttus_opt.errors import TtusWarning
+from ttus_opt.core.errors import TtusWarning
 
 
 def test_json_holds_numbers_and_null(capsys: pytest.CaptureFixture[str]) -> None:

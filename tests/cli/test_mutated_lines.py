@@ -11,9 +11,9 @@ import pytest
 
 from tests.cli.conftest import PROBE
 from ttus_opt.cli import main
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
 
@@ -101,7 +101,7 @@ def mutated(words: list[str], rng: np.random.Generator) -> list[str]:
 
 
 @pytest.mark.parametrize(("part", "n"), LINES)
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_mutated_lines(
     files: Path,
     field: Path,

@@ -12,7 +12,7 @@ import xarray as xr
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, Run, empty, refused
-from ttus_opt.fitting import solution_path
+from ttus_opt.fitting.path import solution_path
 
 
 def words(files: Path, output: Path, more: str = "") -> str:
@@ -85,7 +85,7 @@ def test_bad_input_is_one_line(
 def test_an_interrupt_writes_what_is_done(
     run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: int
 ) -> None:
-    from ttus_opt.fitting import solution_path as module
+    from ttus_opt.fitting.path import solution_path as module
 
     plain = module.PathRecord.add
     count = 0

@@ -10,8 +10,8 @@ import pytest
 
 from ttus_opt.cli.evaluate_command import _draw
 from ttus_opt.cli.recording_lines import RecordingLine
-from ttus_opt.errors import InputError
-from ttus_opt.fitting.doubt_check import Calibration
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.doubt_check import Calibration
 
 FOUND = Calibration(
     *(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3),

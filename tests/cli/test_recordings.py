@@ -13,7 +13,7 @@ import pytest
 from tests.cli.conftest import Run
 from ttus_opt import example
 from ttus_opt.cli.evaluate_command import warn_of_poses
-from ttus_opt.errors import MistakeWarning
+from ttus_opt.core.errors import MistakeWarning
 from ttus_opt.probe.trajectory import read_trajectory
 
 NAMES = {

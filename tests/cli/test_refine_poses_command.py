@@ -10,8 +10,8 @@ import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, Run, refused
-from ttus_opt.fitting import pose_refinement
-from ttus_opt.fitting.pose_error_step import Check
+from ttus_opt.fitting.poses import pose_refinement
+from ttus_opt.fitting.poses.pose_error_step import Check
 
 
 def words(files: Path, output: Path, more: str = "") -> str:

@@ -221,7 +221,7 @@ def test_an_interrupt_is_one_line(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ttus_opt.scene.Scene.assemble", stop)
+    monkeypatch.setattr("ttus_opt.contact.scene.Scene.assemble", stop)
     answer = run(fit_words(files, output / "f.nc"))
     assert answer.status == 130
     assert len(answer.errors) == 1
@@ -287,7 +287,7 @@ def test_two_outputs_are_two_files(run: Run, files: Path, tmp_path: Path) -> Non
 def test_a_terminated_command_leaves_nothing_behind(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys, typer\n"
-        "from ttus_opt import io\n"
+        "from ttus_opt.core import io\n"
         "from ttus_opt.cli import app as lines\n"
         "def begin(*_, **__):\n"
         f"    with io.replacing({str(tmp_path / 'a.nc')!r}):\n"

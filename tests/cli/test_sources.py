@@ -14,7 +14,7 @@ import pytest
 from ttus_opt.cli import sources as module
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import seen, sources, warn_of_another_probe
-from ttus_opt.errors import FileError, TtusWarning
+from ttus_opt.core.errors import FileError, TtusWarning
 
 
 def written(path: Path, content: str) -> Path:

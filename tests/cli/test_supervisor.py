@@ -14,7 +14,7 @@ import pytest
 
 from ttus_opt import cli
 from ttus_opt.cli import supervisor
-from ttus_opt.interrupts import INTERRUPTED
+from ttus_opt.core.interrupts import INTERRUPTED
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="the system cannot fork"

@@ -14,7 +14,7 @@ from tests.cli.conftest import Run, empty, fit_words, refused
 from tests.cli.test_interrupts import deaf_at_work
 from ttus_opt.cli.app import MANY_SOLVES, UNLIMITED, app
 from ttus_opt.cli.time_limit import time_limited
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
 
 pytestmark = pytest.mark.skipif(
     not hasattr(signal, "setitimer"), reason="the system has no alarm"

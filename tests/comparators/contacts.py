@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.contact_geometry import Patch
 from ttus_opt.comparators.patch_law import PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
+from ttus_opt.core.arrays import Array
 
 #: For laws that look at depth, rate and place alone, at rest along the surface
 NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))

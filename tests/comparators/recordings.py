@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators import create
 from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 

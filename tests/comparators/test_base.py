@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing, recordings
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import LEAST_FORCE, OneStiffness, positive_scale
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from tests.comparators.recordings import fitted, recordings
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators import compare, markdown
 from ttus_opt.comparators.comparison import (
     SLIDE,
@@ -18,7 +17,8 @@ from ttus_opt.comparators.comparison import (
     slow_slide,
     timed_wrenches,
 )
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import angles
 

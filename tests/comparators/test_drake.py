@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.comparators.walls import RADIUS, wall
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.pressure_field import PressureField
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 
 pytest.importorskip("pydrake", reason="drake is not installed: pip install drake")

@@ -8,7 +8,7 @@ import ttus_opt as tt
 from tests.comparators.recordings import COARSE, recordings
 from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.fields import Eq10, LaplaceOnly
-from ttus_opt.scene import ScenePlan
+from ttus_opt.contact.scene import ScenePlan
 
 
 def test_it_is_the_fit_and_the_renderer() -> None:

@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing, fitted, options, recordings
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators import available, create, kind
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:weights were not chosen:ttus_opt.errors.TtusWarning"
+    "ignore:weights were not chosen:ttus_opt.core.errors.TtusWarning"
 )
 
 NAMES = list(available())

@@ -16,7 +16,7 @@ from ttus_opt.comparators.hunt_crossley_two_stage import HuntCrossleyTwoStage
 from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
 from ttus_opt.comparators.patch_law import PatchLaw
 from ttus_opt.comparators.patch_model import Contact
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def test_each_patch_learns_its_own_stiffness() -> None:

@@ -15,7 +15,7 @@ from tests.conftest import torso
 from ttus_opt.comparators.base import LEAST_FORCE
 from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
 from ttus_opt.comparators.patch_model import DEPTH_UNIT, FEWEST_FRAMES, LEAST_DEPTH
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def test_a_press_on_a_wall_has_a_depth_a_rate_and_a_foot() -> None:

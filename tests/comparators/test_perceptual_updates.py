@@ -11,7 +11,7 @@ from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def test_friction_and_stiffness_of_the_recordings_are_sent() -> None:

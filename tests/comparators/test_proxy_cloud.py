@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
 from tests.conftest import ellipsoid, torso
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.comparators.proxy_cloud import ProxyCloud, mean_tip
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 

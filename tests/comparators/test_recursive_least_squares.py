@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
+from ttus_opt.core.arrays import Array
 
 
 @pytest.mark.parametrize("weights", [np.ones(40), np.linspace(0.1, 1.0, 40)])

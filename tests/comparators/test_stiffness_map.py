@@ -15,7 +15,7 @@ from ttus_opt.comparators.stiffness_map import (
     chosen_law,
     matern,
 )
-from ttus_opt.terms.posterior_mode import PosteriorMode
+from ttus_opt.problem.terms.posterior_mode import PosteriorMode
 
 NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
 

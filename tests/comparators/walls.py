@@ -7,8 +7,8 @@ import functools
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 

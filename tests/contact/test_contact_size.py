@@ -7,7 +7,6 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
-from ttus_opt.arrays import Array
 from ttus_opt.benchmark.plain_frame import numpy_frame
 from ttus_opt.contact.contact_size import (
     LEAST_LENGTH,
@@ -15,6 +14,7 @@ from ttus_opt.contact.contact_size import (
     size_factors,
 )
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField

@@ -8,7 +8,7 @@ import pytest
 import ttus_opt as tt
 from ttus_opt.cli.evaluate_command import warn_of_poses
 from ttus_opt.contact.cut_off import cut_off
-from ttus_opt.errors import TtusWarning
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.scan.surface import Surface
 
 #: Radius and height of the body, and of the ball pressed against it [m]

@@ -11,7 +11,7 @@ from tests.contact.test_friction import SHELL, VOXMAP, slide
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
 
 
 def test_the_patch_is_weighted_by_area_and_depth() -> None:

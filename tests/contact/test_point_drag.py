@@ -16,14 +16,14 @@ from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
 from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.slip import Slip
-from ttus_opt.errors import InputError
-from ttus_opt.fitting.wrench_doubt import rendered, wrench_rows
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.wrench_doubt import rendered, wrench_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.phantom.recording import add_pose_noise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.scan.surface import Surface
-from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.conftest import ellipsoid, small_scene
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.row_kernels import (
     REFERENCE_AREA,
     Poses,
@@ -18,6 +17,7 @@ from ttus_opt.contact.row_kernels import (
     shell_arrays,
 )
 from ttus_opt.contact.slip import Slip
+from ttus_opt.core.compiled import compiled
 
 
 @compiled()

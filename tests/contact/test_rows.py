@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -12,12 +12,12 @@ import pytest
 from tests.conftest import SHARED, ellipsoid
 from ttus_opt import example
 from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.experiment import doubts
 from ttus_opt.experiment.doubts import stated_doubt
 from ttus_opt.experiment.settings import AUTO, Setting
-from ttus_opt.fitting.doubt_check import Calibration
+from ttus_opt.fitting.uncertainty.doubt_check import Calibration
 from ttus_opt.problem.solution import Status
 from ttus_opt.report.calibration_curve import CalibrationCurve
 

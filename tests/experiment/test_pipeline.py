@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ttus_opt import experiment
-from ttus_opt.errors import FileError, InputError, MissingPackageError
+from ttus_opt.contact.scene import ScenePlan
+from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.experiment import recordings
 from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.fits import FITTED
@@ -20,7 +21,6 @@ from ttus_opt.experiment.tables import title
 from ttus_opt.fitting.batch import fit
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.metrics import evaluate
-from ttus_opt.scene import ScenePlan
 
 PLAN = experiment.Plan(
     shape=(16, 48, 24),

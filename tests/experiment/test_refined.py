@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import presses, torso
+from ttus_opt.contact.scene import Scene
 from ttus_opt.experiment import fits
 from ttus_opt.experiment.fits import FITTED, PatientFits
 from ttus_opt.experiment.settings import BY_DEFAULT, REFINED
-from ttus_opt.scene import Scene
 
 
 def test_only_the_fitted_recordings_are_refined(

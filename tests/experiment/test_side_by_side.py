@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from ttus_opt import experiment
-from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.core.errors import InputError, MissingPackageError
 from ttus_opt.experiment import side_by_side
 from ttus_opt.experiment.patients import patients
-from ttus_opt.fitting.task_pool import task_pool
+from ttus_opt.fitting.path.task_pool import task_pool
 
 PLAN = experiment.Plan(
     (16, 48, 24),

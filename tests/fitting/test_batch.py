@@ -11,24 +11,25 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from tests.dragging import dragged_scene
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import InputError
-from ttus_opt.fitting import batch, weight_choice
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting import batch
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
-from ttus_opt.fitting.weight_choice import WeightChoice
+from ttus_opt.fitting.weights import weight_choice
+from ttus_opt.fitting.weights.weight_choice import WeightChoice
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation, Search, available, load
-from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
+from ttus_opt.problem.terms.base import AffineRows
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.base import Penalty
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.terms.base import AffineRows
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.base import Penalty
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
 
 SCENE = small_scene("trilinear")
 TINY = small_scene("trilinear", shape=(6, 8, 5), n_poses=15)

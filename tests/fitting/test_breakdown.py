@@ -7,7 +7,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
@@ -28,7 +28,7 @@ PROGRAM = load("eq10", SCENE).compile()
 @pytest.fixture
 def ours(monkeypatch: pytest.MonkeyPatch) -> None:
     """`Brittle` counts as the package's own, not as a user's."""
-    monkeypatch.setattr("ttus_opt.user_code._is_users", lambda _: False)
+    monkeypatch.setattr("ttus_opt.core.user_code._is_users", lambda _: False)
 
 
 class Brittle(Solver, Prepared):

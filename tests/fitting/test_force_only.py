@@ -10,9 +10,9 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import presses, torso
-from ttus_opt.errors import InputError
-from ttus_opt.fitting.sanity import check_recordings
-from ttus_opt.scene import ScenePlan
+from ttus_opt.contact.scene import ScenePlan
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.checks.sanity import check_recordings
 
 
 @functools.cache

@@ -13,7 +13,7 @@ import pytest
 
 import formulations
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import available, load
 

@@ -10,9 +10,9 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import available, load
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.verify.kkt import kkt_residuals
 
 SCENE = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
 
@@ -105,7 +105,7 @@ def solved_or_told(formulation: str, option: str, value: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # inside solvers, as they fail
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 @pytest.mark.parametrize("formulation", [info.name for info in available()])
 def test_extreme_numbers(formulation: str) -> None:
     for option in numeric_options(formulation):

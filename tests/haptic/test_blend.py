@@ -11,8 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, some, torso
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import (
     GAP,
     RETREAT_STEP,
@@ -24,6 +23,7 @@ from ttus_opt.haptic.blend import (
 )
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -18,12 +18,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.errors import TtusError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import TtusError
 from ttus_opt.haptic import c_interface
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.c_interface import DONE, HEADER, WAITING, frame_address
 from ttus_opt.haptic.renderer import LIMITS, Renderer
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
 pytestmark = pytest.mark.skipif(

@@ -21,7 +21,7 @@ from tests.drags import (
     normal_forces,
     pushing,
 )
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField

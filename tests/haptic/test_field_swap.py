@@ -10,7 +10,8 @@ import pytest
 from tests.conftest import small_scene
 from tests.haptic.test_renderer import random_field
 from ttus_opt.contact.friction import FRICTION
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import (
     BENT,
     DIFFERENCE,
@@ -30,7 +31,6 @@ from ttus_opt.haptic.field_swap import (
 )
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
 
 

@@ -12,13 +12,13 @@ import ttus_opt as tt
 from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing
 from ttus_opt import example
 from ttus_opt.cli import main
-from ttus_opt.errors import TtusWarning
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import evaluate
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -9,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.voxmap.doubt_map import DoubtMap
 
 THETA = np.arange(8) * np.pi / 4.0

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.shell_blocks import ShellBlocks
-from ttus_opt.cylindrical import cylindrical
 from ttus_opt.haptic.frame import touch
 from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.friction import DEADBAND
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.motion import (
     DEVIATIONS,
     FOLLOWER,

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.drags import LAWS, SHELL, SURFACE, pushing
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import small_scene, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import render_frame
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 

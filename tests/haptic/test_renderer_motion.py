@@ -7,9 +7,9 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.scene import Scene
 
 
 def test_drag_without_a_motion_is_left_out_and_told_once(scene: Scene) -> None:

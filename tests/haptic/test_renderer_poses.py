@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.pressing import deepest_pose, pressing
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import orthonormalise
 from ttus_opt.probe.pose import rotations
-from ttus_opt.scene import Scene
 
 RNG = np.random.default_rng(4)
 

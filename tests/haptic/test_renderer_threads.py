@@ -9,11 +9,11 @@ import pytest
 
 from tests.haptic.test_renderer import random_field
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.field_swap import swapped
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
 

@@ -8,8 +8,8 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
-from ttus_opt.compiled import compiled
-from ttus_opt.errors import InputError
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import PROGRESS, settled_ledger
 from ttus_opt.haptic.field_swap import RenderedField, RenderedFields
 from ttus_opt.haptic.kernel_data import FrameData

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.special import i0
 
-from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface

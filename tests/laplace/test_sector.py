@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sector import Sector

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.laplace.multigrid import MultigridResult
 from ttus_opt.laplace.square_system import BlockSolves
-from ttus_opt.multigrid import MultigridResult
 
 V = 9
 FREE = np.array([0, 1, 1, 0, 1, 1, 1, 0, 1], dtype=bool)

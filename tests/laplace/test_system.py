@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.special import i0, k0
 
 from tests.conftest import torso
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, SURFACE, Voxmap

@@ -7,8 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from ttus_opt.laplace.multigrid.coarsening import conductances
 from ttus_opt.laplace.variant_grid import VariantGrid
-from ttus_opt.multigrid.coarsening import conductances
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 PLAIN = CylindricalGrid(0.03, 0.18, 0.0, 0.3, shape=(5, 8, 6))

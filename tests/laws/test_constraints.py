@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-import ttus_opt.constraints
+import ttus_opt.problem.constraints
 from tests.conftest import small_scene
-from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 SCENE = small_scene("trilinear", shape=(12, 24, 10), n_poses=6)
 
 
 def members() -> list[type[Constraint]]:
     found = []
-    for info in pkgutil.iter_modules(ttus_opt.constraints.__path__):
-        module = importlib.import_module(f"ttus_opt.constraints.{info.name}")
+    for info in pkgutil.iter_modules(ttus_opt.problem.constraints.__path__):
+        module = importlib.import_module(f"ttus_opt.problem.constraints.{info.name}")
         for member in vars(module).values():
             own = inspect.isclass(member) and member.__module__ == module.__name__
             if own and issubclass(member, Constraint) and member is not Constraint:

@@ -9,8 +9,8 @@ import pytest
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.contact import friction
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import available
-from ttus_opt.scene import Scene
 
 #: What a field carries for rendering, given and not identified
 GIVEN = {

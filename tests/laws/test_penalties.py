@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-import ttus_opt.terms.penalties
-from ttus_opt.terms.penalties.base import Penalty
+import ttus_opt.problem.terms.penalties
+from ttus_opt.problem.terms.penalties.base import Penalty
 
 RNG = np.random.default_rng(0)
 
@@ -25,8 +25,10 @@ OPTIONS: dict[str, dict[str, float]] = {
 
 def members() -> list[Penalty]:
     found = []
-    for info in pkgutil.iter_modules(ttus_opt.terms.penalties.__path__):
-        module = importlib.import_module(f"ttus_opt.terms.penalties.{info.name}")
+    for info in pkgutil.iter_modules(ttus_opt.problem.terms.penalties.__path__):
+        module = importlib.import_module(
+            f"ttus_opt.problem.terms.penalties.{info.name}"
+        )
         for kind in vars(module).values():
             own = inspect.isclass(kind) and kind.__module__ == module.__name__
             if own and issubclass(kind, Penalty) and kind is not Penalty:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-import ttus_opt.terms
+import ttus_opt.problem.terms
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Term
-from ttus_opt.terms.cvxpy_term import CvxpyRows
-from ttus_opt.terms.drag import CoulombField, GlobalCoulomb, Viscous
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.cvxpy_term import CvxpyRows
+from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
 
 SCENE = small_scene("trilinear", n_poses=8)
 
@@ -37,8 +37,8 @@ OPTIONS: dict[str, list[dict[str, object]]] = {
 def members() -> list[type[Term]]:
     """All but cvxpy's rows, whose laws are those of the expression they are given."""
     found = []
-    for info in pkgutil.iter_modules(ttus_opt.terms.__path__):
-        module = importlib.import_module(f"ttus_opt.terms.{info.name}")
+    for info in pkgutil.iter_modules(ttus_opt.problem.terms.__path__):
+        module = importlib.import_module(f"ttus_opt.problem.terms.{info.name}")
         for member in vars(module).values():
             own = inspect.isclass(member) and member.__module__ == module.__name__
             if own and issubclass(member, Term) and member not in (Term, CvxpyRows):

@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 
 from tests.dragging import dragged_scene
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
-from ttus_opt.scene import Scene
-from ttus_opt.solvers import osqp, registry, scs
+from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.packages import osqp, scs
 
 TOLERANCE = 1e-6
 TIMES = Timings(0.0, 0.0, 0.0)

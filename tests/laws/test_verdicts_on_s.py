@@ -21,9 +21,9 @@ from tests.laws.test_verdicts import (
     perturbations,
 )
 from ttus_opt.benchmark.cases import reference_cases
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.solution import Status
-from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
 

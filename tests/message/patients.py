@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import small_scene, torso
-from ttus_opt.errors import TtusWarning
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.message import encode
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.message.patients import dented, fitted, sent, uneven
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.message.codec import decode, encode
 from ttus_opt.message.surface_message import MAX_ERROR
 from ttus_opt.scan.surface import Surface

@@ -8,7 +8,7 @@ import zlib
 import pytest
 
 from tests.message.sealing import sealed
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.message.envelope import LONGEST, SURFACE, VERSION, Reader, Writer
 
 

@@ -20,11 +20,11 @@ from tests.message.patients import (
 )
 from tests.message.sealing import body, sealed
 from ttus_opt import example
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
+from ttus_opt.laplace.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.message import decode, encode, field_message
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.message.field_message import sampled
-from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.voxmap.field import PotentialField
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
@@ -92,7 +92,7 @@ def test_a_bound_of_ones_own() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", [None, 1e-2])
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_size_and_force_of_case_M(weight: float | None) -> None:
     """A field of 345,600 voxels takes 3 kB, and 0.02 N at 0.25 mm and 0.005 N/cm²."""
     cloud = tt.read_cloud(example.path("scan.ply"), unit="m")

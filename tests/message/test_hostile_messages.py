@@ -12,7 +12,7 @@ from tests.conftest import torso
 from tests.hostile import SEED, mutated
 from tests.message.patients import dented, sent, sent_sector, uneven
 from tests.message.sealing import body, sealed
-from ttus_opt.errors import TtusError
+from ttus_opt.core.errors import TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import NAMES
 
@@ -61,7 +61,7 @@ def hostile(n: int, part: int) -> Iterator[tuple[int, bytes, bytes | None]]:
 
 
 @pytest.mark.parametrize(("part", "n"), NUMBERS)
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_mutated_messages(part: int, n: int) -> None:
     messages = hostile(n, part)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

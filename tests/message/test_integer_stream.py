@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.message.sealing import sealed
-from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.core.errors import InputError, MissingPackageError
 from ttus_opt.message.envelope import SURFACE, Reader, Writer
 from ttus_opt.message.integer_stream import (
     DENSE,

@@ -13,7 +13,7 @@ from tests.conftest import torso
 from tests.message.patients import dented, uneven
 from tests.message.sealing import body, sealed
 from ttus_opt import example
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import SURFACE, SURFACE_DELTA
 from ttus_opt.message.surface_message import Window
@@ -66,7 +66,7 @@ def test_a_smaller_bound_takes_more_bytes() -> None:
         ("torso/realsense_male_m.pcd", "m", 3200),
     ],
 )
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_sizes_of_real_surfaces(
     shared: Path, scan: str | Path, unit: str, most: int
 ) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.phantom.mesh import graded
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.phantom.block import hertz_force, soft_block
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import EllipsoidProbe, press, skin_compliance
 
 RADIUS, YOUNG, POISSON = 0.05, 15e3, 0.45

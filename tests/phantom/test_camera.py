@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.camera import ScanSetup, View, depth_image, scan, write_cloud
 from ttus_opt.scan.cloud import read_cloud

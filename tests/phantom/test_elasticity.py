@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from tests.phantom.block import box_mesh
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.phantom import ElasticBody, SkinPatch, elasticity, skin_compliance
 
 

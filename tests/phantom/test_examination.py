@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import EllipsoidProbe, Torso
 from ttus_opt.phantom.examination import push_handling, sweep_handling
 from ttus_opt.phantom.example_data import PROBE

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.phantom.block import box_mesh
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.mesh import graded, ring_mesh
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.scanned import ScannedTorso
 from ttus_opt.scan.surface import Surface

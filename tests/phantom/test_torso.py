@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.errors import GeometryError
 from ttus_opt.phantom import Torso, TorsoMesh, press, skin_compliance, torso_body
 from ttus_opt.phantom.example_data import PROBE, poses
 

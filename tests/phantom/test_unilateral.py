@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.unilateral import solve_unilateral
 
 

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.even_sampling import (
     SurfaceSamples,
     dense_samples,

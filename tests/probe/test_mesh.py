@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.core.errors import FileError, GeometryError, InputError
 from ttus_opt.probe.mesh import TriangleMesh, read_mesh
 
 

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from tests.conftest import SHARED
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.errors import GeometryError
 from ttus_opt.probe import orientation
 from ttus_opt.probe.mesh import TriangleMesh, read_mesh
 from ttus_opt.probe.orientation import consistent_patches, orient_faces

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import SHARED
-from ttus_opt.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
 from ttus_opt.probe.point_shell import PointShell, ellipsoid_area
 
 PROBE = SHARED / "probe" / "Probe_L14-5_38_lowres.stl"

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import NUMBERS, only_our_errors
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
 
 TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])

@@ -9,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.hostile import NUMBERS, only_our_errors
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.text_table import known_name, read_text_table
 
 OURS = ["t", "px", "py", "pz", "qw", "qx", "qy", "qz"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import presses, torso
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.thinning import thinned
 from ttus_opt.probe.trajectory import Trajectory
 

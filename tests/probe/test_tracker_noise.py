@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import recording
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory

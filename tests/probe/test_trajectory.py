@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import SHARED
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 FILES = sorted([*SHARED.glob("phantom*/*.csv"), *SHARED.glob("wrench/*.csv")])

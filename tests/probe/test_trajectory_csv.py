@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import FileError, MistakeWarning
+from ttus_opt.core.errors import FileError, MistakeWarning
 from ttus_opt.probe.trajectory import read_trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"

@@ -11,10 +11,10 @@ import scipy.sparse as sp
 
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.members import ProgramCones
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.verify.kkt import kkt_residuals
 
 
 def solved(stated: Program) -> CvxpyProgram:

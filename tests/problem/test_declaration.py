@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation, Search, load
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
-from ttus_opt.formulation_files import formulation_module
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.formulation_files import formulation_module
 from ttus_opt.problem.formulation import Formulation, available, load
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
 
@@ -30,7 +30,7 @@ def test_by_name_by_path_and_as_it_is(tmp_path: Path) -> None:
     own = tmp_path / "own.py"
     own.write_text(
         "from ttus_opt.problem.formulation import Formulation\n"
-        "from ttus_opt.terms.laplace import LaplaceTerm\n"
+        "from ttus_opt.problem.terms.laplace import LaplaceTerm\n"
         "def build(scene, weight=2.0):\n"
         "    return Formulation([LaplaceTerm(scene, weight)])\n"
     )
@@ -83,7 +83,7 @@ def test_a_users_file_that_raises_is_told_in_one_sentence(tmp_path: Path) -> Non
         ("x = 1\n", r"no function build\(scene"),
         ("def build(scene):\n    return 3\n", "returned int, expected a Formulation"),
         (
-            "from ttus_opt.terms.base import Term\n"
+            "from ttus_opt.problem.terms.base import Term\n"
             "class T(Term):\n"
             "    name = 'own'\n"
             "def build(scene):\n"

@@ -7,9 +7,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import minimize
 
-from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.members import ProgramCones, ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 
 RNG = np.random.default_rng(0)
 

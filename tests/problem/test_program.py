@@ -9,19 +9,19 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program, QuadraticForm
-from ttus_opt.scene import Scene
-from ttus_opt.terms.base import AffineRows, Term
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.linear import Linear
-from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.torque import TorqueTerm
 
 TINY = small_scene(shape=(5, 6, 4), n_poses=5)
 RNG = np.random.default_rng(0)

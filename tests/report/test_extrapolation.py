@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import small_scene
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.extrapolation import (

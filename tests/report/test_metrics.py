@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import small_scene
 from ttus_opt.contact.friction import Sliding, coulomb_rows
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.report.metrics import angles, as_rendered, compare, evaluate
 from ttus_opt.voxmap.field import PotentialField

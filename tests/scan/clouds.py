@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 
 def cylinder(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.errors import TtusWarning
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.scan.body_sides import front_along, head_along
 
 RNG = np.random.default_rng(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan.box import extent_words, inside
 
 CLOUD = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import SHARED
-from ttus_opt.errors import FileError, InputError, TtusError
+from ttus_opt.core.errors import FileError, InputError, TtusError
 from ttus_opt.scan.cloud import read_cloud
 
 DATA = SHARED / "torso"

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan import contour_filter
 from ttus_opt.scan.candidates import Candidates
 from ttus_opt.scan.contour_filter import (

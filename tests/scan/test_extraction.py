@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from tests.conftest import SHARED
 from tests.scan import camera
 from tests.scan.clouds import cylinder
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.contour_filter import Contour
 from ttus_opt.scan.extraction import extract_surface, filled_surface, followed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.outline import outline
 

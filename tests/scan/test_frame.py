@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.scan.test_frame_estimate import bed, body, no_bed, rotation
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan import frame
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis

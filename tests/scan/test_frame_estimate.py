@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from tests.conftest import SHARED
 from ttus_opt import example
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan import frame_estimate
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.frame import Axis

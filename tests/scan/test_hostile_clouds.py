@@ -12,7 +12,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import torso
 from tests.hostile import NUMBERS, only_our_errors
-from ttus_opt.errors import FileError, TtusError
+from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.scan.cloud import read_cloud
 
 POINTS = torso(40, 12).points().reshape(-1, 3)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.scan.test_cloud import POINTS, lzf_compress, pcd_header
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.scan.pcd import lzf_decompress, read_pcd
 
 #: A 16-bit intensity, doubles, three normals: fields on all sides of x, y, z

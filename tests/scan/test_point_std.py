@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scan.clouds import cylinder
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan.candidates import Candidates, collect
 from ttus_opt.scan.contour_filter import ContourModel, associate, follow
 from ttus_opt.scan.extraction import extract_surface

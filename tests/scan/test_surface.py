@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from tests.conftest import SHARED
-from ttus_opt import io
-from ttus_opt.checksum import ATTRIBUTE
-from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.checksum import ATTRIBUTE
+from ttus_opt.core.errors import FileError, GeometryError, InputError
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.scan.clouds import cylinder
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan.cloud import read_cloud
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (12, 3)).round(6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 

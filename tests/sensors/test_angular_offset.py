@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from tests.sensors.test_clock import wander
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.angular_offset import angular_offset
 from ttus_opt.sensors.clock import Signal, clock_offset

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.sensors.column_map import column_map, read_column_map
 from ttus_opt.sensors.stream_files import read_poses, read_wrenches
 

@@ -16,8 +16,8 @@ from tests.sensors.cameras import (
     see_ellipsoid,
     see_plane,
 )
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.sensors.depth import DepthImage, read_depth_image
 from ttus_opt.sensors.depth_noise import Pixels, StructuredLight, TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.sensors.depth_pixels import LEAST_COUNT, STEPS, _neighbours, judge
 
 SHAPE, FOCAL = (24, 30), 120.0

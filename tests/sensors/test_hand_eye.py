@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.sensors.hand_eye import HAND_EYE, ROBOT_WORLD, hand_eye, read_pose_pairs
 
@@ -179,7 +179,7 @@ def test_files_that_hold_none(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_mutations(tmp_path: Path, n: int) -> None:
     both = np.stack(pairs("fixed", 4), axis=1)
     (tmp_path / "pairs.json").write_text(json.dumps(both.round(6).tolist()))

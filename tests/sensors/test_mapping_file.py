@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.sensors.mapping_file import LARGEST_FILE, read_mapping
 
 pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError, InputError, TtusWarning
+from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.marker_pose import (
     Board,
@@ -158,7 +158,7 @@ FIRST = 3 if cv2.__version__.startswith("4.10.") else 4
 
 
 @pytest.mark.parametrize(("photo", "least"), [(1, FIRST), (2, 5), (3, 6)])
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_photos_of_april_tags(shared: Path, photo: int, least: int) -> None:
     image = read_image(shared / "markers" / f"test_image_multiple_0{photo}.png")
     found = marker_poses(image, 0.065, "APRILTAG_36H11", TAG_CAMERA)

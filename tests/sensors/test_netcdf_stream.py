@@ -17,7 +17,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError, TtusWarning
+from ttus_opt.core.errors import FileError, TtusWarning
 from ttus_opt.sensors import netcdf_child, netcdf_stream
 from ttus_opt.sensors.netcdf_child import Variable, unpacked
 from ttus_opt.sensors.netcdf_stream import (

@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import SEED, mutated
-from ttus_opt.errors import InputError, TtusError, TtusWarning
+from ttus_opt.core.errors import InputError, TtusError, TtusWarning
 from ttus_opt.sensors import open_igt_link as igt
 from ttus_opt.sensors import open_igt_message
 from ttus_opt.sensors.open_igt_message import HEADER, MessageReader, crc64

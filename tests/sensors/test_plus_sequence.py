@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.sensors.plus_sequence import read_plus_sequence
 
 HEAD = "ObjectType = Image\nNDims = 3\nDimSize = 2 2 6\nElementType = MET_UCHAR\n"

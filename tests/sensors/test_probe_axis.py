@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.probe_axis import axis_from_probe
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import mutated
-from ttus_opt.errors import FileError, MissingPackageError, TtusError, TtusWarning
+from ttus_opt.core.errors import FileError, MissingPackageError, TtusError, TtusWarning
 from ttus_opt.sensors.ros_bag import read_bag_poses, read_bag_wrenches
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
@@ -136,7 +136,7 @@ def test_without_rosbags_the_extra_is_named(
     ],
 )
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_mutations(tmp_path: Path, kind: str, n: int) -> None:
     bag = recorded(tmp_path, kind)
     suffix = {"sqlite3": "*.db3", "mcap": "*.mcap"}.get(kind)

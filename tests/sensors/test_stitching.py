@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
 from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, MissingPackageError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics

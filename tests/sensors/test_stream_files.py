@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.test_plus_sequence import sequence
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.plus_sequence import read_plus_sequence

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import (
     WrenchStream,

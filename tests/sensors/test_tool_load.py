@@ -21,7 +21,7 @@ from tests.sensors.readings import (
     readings,
     tilts,
 )
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 from ttus_opt.sensors.tool_load import identify_load
@@ -64,7 +64,7 @@ def test_standard_errors_are_those_of_noise() -> None:
     assert loads[0].torque_residual == pytest.approx(0.005, rel=0.2)
 
 
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_residuals_of_few_poses_are_not_too_small() -> None:
     """Eight poses, of which four and six numbers are found: the noise all the same."""
     free, squares = readings(tilts(8)), []
@@ -154,7 +154,7 @@ def test_readings_without_weight_are_told() -> None:
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 def test_mutations(tmp_path: Path, n: int) -> None:
     file = tmp_path / "free.csv"
     readings(tilts(12), noise=0.01).save(file, digits=6)

@@ -28,8 +28,8 @@ from tests.sensors.cameras import (
     see_mesh,
     see_plane,
 )
-from ttus_opt.arrays import Array
 from ttus_opt.cli import main
+from ttus_opt.core.arrays import Array
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import Intrinsics

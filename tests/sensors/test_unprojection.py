@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection, read_unprojection
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.readings import DOWN, SENSOR, readings, tilts
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.sensors.tool_load import identify_load
 from ttus_opt.sensors.wrench_compensation import compensated

@@ -10,7 +10,7 @@ import pytest
 
 from tests.hostile import only_our_errors
 from tests.session.recordings import changed, described
-from ttus_opt.errors import FileError, TtusError
+from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.session.description import read_description
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.session.recordings import changed, copied, described
-from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
 from ttus_opt.sensors.streams import WrenchStream
@@ -17,7 +17,7 @@ from ttus_opt.session.pipeline import run_session
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:weights were not chosen:ttus_opt.errors.TtusWarning"
+    "ignore:weights were not chosen:ttus_opt.core.errors.TtusWarning"
 )
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt import example
-from ttus_opt.errors import InputError, MistakeWarning
+from ttus_opt.core.errors import InputError, MistakeWarning
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError

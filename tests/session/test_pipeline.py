@@ -17,7 +17,7 @@ from tests.session.recordings import (
     described,
     made,
 )
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.phantom.example_data import frame
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import inverse
@@ -30,7 +30,7 @@ from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:weights were not chosen:ttus_opt.errors.TtusWarning"
+    "ignore:weights were not chosen:ttus_opt.core.errors.TtusWarning"
 )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.session.recordings import changed
 from tests.session.single_steps import SURFACE, streams
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session.description import Description, read_description

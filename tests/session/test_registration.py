@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.session.recordings import copied
-from ttus_opt.errors import InputError
-from ttus_opt.json_values import plain
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.json_values import plain
 from ttus_opt.phantom.example_data import true_surface
 from ttus_opt.session.description import read_description
 from ttus_opt.session.registration import Registration, register

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.session.recordings import copied
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.session.results import SUMMARY, Results, complete_steps
 
 

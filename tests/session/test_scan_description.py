@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.sensors.probe_axis import USUAL
 from ttus_opt.session.scan_description import Scan, read_scan
 from ttus_opt.session.section import Section

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.errors import FileError
+from ttus_opt.core.errors import FileError
 from ttus_opt.session.section import Section
 
 TURN = Rotation.from_rotvec([0.1, -0.4, 0.2])

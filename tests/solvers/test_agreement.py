@@ -14,10 +14,10 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.solvers import taking
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.reduction import Reduction, reduce
-from ttus_opt.scene import Scene
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 

@@ -12,24 +12,24 @@ import ttus_opt as tt
 from tests.conftest import small_scene
 from tests.solvers.own_terms import Differences, SkinGraph
 from tests.solvers.test_normal_equations import direct_answer
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import MissingPackageError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import MissingPackageError
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
-from ttus_opt.scene import Scene
+from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.total_variation import difference_rows
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import algebraic
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.primal import sparse_inverse
 from ttus_opt.solvers.primal.sparse_inverse import Estimate, SparseInverse
 from ttus_opt.solvers.registry import solvers
-from ttus_opt.terms.base import AffineRows, Term
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.torque import TorqueTerm
-from ttus_opt.terms.total_variation import difference_rows
 
 SCENE, SOLVER = small_scene("trilinear"), solvers()["algebraic"]
 

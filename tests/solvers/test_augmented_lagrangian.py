@@ -11,29 +11,29 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Constraint
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.constraints.base import Constraint
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.scene import Scene
+from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.base import Penalty
+from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import field_newton
-from ttus_opt.terms.base import AffineRows, Term
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.base import Penalty
-from ttus_opt.terms.penalties.groups import Groups
-from ttus_opt.terms.penalties.huber import Huber
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.terms.total_variation import TotalVariationTerm
 
 SOLVER = registry.solvers()["augmented_lagrangian"]
 

@@ -13,10 +13,10 @@ from scipy.optimize import lsq_linear
 from tests.conftest import small_scene
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request, Solver

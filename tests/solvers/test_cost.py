@@ -9,8 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.scene import Scene
 
 #: Most CPU seconds of a solver that is not yet known to be worse [s]
 LIMIT = 30.0

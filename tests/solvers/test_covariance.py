@@ -8,21 +8,21 @@ import scipy.optimize
 
 from tests.conftest import small_scene
 from ttus_opt import fit
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.constraints.viscous_sign import ViscousSign
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.viscous_sign import ViscousSign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
-from ttus_opt.scene import Scene
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_profile import DepthProfile
+from ttus_opt.problem.terms.drag import Viscous
+from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.covariance import square_root
-from ttus_opt.terms.depth_map import DepthMapTerm
-from ttus_opt.terms.depth_profile import DepthProfile
-from ttus_opt.terms.drag import Viscous
-from ttus_opt.terms.drag_force import DragForceTerm
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.torque import TorqueTerm
 
 
 def scene() -> Scene:

@@ -15,20 +15,20 @@ import ttus_opt as tt
 from tests.solvers.dual.user_limits import Within, contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted, Differences, SkinGraph
 from tests.solvers.test_algebraic import Ridge
-from ttus_opt.constraints.base import Constraint
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.problem.constraints.base import Constraint
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
-from ttus_opt.scene import Scene
-from ttus_opt.terms.base import Term
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.laplace import LaplaceTerm
-from ttus_opt.terms.robust_force import RobustForceTerm
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.terms.tikhonov import TikhonovTerm
-from ttus_opt.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.robust_force import RobustForceTerm
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 
 SCENE = contested(3, (6, 12, 6), scale=-1.0, noise=1.0, n_poses=8)
 FORCE = ForceTerm(SCENE, 1.0)

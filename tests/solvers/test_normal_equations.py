@@ -13,19 +13,19 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
-from ttus_opt.scene import Scene
+from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.registry import solvers
-from ttus_opt.terms.tikhonov import TikhonovTerm
 
 SCENE = small_scene("trilinear")
 

@@ -12,7 +12,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.solvers import registry

@@ -17,10 +17,10 @@ from tests.solvers.problems import (
     rows,
     term,
 )
-from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Claim, Request, Solver
-from ttus_opt.terms.penalties.linear import Linear
 
 #: Relative KKT residual asked for, and the largest error of x and of the duals that
 #: may come with it; one line for all, exceptions by name

@@ -12,17 +12,17 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
 from tests.solvers.taking import ALGEBRAIC, BENT
-from ttus_opt.constraints.sign import Sign
-from ttus_opt.errors import InputError, SolverUnavailableError
+from ttus_opt.core.errors import InputError, SolverUnavailableError
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.penalties.groups import Groups
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Capabilities, Claim, Prepared, Request, Solver
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())
 

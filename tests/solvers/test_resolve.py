@@ -9,12 +9,12 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.solvers import taking
-from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers import closed_form
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request, Solver
+from ttus_opt.solvers.packages import closed_form
 from ttus_opt.solvers.registry import solvers
 
 #: Who keeps something; highs keeps nothing, and each solve takes it seconds

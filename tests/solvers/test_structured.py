@@ -14,19 +14,19 @@ from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
 from tests.solvers.dual.user_limits import Rows, contested, louder
 from ttus_opt.benchmark import reference_cases
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.contact.scene import Scene
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.structured import Structured
-from ttus_opt.terms.tikhonov import TikhonovTerm
 from ttus_opt.voxmap.voxmap import Voxmap
 
 STRUCTURED = registry.solvers()["structured"]

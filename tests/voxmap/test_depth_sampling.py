@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import torso
 from ttus_opt.contact.rows import ContactRows, contact_rows
-from ttus_opt.cylindrical import cylindrical
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.depth_sampling import spoke_cell, spoke_table

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.voxmap.doubt_map import DoubtMap
 
 THETA = np.arange(8) * np.pi / 4.0

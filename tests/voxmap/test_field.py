@@ -11,8 +11,8 @@ import xarray as xr
 
 from tests.conftest import torso
 from tests.hostile import NUMBERS, only_our_errors
-from ttus_opt.checksum import ATTRIBUTE
-from ttus_opt.errors import FileError, InputError, TtusWarning
+from ttus_opt.core.checksum import ATTRIBUTE
+from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
 
 GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.2, (6, 8, 5))

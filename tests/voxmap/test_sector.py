@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField, _from_dataset

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE, Voxmap
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 
 #: Threshold of a multiplier relative to the largest one, and of the largest one
 #: relative to the objective's gradient, below which it is rounding [–]

@@ -14,12 +14,12 @@ import numpy as np
 
 from ttus_opt import example
 from ttus_opt.benchmark.perturbation import checked_perturbation, perturbed
-from ttus_opt.errors import InputError
-from ttus_opt.io import existing_file
+from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.io import existing_file
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import FIELD_UNIT
 from ttus_opt.voxmap.voxmap import checked_boundary
 

@@ -14,11 +14,11 @@ import numpy as np
 import scipy.io
 import scipy.sparse as sp
 
-from ttus_opt import io
-from ttus_opt.errors import InputError
+from ttus_opt.core import io
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.solvers.quadratic import TwoSided
+from ttus_opt.solvers.packages.quadratic import TwoSided
 
 #: Stands for "no limit" in such files
 NO_LIMIT = 1e20

@@ -16,7 +16,7 @@ from ttus_opt.benchmark.memory import resident_bytes
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES
 from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.child_process import environment, python_module
+from ttus_opt.core.child_process import environment, python_module
 
 #: The process of a run
 WORKER = "ttus_opt.benchmark.worker"

@@ -9,7 +9,7 @@ import platform
 from pathlib import Path
 
 from ttus_opt.benchmark.memory import available_bytes
-from ttus_opt.threads import usable_cores
+from ttus_opt.core.threads import usable_cores
 
 #: Packages whose version affects a measurement
 PACKAGES = (

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Ways to perturb a recording

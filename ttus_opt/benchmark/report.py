@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ttus_opt import io
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
+from ttus_opt.core import io
 
 #: File name of the report in the output folder
 REPORT = "report.md"

@@ -17,9 +17,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ttus_opt.benchmark.row import Row
+from ttus_opt.laplace.multigrid import Multigrid
+from ttus_opt.laplace.multigrid.solver import REDUCTION
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.multigrid import Multigrid
-from ttus_opt.multigrid.solver import REDUCTION
 from ttus_opt.report.tables import table
 
 #: Colours of arrays that a V-cycle streams on the finest level: four sweeps of a colour

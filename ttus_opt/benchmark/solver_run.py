@@ -16,12 +16,12 @@ from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.own_solver import AUTO, solver_of
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Solution
-from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import candidates
 

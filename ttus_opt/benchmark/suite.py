@@ -14,14 +14,14 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ttus_opt import optional
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.memory import available_bytes
 from ttus_opt.benchmark.parts.registry import SOLVERS, parts
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
-from ttus_opt.errors import InputError
+from ttus_opt.core import optional
+from ttus_opt.core.errors import InputError
 
 #: Fraction of the available memory that one run may take
 MEMORY_PART = 0.8

@@ -16,7 +16,7 @@ from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
-from ttus_opt.errors import MissingPackageError, TtusError
+from ttus_opt.core.errors import MissingPackageError, TtusError
 
 
 def run(spec: RunSpec, folder: Path) -> list[Row]:

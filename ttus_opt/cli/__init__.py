@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     if arguments is None:
         # nothing large is loaded before this, so that few interrupts come earlier
-        from ttus_opt.interrupts import ended_at_once
+        from ttus_opt.core.interrupts import ended_at_once
 
         with ended_at_once():
             _begin(next(iter(sys.argv[1:]), ""))

@@ -34,8 +34,8 @@ from ttus_opt.cli.surface_command import surface
 from ttus_opt.cli.synchronise_command import synchronise
 from ttus_opt.cli.tune_command import tune
 from ttus_opt.cli.warm_up_command import warm_up
-from ttus_opt.errors import MistakeWarning, NumericalError, TtusError
-from ttus_opt.interrupts import INTERRUPTED, STOPPED
+from ttus_opt.core.errors import MistakeWarning, NumericalError, TtusError
+from ttus_opt.core.interrupts import INTERRUPTED, STOPPED
 
 UNSOLVED, BAD_INPUT, TERMINATED = 1, 2, 143
 

@@ -15,7 +15,7 @@ import typer
 from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.benchmark import CaseSpec, Row, RunSpec, Suite

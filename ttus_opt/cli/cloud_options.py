@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.options import numbers
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.errors import GeometryError, InputError
 
 if TYPE_CHECKING:
-    from ttus_opt.arrays import Array
+    from ttus_opt.core.arrays import Array
     from ttus_opt.scan.frame import Axis
 
 

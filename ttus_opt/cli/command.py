@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import typer
 
 from ttus_opt.cli.time_limit import time_limited
-from ttus_opt.errors import MistakeWarning
+from ttus_opt.core.errors import MistakeWarning
 
 #: Options that say the same in every command
 COMMON = {

@@ -53,7 +53,7 @@ def compensate(
         --point 0,0,0.08 --sign on-probe --probe ellipsoid:0.030,0.0125,0.018 -o
         press.csv
     """
-    from ttus_opt import io
+    from ttus_opt.core import io
     from ttus_opt.probe.trajectory import read_trajectory
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated

@@ -15,8 +15,8 @@ from typing import Any, TextIO
 
 import typer
 
-from ttus_opt.errors import TtusWarning
-from ttus_opt.json_values import plain
+from ttus_opt.core.errors import TtusWarning
+from ttus_opt.core.json_values import plain
 
 #: How keywords of the library are written as options.
 OPTIONS = {

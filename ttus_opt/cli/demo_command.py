@@ -24,8 +24,8 @@ def demo(
     Example:
         ttus-opt demo -o demo
     """
-    from ttus_opt import demo as pipeline
     from ttus_opt.report.tables import error_table
+    from ttus_opt.session import demo as pipeline
 
     with Stages(pipeline.N_STAGES) as begin:
         result = pipeline.run(

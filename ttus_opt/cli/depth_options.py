@@ -11,7 +11,7 @@ import typer
 
 from ttus_opt.cli.cloud_options import CloudOptions
 from ttus_opt.cli.options import numbers
-from ttus_opt.errors import InputError, located
+from ttus_opt.core.errors import InputError, located
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage

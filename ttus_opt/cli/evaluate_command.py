@@ -12,7 +12,7 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
 from ttus_opt.cli.sources import seen, warn_of_another_probe
-from ttus_opt.errors import InputError, MistakeWarning, TtusWarning
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,7 +51,7 @@ def evaluate(
     """
     from ttus_opt.cli.recording_lines import recording_lines
     from ttus_opt.contact.cut_off import cut_off
-    from ttus_opt.fitting.saved_doubt import read_doubt
+    from ttus_opt.fitting.uncertainty.saved_doubt import read_doubt
     from ttus_opt.haptic.field_wrench import over_limits
     from ttus_opt.report import metrics
     from ttus_opt.report.hysteresis import hysteresis_share

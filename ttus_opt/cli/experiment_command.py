@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ttus_opt.cli.console import Stages, as_options, tell
 from ttus_opt.cli.options import listed, voxel_counts
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def experiment(

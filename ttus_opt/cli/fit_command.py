@@ -19,15 +19,15 @@ from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import fitted_contacts, sources
-from ttus_opt.errors import InputError, MistakeWarning, TtusWarning, warn
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.weight_choice import WeightChoice
+    from ttus_opt.contact.scene import Scene
+    from ttus_opt.fitting.weights.weight_choice import WeightChoice
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import Scene
     from ttus_opt.voxmap.field import PotentialField
 
 
@@ -76,7 +76,7 @@ class WeightOptions:
         given |= problem.further
         if not self.paper:
             return given
-        from ttus_opt.paper import WEIGHTS
+        from ttus_opt.core.paper import WEIGHTS
         from ttus_opt.problem.formulation import option_names
 
         known = option_names(problem.name)
@@ -124,8 +124,8 @@ def fit(
         ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv -o field.nc
     """
-    from ttus_opt.fitting.sanity import check_recordings
-    from ttus_opt.fitting.weight_choice import OWN, choice_of, word_for
+    from ttus_opt.fitting.checks.sanity import check_recordings
+    from ttus_opt.fitting.weights.weight_choice import OWN, choice_of, word_for
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
 
@@ -230,8 +230,8 @@ def _write(
     if not asked and picture is None:
         found.save(output)
         return
-    from ttus_opt.fitting.doubt import doubt
-    from ttus_opt.fitting.saved_doubt import save_with_doubt
+    from ttus_opt.fitting.uncertainty.doubt import doubt
+    from ttus_opt.fitting.uncertainty.saved_doubt import save_with_doubt
     from ttus_opt.report import plots
 
     try:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.sanity import SanityReport
-    from ttus_opt.fitting.weight_choice import WeightChoice
+    from ttus_opt.fitting.checks.sanity import SanityReport
+    from ttus_opt.fitting.weights.weight_choice import WeightChoice
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt import io
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
-from ttus_opt.errors import FileError
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface

@@ -14,7 +14,7 @@ from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions, sector_of
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.next_press import NextPresses
+    from ttus_opt.fitting.uncertainty.next_press import NextPresses
 
 
 def next_press(
@@ -55,10 +55,10 @@ def next_press(
         ttus-opt next-press --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv --picture next.png -o next.csv
     """
-    from ttus_opt.fitting import next_press as places
     from ttus_opt.fitting.batch import fit
-    from ttus_opt.fitting.doubt import doubt
-    from ttus_opt.fitting.weight_choice import choice_of, word_for
+    from ttus_opt.fitting.uncertainty import next_press as places
+    from ttus_opt.fitting.uncertainty.doubt import doubt
+    from ttus_opt.fitting.weights.weight_choice import choice_of, word_for
     from ttus_opt.report import plots
     from ttus_opt.scan.surface import Surface
 

@@ -6,8 +6,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ttus_opt import io
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, InputError
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:

@@ -16,12 +16,12 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ttus_opt.arrays import Array
+    from ttus_opt.core.arrays import Array
 
 
 #: Status of a path that was interrupted; what was done is written
@@ -70,8 +70,8 @@ def path(
         --trajectory press_fit.csv --held-out press_test.csv --weight
         force,torque=1e-4:1e2:25 -o path.nc --picture path.png
     """
-    from ttus_opt.fitting.path_dataset import best_weights, write_solution_path
-    from ttus_opt.fitting.solution_path import solution_path
+    from ttus_opt.fitting.path.path_dataset import best_weights, write_solution_path
+    from ttus_opt.fitting.path.solution_path import solution_path
     from ttus_opt.scan.surface import Surface
 
     weights, options, plan = read_weights(weight), problem.further, grid.plan

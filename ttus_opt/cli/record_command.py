@@ -13,7 +13,7 @@ import typer
 
 from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs
-from ttus_opt.errors import FileError, InputError, TtusWarning, warn
+from ttus_opt.core.errors import FileError, InputError, TtusWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.open_igt_link import Received

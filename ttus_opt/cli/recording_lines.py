@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.doubt_check import Calibration
-    from ttus_opt.fitting.saved_doubt import SavedDoubt
+    from ttus_opt.fitting.uncertainty.doubt_check import Calibration
+    from ttus_opt.fitting.uncertainty.saved_doubt import SavedDoubt
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.report.calibration_curve import CalibrationCurve
@@ -115,7 +115,7 @@ def recording_lines(
     """
     import numpy as np
 
-    from ttus_opt.fitting.doubt_check import calibration_curve, check_doubt
+    from ttus_opt.fitting.uncertainty.doubt_check import calibration_curve, check_doubt
     from ttus_opt.report.hysteresis import hysteresis_share
 
     numbers = np.unique(recorded.segment)

@@ -12,7 +12,7 @@ import typer
 
 from ttus_opt.cli.console import as_options
 from ttus_opt.cli.options import numbers
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
     from ttus_opt.probe.conventions import Conventions
@@ -164,7 +164,10 @@ class RecordingOptions:
             shell: The probe.
             patient: Whose frame it is.
         """
-        from ttus_opt.fitting.frame_check import warn_of_another_frame, warn_of_jumps
+        from ttus_opt.fitting.checks.frame_check import (
+            warn_of_another_frame,
+            warn_of_jumps,
+        )
 
         warn_of_jumps(as_written)
         read = self.conventions.read(

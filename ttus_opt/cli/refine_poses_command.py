@@ -13,8 +13,8 @@ from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import SceneOptions
 
 if TYPE_CHECKING:
-    from ttus_opt.arrays import Array, Mask
-    from ttus_opt.fitting.pose_refinement import RefinedPoses
+    from ttus_opt.core.arrays import Array, Mask
+    from ttus_opt.fitting.poses.pose_refinement import RefinedPoses
 
 
 def refine_poses(
@@ -45,7 +45,7 @@ def refine_poses(
         ttus-opt refine-poses --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press.csv --trajectory sweep.csv -o refined.csv
     """
-    from ttus_opt.fitting import pose_refinement
+    from ttus_opt.fitting.poses import pose_refinement
     from ttus_opt.probe.tracker_noise import TrackerNoise
     from ttus_opt.scan.surface import Surface
 

@@ -11,7 +11,7 @@ from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 
 if TYPE_CHECKING:
-    from ttus_opt.arrays import Array
+    from ttus_opt.core.arrays import Array
     from ttus_opt.sensors.marker_pose import MarkerPose
 
 
@@ -185,7 +185,7 @@ def _write(output: Path | None, motion: Array) -> None:
     """Write a motion as other commands read it (`--base-to-scan`)."""
     import json
 
-    from ttus_opt import io
+    from ttus_opt.core import io
 
     if output is not None:
         io.write_text(output, json.dumps(motion.tolist()) + "\n")

@@ -6,14 +6,20 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ttus_opt.errors import InputError, MistakeWarning, TtusError, TtusWarning, warn
+from ttus_opt.core.errors import (
+    InputError,
+    MistakeWarning,
+    TtusError,
+    TtusWarning,
+    warn,
+)
 
 if TYPE_CHECKING:
+    from ttus_opt.contact.scene import Scene, ScenePlan
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import Scene, ScenePlan
     from ttus_opt.voxmap.voxmap import Voxmap
 
 
@@ -32,9 +38,9 @@ def built_scene(
     Raises:
         InputError: As in `ScenePlan.build`, or no pose touches the patient.
     """
-    from ttus_opt.fitting.contact_spread import warn_of_one_spot
-    from ttus_opt.fitting.frame_check import scene_in_contact
-    from ttus_opt.fitting.sanity import likely_mistake
+    from ttus_opt.fitting.checks.frame_check import scene_in_contact
+    from ttus_opt.fitting.checks.sanity import likely_mistake
+    from ttus_opt.fitting.uncertainty.contact_spread import warn_of_one_spot
 
     try:
         built = scene_in_contact(plan, *parts)
@@ -61,7 +67,7 @@ def warn_of_mistake(scene: Scene, reading: tuple[Trajectory, Conventions]) -> No
         scene: With measured forces.
         reading: The recordings as written, and how they were read.
     """
-    from ttus_opt.fitting.sanity import likely_mistake
+    from ttus_opt.fitting.checks.sanity import likely_mistake
 
     mistake = likely_mistake(scene, *reading)
     if mistake is not None:
@@ -75,8 +81,8 @@ def scene_of_field(
 
     None where a coarse grid does not resolve the patient.
     """
-    from ttus_opt.fitting.coarse_scene import coarse_shape
-    from ttus_opt.scene import ScenePlan
+    from ttus_opt.contact.scene import ScenePlan
+    from ttus_opt.fitting.weights.coarse_scene import coarse_shape
 
     grid = voxmap.grid
     plan = ScenePlan(

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import typer
 
 from ttus_opt.cli.options import voxel_counts
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from ttus_opt.scene import ScenePlan
+    from ttus_opt.contact.scene import ScenePlan
     from ttus_opt.voxmap.sector import Sector
 
 
@@ -85,7 +85,7 @@ class SceneOptions:
 
     def as_in_the_paper(self) -> Self:
         """With the paper's boundary, its value and sampling where none are given."""
-        from ttus_opt.paper import SCENE, VOXMAP
+        from ttus_opt.core.paper import SCENE, VOXMAP
 
         return replace(
             self,
@@ -101,7 +101,7 @@ class SceneOptions:
         Raises:
             InputError: Invalid counts or sector, or an inner value other than a number.
         """
-        from ttus_opt.scene import ScenePlan
+        from ttus_opt.contact.scene import ScenePlan
 
         return ScenePlan(
             voxel_counts(self.shape),

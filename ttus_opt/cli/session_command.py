@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def session(

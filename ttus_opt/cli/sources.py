@@ -14,8 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt import io
-from ttus_opt.errors import FileError, MistakeWarning, warn
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, MistakeWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions

@@ -17,7 +17,7 @@ import sys
 import time
 from types import FrameType
 
-from ttus_opt.interrupts import INTERRUPT, INTERRUPTED, STOPPED, raise_interrupt
+from ttus_opt.core.interrupts import INTERRUPT, INTERRUPTED, STOPPED, raise_interrupt
 
 #: Commands that are over at once, or watch children of their own
 ALONE = ("benchmark", "formulations", "solvers", "warm-up")

@@ -9,10 +9,10 @@ from ttus_opt.cli.cloud_options import AxisOptions, CloudOptions
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.depth_options import DepthOptions, stitched_facts, stitched_lines
 from ttus_opt.cli.options import check_outputs, numbers
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from ttus_opt.arrays import Array
+    from ttus_opt.core.arrays import Array
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors.stitching import Stitched
 

@@ -9,7 +9,7 @@ import typer
 
 from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory

@@ -12,7 +12,7 @@ from typing import NoReturn
 import typer
 
 from ttus_opt.cli.supervisor import end_within
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
 
 
 @contextlib.contextmanager

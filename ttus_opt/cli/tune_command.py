@@ -12,10 +12,10 @@ from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import SceneOptions, further_options
-from ttus_opt.errors import warn
+from ttus_opt.core.errors import warn
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.tuning_result import Hyperparameter, Tuning
+    from ttus_opt.fitting.weights.tuning_result import Hyperparameter, Tuning
 
 
 #: What comparisons are called
@@ -47,9 +47,9 @@ def tune(
         ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv --trajectory sweep_fit.csv
     """
-    from ttus_opt.fitting.tuning import CANDIDATES
-    from ttus_opt.fitting.tuning import tune as tune_scene
-    from ttus_opt.fitting.weight_choice import too_little
+    from ttus_opt.fitting.weights.tuning import CANDIDATES
+    from ttus_opt.fitting.weights.tuning import tune as tune_scene
+    from ttus_opt.fitting.weights.weight_choice import too_little
     from ttus_opt.scan.surface import Surface
 
     options, plan = further_options(option or ()), grid.plan

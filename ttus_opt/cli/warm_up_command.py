@@ -11,8 +11,8 @@ def warm_up(json: bool = False) -> None:
     Example:
         ttus-opt warm-up
     """
-    from ttus_opt import warm_up as ahead
-    from ttus_opt.cache_folder import cache_folder
+    from ttus_opt.cli import warm_up as ahead
+    from ttus_opt.core.cache_folder import cache_folder
 
     with Stages(ahead.N_STAGES) as begin:
         seconds = ahead.warm_up(begin)

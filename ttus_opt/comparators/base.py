@@ -15,11 +15,11 @@ from typing import ClassVar, NotRequired, Protocol, Self, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Wrench
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, pose_of, rotations
 from ttus_opt.probe.trajectory import Trajectory

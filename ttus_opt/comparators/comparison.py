@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import RendersWrenches, WrenchSource
 from ttus_opt.comparators.registry import available, create
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import metrics

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.compiled import compiled
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import wrench_of
+from ttus_opt.core.arrays import Array
 
 #: Most surface points that the ellipsoid is fitted to [–]
 MOST_POINTS = 5000

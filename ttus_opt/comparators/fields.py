@@ -18,14 +18,14 @@ from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Comparator, Given
+from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import choice_of
+from ttus_opt.fitting.weights.weight_choice import choice_of
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
-from ttus_opt.scene import Scene, ScenePlan
 
 
 class FieldModel(Comparator):

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
+from ttus_opt.core.arrays import Array
 
 #: Initial ln K, n and B/K [s/10 mm], and their deviations over the noise of ln f
 FIRST, SPREAD = np.array([math.log(5.0), 1.5, 0.0]), np.array([20.0, 5.0, 1.0])

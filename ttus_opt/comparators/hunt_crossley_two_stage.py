@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.hunt_crossley_log import LEAST_EXPONENT
 from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
+from ttus_opt.core.arrays import Array
 
 #: Initial K [N], B [N s/10 mm] and n, and their deviations over the noise
 FIRST, SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
+from ttus_opt.core.arrays import Array
 
 #: Initial K [N per 10 mm] and B [N s per 10 mm], and their deviations over the noise
 FIRST, SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.scan.surface import Surface
 
 #: Patches around the patient, and their height [m]: both about 4 cm

@@ -12,11 +12,11 @@ from typing import Protocol, Self, Unpack
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.patch_grid import PatchGrid
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 #: Forgetting factor: after 400 frames the first has two thirds of its weight [–]
 FORGETTING = 0.999

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import LEAST_FORCE, Comparator
 from ttus_opt.comparators.contact_geometry import Patch, Touch
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Unit of depths, so that K in K h^n is the force at 10 mm for any n [m]

@@ -23,12 +23,12 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.contact_geometry import wrench_of
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 #: Just noticeable differences, relative, and absolute lower limit for friction [–]
 STIFFNESS_JND, FRICTION_JND, LEAST_FRICTION_JND = 0.10, 0.20, 0.05

@@ -22,9 +22,9 @@ from typing import Unpack
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
 from ttus_opt.comparators.base import Given, OneStiffness
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 
 #: Newton steps to equal pressure

@@ -25,10 +25,10 @@ from typing import Unpack
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Steps of the proxy; the last is less than 0.01 mm

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.core.arrays import Array
 
 #: Linearisations; the last moves the proxy by less than 0.1 mm
 STEPS = 4

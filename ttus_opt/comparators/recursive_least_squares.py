@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 #: Weight of a patch's initial estimate, in samples [–]
 PRIOR_SAMPLES = 10.0

@@ -7,10 +7,10 @@ import inspect
 import sys
 from typing import Any
 
-from ttus_opt import shelf
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Comparator
-from ttus_opt.errors import InputError
+from ttus_opt.core import shelf
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 

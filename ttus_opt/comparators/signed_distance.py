@@ -14,8 +14,8 @@ bodies, and adds nothing at measured poses in a thick patient.
 
 from __future__ import annotations
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.core.arrays import Array
 
 
 class SignedDistance(OneStiffness):

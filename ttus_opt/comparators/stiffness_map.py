@@ -25,10 +25,10 @@ import numpy as np
 import scipy.linalg
 from scipy.spatial.distance import cdist
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
-from ttus_opt.terms.matern import matern as of_distances
-from ttus_opt.terms.posterior_mode import posterior_mode
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.matern import matern as of_distances
+from ttus_opt.problem.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
 MEDIANS = np.log([1.3, 0.03, 0.4, 0.15])

@@ -22,10 +22,10 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import wrench_of
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.scan.surface import Surface
 
 #: Edge of a voxel [m]

@@ -35,8 +35,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import (
     ContactRows,
     beside,
@@ -46,8 +44,10 @@ from ttus_opt.contact.rows import (
     turn_angle,
     within,
 )
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell

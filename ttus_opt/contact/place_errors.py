@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 
 #: Fewest effective places: the standard error itself is then known to a third [–]
 LEAST_PLACES = 5.0

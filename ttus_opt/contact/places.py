@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 
 #: Largest distance of the probe from the start of a place [m]
 PLACE = 0.03

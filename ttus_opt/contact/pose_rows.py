@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.slip import Slip, slipping
-from ttus_opt.cylindrical import TURN, turn_angle
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.probe.cylindrical import TURN, turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table

@@ -25,7 +25,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
 from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.row_kernels import REFERENCE_AREA as REFERENCE_AREA
 from ttus_opt.contact.row_kernels import (
@@ -40,8 +39,9 @@ from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
 from ttus_opt.contact.row_kernels import within as within
 from ttus_opt.contact.slip import Slip
-from ttus_opt.cylindrical import turn_angle as turn_angle
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import turn_angle as turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import rotations
 from ttus_opt.voxmap.voxmap import Voxmap

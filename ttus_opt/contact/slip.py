@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 
 
 class Slip(NamedTuple):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 __all__ = ["DRAG", "NAMES", "PROBE", "path"]
 

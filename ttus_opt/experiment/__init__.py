@@ -6,7 +6,8 @@
 Needs scikit-fem (extra ``phantom``) to simulate recordings that are not there yet.
 """
 
-from ttus_opt.experiment.pipeline import ExperimentResult, Plan, n_stages, run
+from ttus_opt.experiment.pipeline import n_stages, run
+from ttus_opt.experiment.result import ExperimentResult, Plan
 from ttus_opt.experiment.scores import Row, Score
 
 __all__ = ["ExperimentResult", "Plan", "Row", "Score", "n_stages", "run"]

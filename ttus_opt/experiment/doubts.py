@@ -7,12 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
 from ttus_opt.experiment.settings import Setting
-from ttus_opt.fitting.doubt import doubt
-from ttus_opt.fitting.doubt_check import Calibration, calibration_curve, check_doubt
+from ttus_opt.fitting.uncertainty.doubt import doubt
+from ttus_opt.fitting.uncertainty.doubt_check import (
+    Calibration,
+    calibration_curve,
+    check_doubt,
+)
 from ttus_opt.problem.solution import Status
 from ttus_opt.report.calibration_curve import CalibrationCurve
 

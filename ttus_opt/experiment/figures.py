@@ -6,10 +6,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from ttus_opt import io
+from ttus_opt.core import io
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.pipeline import FIGURES, ExperimentResult, PatientResult
+from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
 from ttus_opt.report import plots

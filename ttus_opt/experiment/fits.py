@@ -11,21 +11,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ttus_opt import io
-from ttus_opt.errors import NumericalError, TtusWarning, warn
+from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core import io
+from ttus_opt.core.errors import NumericalError, TtusWarning, warn
+from ttus_opt.core.json_values import plain
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.pose_refinement import refine_poses
-from ttus_opt.fitting.weight_choice import choice_of
-from ttus_opt.json_values import plain
+from ttus_opt.fitting.poses.pose_refinement import refine_poses
+from ttus_opt.fitting.weights.weight_choice import choice_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.report.metrics import Evaluation, evaluate
-from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
 
 #: The recordings to which fields are fitted

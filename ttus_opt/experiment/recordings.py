@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt import io
+from ttus_opt.core import io
 from ttus_opt.experiment.patients import PROBE, RECORDINGS, Patient
 from ttus_opt.phantom.elasticity import SkinPatch, skin_compliance
 from ttus_opt.phantom.press import CoulombDrag

@@ -9,7 +9,7 @@ import numpy as np
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment import tables
 from ttus_opt.experiment.figures import draw
-from ttus_opt.experiment.pipeline import ExperimentResult
+from ttus_opt.experiment.result import ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT

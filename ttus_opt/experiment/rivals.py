@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.experiment.fits import (
     AGAINST,
     FITTED,

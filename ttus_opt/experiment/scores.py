@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import (
     FORCE_THRESHOLD,
     TORQUE_THRESHOLD,

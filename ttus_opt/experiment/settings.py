@@ -8,10 +8,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from ttus_opt import io, paper
-from ttus_opt.errors import InputError
-from ttus_opt.fitting import weight_choice
-from ttus_opt.fitting.weight_choice import has_weights
+from ttus_opt import paper
+from ttus_opt.core import io
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.weights import weight_choice
+from ttus_opt.fitting.weights.weight_choice import has_weights
 from ttus_opt.problem.formulation import available, option_names
 
 #: Formulations compared by default

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ttus_opt import optional
+from ttus_opt.core import optional
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
 from ttus_opt.experiment.doubts import stated_doubt
@@ -19,10 +19,10 @@ from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import Patient
 from ttus_opt.experiment.recordings import examine
 from ttus_opt.experiment.settings import Setting
-from ttus_opt.fitting.task_pool import task_pool
+from ttus_opt.fitting.path.task_pool import task_pool
 
 if TYPE_CHECKING:
-    from ttus_opt.experiment.pipeline import Plan
+    from ttus_opt.experiment.result import Plan
 
 
 class _Doubt(NamedTuple):

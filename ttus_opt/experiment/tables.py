@@ -10,7 +10,7 @@ import numpy as np
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.patients import PROBE_SPEC
-from ttus_opt.experiment.pipeline import ITSELF, ExperimentResult
+from ttus_opt.experiment.result import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import (

@@ -7,14 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.arguments import expect
-from ttus_opt.compiled import Stopwatch
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect
+from ttus_opt.core.compiled import Stopwatch
+from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
-from ttus_opt.fitting.fitted_parameters import fitted_estimates
-from ttus_opt.fitting.identification import with_estimates
-from ttus_opt.fitting.one_sense import warn_of_one_sense
-from ttus_opt.fitting.parameter_search import SearchResult, search_parameters
+from ttus_opt.fitting.parameters.fitted_parameters import fitted_estimates
+from ttus_opt.fitting.parameters.identification import with_estimates
+from ttus_opt.fitting.parameters.one_sense import warn_of_one_sense
+from ttus_opt.fitting.parameters.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import checked_candidate
 from ttus_opt.fitting.verdict import judged as judged
 from ttus_opt.problem import formulation as shelf
@@ -22,18 +23,14 @@ from ttus_opt.problem.compression import Compression
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
-from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.weight_choice import Word
+    from ttus_opt.fitting.weights.weight_choice import Word
 
 #: KKT tolerance of the fits during a search; the final fit has the requested one
 SEARCH_TOLERANCE = 1e-4
-
-#: The formulation where none is given
-DEFAULT_FORMULATION = "eq10"
 
 #: Statuses after which "auto" tries the next solver
 _TRY_NEXT = (Status.INACCURATE, Status.FAILED)
@@ -64,14 +61,14 @@ def fit(
             Recordings of one place determine none: its own weights are used with a
             `TtusWarning`. Without a formulation it takes the default model, that of
             ``ttus-opt fit``: a depth map, sampled by contact size, with drag where the
-            recordings show it (`ttus_opt.fitting.weight_choice.default_model`). "own"
-            or None takes the formulation's own weights.
+            recordings show it (`fitting.weights.weight_choice.default_model`). "own" or
+            None takes the formulation's own weights.
         options: Options of the formulation (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution. It has a ``field`` only when its residuals, computed here,
     meet the tolerance. Parameters beside the field have standard errors
-    (`ttus_opt.fitting.identification`); those that the data do not determine are named
-    and have their neutral value, with which the field is fitted.
+    (`fitting.parameters.identification`); those that the data do not determine are
+    named and have their neutral value, with which the field is fitted.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot
@@ -79,9 +76,9 @@ def fit(
         SolverUnavailableError: The solver's package is not installed.
     """
     expect(scene, Scene, "the scene")
-    usual = DEFAULT_FORMULATION if formulation is None else formulation
+    usual = shelf.DEFAULT if formulation is None else formulation
     if weights not in (None, "own"):
-        from ttus_opt.fitting.weight_choice import choice_of
+        from ttus_opt.fitting.weights.weight_choice import choice_of
 
         watch = Stopwatch()
         choice = choice_of(weights, scene, formulation, options)

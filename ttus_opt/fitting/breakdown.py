@@ -12,10 +12,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from ttus_opt.core.user_code import user_errors
 from ttus_opt.problem.locked import locked
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
-from ttus_opt.user_code import user_errors
 
 T = TypeVar("T")
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
-from ttus_opt.problem.certificate import falling_ray
-from ttus_opt.problem.conflict import conflicting
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import KKT, Duals, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.problem.verify.certificate import falling_ray
+from ttus_opt.problem.verify.conflict import conflicting
+from ttus_opt.problem.verify.kkt import KKT, Duals, kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.voxmap.field import PotentialField
 

@@ -33,10 +33,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import turn_between

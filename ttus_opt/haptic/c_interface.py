@@ -28,9 +28,9 @@ import numpy as np
 from numba import carray, types
 from numba.extending import intrinsic
 
-from ttus_opt.arrays import IntArray
-from ttus_opt.compiled import compiled
-from ttus_opt.errors import TtusError
+from ttus_opt.core.arrays import IntArray
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import TtusError
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.tables import (
     N_ARRAYS,

@@ -29,12 +29,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact import friction
 from ttus_opt.contact.rows import rotated, shell_arrays
-from ttus_opt.cylindrical import TURN, turn_angle
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import TURN, turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.grid import CylindricalGrid
 

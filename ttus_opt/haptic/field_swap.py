@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.friction import FRICTION, VISCOUS
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import PROGRESS, SEEN, opened_ledger
 from ttus_opt.haptic.drag import PRESLIDING, DragLaw
 from ttus_opt.haptic.kernel_data import FrameData

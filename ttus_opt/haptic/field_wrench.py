@@ -27,9 +27,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.core.arrays import Array
 from ttus_opt.haptic.blend import BENT, follow, settled_ledger
 from ttus_opt.haptic.drag import ACTS_AT, AT_POINTS, PRESLIDING, DragLaw, drag_of
 from ttus_opt.haptic.frame import touch, wrench_of

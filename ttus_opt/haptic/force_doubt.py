@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
 
@@ -42,7 +42,7 @@ class ForceDoubt:
         if given is not True or field.doubt is None:
             raise InputError(
                 "doubt=True needs a field with a doubt map: fit with ttus-opt fit "
-                "--doubt, or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
+                "--doubt, or give the map of fitting.uncertainty.skin_doubt.doubt_map"
             )
         return cls(field.doubt)
 

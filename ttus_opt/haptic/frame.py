@@ -20,13 +20,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.contact_size import REFERENCE_LENGTH
 from ttus_opt.contact.rows import beside, rotated, within
 from ttus_opt.contact.shell_blocks import Tiles
-from ttus_opt.cylindrical import TURN, turn_angle
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.probe.cylindrical import TURN, turn_angle
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
 from ttus_opt.voxmap.grid import GridLimits, around, depth_at

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.contact_size import LEAST_LENGTH
 from ttus_opt.contact.rows import shell_arrays
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -30,10 +30,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
 
 #: Length of a pose in a motion's state: position of the reference point, then rotation
 #: row by row

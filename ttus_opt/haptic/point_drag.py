@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import math
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.drag import DEADBAND, FRICTION
 from ttus_opt.haptic.frame import LENGTH
 from ttus_opt.haptic.kernel_data import FrameData

@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import math
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.drag import ACTS_AT, AT_REFERENCE, AXIS, FRICTION, PRESLIDING
 
 #: Entries of a bristle: b [–], then the M [N] and ℓ [m] it was last bent at

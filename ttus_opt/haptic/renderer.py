@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt.arguments import expect
-from ttus_opt.arrays import Array
 from ttus_opt.contact.shell_blocks import ShellBlocks
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.core.arguments import expect
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.haptic.blend import (
     PROGRESS,
     BlendLaw,

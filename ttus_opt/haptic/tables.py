@@ -17,9 +17,9 @@ from numba import carray, config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ttus_opt.arrays import IntArray
-from ttus_opt.compiled import compiled
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import IntArray
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.wrench import FieldPair, FrameBuffers, FrameLimits, render_frame
 

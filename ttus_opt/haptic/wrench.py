@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.blend import BENT, PROGRESS, advance, follow, pose_of
 from ttus_opt.haptic.drag import (
     ACTIVE,

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.laplace.multigrid.coarsening import Added, conductances
+from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.multigrid.coarsening import Added, conductances
-from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
 #: Least part of the diagonal that comes from differences in a network [–]

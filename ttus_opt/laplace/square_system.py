@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.multigrid import MultigridResult
+from ttus_opt.core.arrays import Array
+from ttus_opt.laplace.multigrid import MultigridResult
 
 #: Relative residual of solves with A; fields then agree to about 1e-11
 RTOL = 1e-12

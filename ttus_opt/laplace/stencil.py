@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 

@@ -28,13 +28,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.laplace.multigrid import Grounds, Multigrid
 from ttus_opt.laplace.square_system import RTOL as RTOL
 from ttus_opt.laplace.square_system import BlockSolves
 from ttus_opt.laplace.stencil import Stencil, change_links, operator, polar_ends
 from ttus_opt.laplace.variant_grid import VariantGrid
-from ttus_opt.multigrid import Grounds, Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import Voxmap
 

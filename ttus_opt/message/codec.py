@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.message import field_message, surface_message
 from ttus_opt.message.envelope import FIELD, NAMES, SURFACE, SURFACE_DELTA, Reader
 from ttus_opt.scan.surface import Surface

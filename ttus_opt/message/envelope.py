@@ -12,7 +12,7 @@ import struct
 import zlib
 from typing import Any, Final
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 MARK: Final = b"TTUM"
 VERSION: Final = 3

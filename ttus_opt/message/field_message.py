@@ -14,8 +14,8 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.message.envelope import FIELD, Reader, Writer
 from ttus_opt.message.integer_stream import read_integers, write_integers

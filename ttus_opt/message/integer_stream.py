@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import IntArray
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import IntArray
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.optional import load
 from ttus_opt.message.envelope import Reader, Writer
-from ttus_opt.optional import load
 
 DENSE, SPARSE = 0, 1
 

@@ -22,7 +22,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
 
 #: Resolution of predictions [parts per quantum]
 PARTS = 256

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.message.envelope import SURFACE, SURFACE_DELTA, Reader, Writer
 from ttus_opt.message.integer_stream import read_integers, write_integers
 from ttus_opt.message.interpolation import Scheme, differences, restored
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import LARGEST, Surface
 

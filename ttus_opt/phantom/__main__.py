@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-from ttus_opt.errors import TtusError
+from ttus_opt.core.errors import TtusError
 from ttus_opt.phantom.elasticity import SkinPatch, skin_compliance
 from ttus_opt.phantom.example_data import RECORDINGS, TORSO, poses, write_example
 from ttus_opt.phantom.torso import torso_body

@@ -24,10 +24,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
-from ttus_opt.optional import load
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.optional import load
 
 #: Exceptions from reading a damaged NPZ file, in addition to the usual ones
 DAMAGED = (KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import push_handling, sweep_handling

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.unilateral import solve_unilateral

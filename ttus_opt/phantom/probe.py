@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter1d
 
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom.torso import Torso
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.surface import Surface
 
 #: Angles repeated beyond both ends of the turn, so that the spline is periodic

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.phantom.mesh import graded, ring_mesh
 

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.rigid_motion import Rows, as_rows, composed, inverse, rigid_motion
 from ttus_opt.probe.trajectory import Trajectory
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 
 #: Samples per point, to choose the points and to measure their areas

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import FileError, GeometryError, InputError
 
 #: Metres per file unit.
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import GeometryError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.ray_casting import RayTree, count_crossings
 

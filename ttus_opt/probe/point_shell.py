@@ -16,9 +16,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arguments import expect_numbers
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, warn
+from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError, warn
 from ttus_opt.probe.even_sampling import (
     FINE,
     SurfaceSamples,

@@ -16,9 +16,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.pose import ROUNDING, PoseLike, from_quaternions, pose_of, rotations
 
 #: A motion as a value that can be compared and written as JSON
@@ -42,10 +42,10 @@ def rigid_motion(motion: PoseLike) -> Array:
             millimetres, or numbers that are not finite.
 
     Examples:
-        >>> rigid_motion(np.diag([2.0, 2.0, 2.0, 1.0]))
+        >>> rigid_motion(np.diag([2.0, 2.0, 2.0, 1.0]))  # doctest: +ELLIPSIS
         Traceback (most recent call last):
         ...
-        ttus_opt.errors.InputError: not a rigid motion: it scales by 2: remove the scale
+        ttus_opt.core.errors.InputError: not a rigid motion: it scales by 2...
     """
     as_matrix = getattr(motion, "as_matrix", None)
     matrix = np.asarray(motion if as_matrix is None else as_matrix(), dtype=np.float64)

@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.compiled import compiled
 
 #: Fewest frames from which the noise can be estimated
 LEAST_FRAMES = 20

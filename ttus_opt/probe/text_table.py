@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.errors import FileError, InputError, warn
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import FileError, InputError, warn
 
 #: Marks of a comment line
 COMMENT = re.compile(r"^\s*(#|%|//)\s*")

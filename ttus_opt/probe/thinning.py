@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Largest accepted rate [Hz]

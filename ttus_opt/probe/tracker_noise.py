@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Largest standard deviations: larger errors are no noise [m], [rad]

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ttus_opt import io
-from ttus_opt.arguments import expect_numbers
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.pose import (
     PoseLike,
     QuaternionOrder,

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, MistakeWarning, warn
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, MistakeWarning, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.text_table import first_of_each, read_text_table, seconds
 

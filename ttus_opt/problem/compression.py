@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 

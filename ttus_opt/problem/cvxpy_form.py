@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.members import ProgramCones, ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,19 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, ConeRows, Constraint
-from ttus_opt.errors import InputError
-from ttus_opt.html_card import page, table
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.html_card import page, table
+from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
-from ttus_opt.scene import Scene
-from ttus_opt.terms.base import Fitted, Term
-from ttus_opt.terms.structure import Tag, known_covariance, laplace_rows
+from ttus_opt.problem.terms.base import Fitted, Term
+from ttus_opt.problem.terms.structure import Tag, known_covariance, laplace_rows
 
 
 class Unplaced(Protocol):
-    """A term without a scene, such as `ttus_opt.terms.cvxpy_term.CvxpyTerm`."""
+    """A term without a scene, such as `ttus_opt.problem.terms.cvxpy_term.CvxpyTerm`."""
 
     def over(self, scene: Scene) -> Term:
         """The term over a scene."""

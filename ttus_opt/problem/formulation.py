@@ -18,12 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.errors import InputError
-from ttus_opt.formulation_files import formulation_module, shelf
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.formulation_files import formulation_module, shelf
+from ttus_opt.core.user_code import module_of_file, unknown_name, user_errors
 from ttus_opt.problem.declaration import Formulation as Formulation
 from ttus_opt.problem.declaration import Search as Search
-from ttus_opt.scene import Scene
-from ttus_opt.user_code import module_of_file, unknown_name, user_errors
+
+#: Fitted when none is named and none can be chosen
+DEFAULT = "eq10"
 
 #: Where another package offers formulations
 ENTRY_POINTS = "ttus_opt.formulations"

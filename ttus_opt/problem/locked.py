@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 
 @contextlib.contextmanager

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.terms.penalties.base import Penalty
-from ttus_opt.terms.penalties.squares import Squares
-from ttus_opt.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.problem.terms.penalties.base import Penalty
+from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ProgramTerm:
         matrix: M, shape (m, n).
         target: t, shape (m,).
         penalty: φ.
-        tags: Structure of the rows, see `ttus_opt.terms.structure`.
+        tags: Structure of the rows, see `ttus_opt.problem.terms.structure`.
     """
 
     name: str
@@ -76,7 +76,7 @@ class ProgramConstraint:
         matrix: A, shape (m, n).
         lower: Shape (m,).
         upper: Shape (m,).
-        tags: Structure of the rows, see `ttus_opt.terms.structure`.
+        tags: Structure of the rows, see `ttus_opt.problem.terms.structure`.
     """
 
     name: str

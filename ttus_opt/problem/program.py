@@ -17,10 +17,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, ConeRows, Constraint
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.problem.members import (
     ProgramBounds,
     ProgramCones,
@@ -28,10 +29,9 @@ from ttus_opt.problem.members import (
     ProgramTerm,
 )
 from ttus_opt.problem.stacking import stacked, variable_sizes
-from ttus_opt.scene import Scene
-from ttus_opt.terms.base import Term
-from ttus_opt.terms.penalties.linear import Linear
-from ttus_opt.terms.structure import Tag
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.structure import Tag
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.verify.kkt import Duals
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import TtusError
-from ttus_opt.html_card import page, table
-from ttus_opt.problem.kkt import KKT, Duals, bound_duals
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import TtusError
+from ttus_opt.core.html_card import page, table
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import KKT, Duals, bound_duals
 from ttus_opt.voxmap.field import PotentialField
 
 #: Least active multiplier over the largest of its member [–]

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.constraints.base import Bounds, ConeRows, LinearRows
-from ttus_opt.errors import InputError
-from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.base import Bounds, ConeRows, LinearRows
+from ttus_opt.problem.terms.base import AffineRows, Term
 
 #: What a constraint declares
 Held = LinearRows | ConeRows | Bounds

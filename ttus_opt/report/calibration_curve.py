@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 #: Errors and their standard deviations
 Spread = tuple[Array, Array]

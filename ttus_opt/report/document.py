@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ttus_opt import html_card, io
+from ttus_opt.core import html_card, io
 from ttus_opt.report.tables import table
 
 _STYLE = (

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import FileError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
+from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Errors, Evaluation

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ttus_opt import io
+from ttus_opt.core import io
 from ttus_opt.report.metrics import Errors, Evaluation
 
 

@@ -17,8 +17,8 @@ import itertools
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, warn
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError, warn
 
 #: A difference between the sides below this share of the depth is doubtful [–]
 CLEAR = 0.02

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 
 def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import cylindrical
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError
+from ttus_opt.probe.cylindrical import cylindrical
 
 #: Points closer to the axis than this are inside any torso: outliers [m].
 LEAST_RADIUS = 0.01

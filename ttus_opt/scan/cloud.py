@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.box import inside
 from ttus_opt.scan.pcd import read_pcd, truncated
 from ttus_opt.scan.xyz import read_xyz

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.candidates import collect, stray, usable_range
 from ttus_opt.scan.contour_filter import (
     Contour,

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.scan.outline import outline
 
 #: Scale c of the plate's curvature, as the deviation of white noise [1/m · m].

@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.scan.frame_estimate import Lying, estimate_frame
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane

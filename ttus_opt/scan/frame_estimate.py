@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError
 from ttus_opt.scan.body_sides import (
     checked_direction,
     front_along,

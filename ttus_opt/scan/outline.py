@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 _CONTACT_WEIGHT = 0.3  # of all contact points together, relative to all seen radii
 _OPPOSITE_WEIGHT = 0.1  # of one unseen spoke, relative to one seen

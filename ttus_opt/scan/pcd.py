@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
 
 #: numpy's kind of a PCD TYPE letter.
 _KINDS = {"F": "f", "I": "i", "U": "u"}

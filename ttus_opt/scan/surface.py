@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import FileError, GeometryError, InputError
-from ttus_opt.html_card import card, sections_svg
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, GeometryError, InputError
+from ttus_opt.core.html_card import card, sections_svg
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.radius_lookup import RadiusLayout, radii_at
 

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, warn
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, warn
 from ttus_opt.scan.contour_filter import Contour, ContourModel
 from ttus_opt.scan.extraction import filled_surface, followed
 from ttus_opt.scan.supporting_plane import SupportingPlane

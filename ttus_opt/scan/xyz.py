@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
 
 COMMENT = re.compile(r"^\s*(#|%|//)+\s*")
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.smooth_motion import (
     EXACT,
     LEAST_FRAMES,

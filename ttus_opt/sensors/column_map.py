@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.errors import InputError, located
+from ttus_opt.core.errors import InputError, located
 from ttus_opt.sensors.mapping_file import read_mapping
 
 ORDERS = ("wxyz", "xyzw")

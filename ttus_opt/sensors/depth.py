@@ -17,8 +17,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, located
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, located
 from ttus_opt.probe.pose import PoseLike
 from ttus_opt.probe.rigid_motion import moved, rigid_motion
 from ttus_opt.sensors.depth_files import read_depth

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.cloud import UNITS
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy")

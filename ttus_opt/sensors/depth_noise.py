@@ -18,8 +18,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 #: Nearest depth [m] and largest angle [rad] of the published measurements; the model is
 #: held constant beyond them

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 
 #: Half width of the window: wide enough to average noise, small enough that a body is
 #: flat in it [m]

@@ -13,8 +13,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, located
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, located
 from ttus_opt.probe.pose import rotations
 from ttus_opt.probe.trajectory import Trajectory
 

@@ -23,9 +23,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, GeometryError, InputError, located, warn
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, GeometryError, InputError, located, warn
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, rigid_motion
 
 Camera = Literal["fixed", "moving"]

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.sensors.mapping_file import read_mapping
 
 #: Numbers of distortion coefficients that OpenCV knows

@@ -7,9 +7,9 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from ttus_opt import io
-from ttus_opt.errors import FileError, MissingPackageError
-from ttus_opt.optional import load
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, MissingPackageError
+from ttus_opt.core.optional import load
 
 #: Largest file [byte]
 LARGEST_FILE = 100_000

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, located
-from ttus_opt.io import shortened
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError, located
+from ttus_opt.core.io import shortened
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.text_table import first_of_each
 from ttus_opt.probe.trajectory import Trajectory

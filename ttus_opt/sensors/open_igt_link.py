@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, located, warn
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, located, warn
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.open_igt_message import Message, MessageReader
 from ttus_opt.sensors.streams import WrenchStream

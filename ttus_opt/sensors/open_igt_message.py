@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.pose import rotations
 
 HEADER = struct.Struct(">H12s20sIIQQ")

@@ -16,8 +16,8 @@ import re
 
 import numpy as np
 
-from ttus_opt import io
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Most text before the pixels [byte]

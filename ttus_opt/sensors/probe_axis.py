@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane

@@ -13,9 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, MissingPackageError, located, warn
-from ttus_opt.optional import load
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import (
+    FileError,
+    InputError,
+    MissingPackageError,
+    located,
+    warn,
+)
+from ttus_opt.core.optional import load
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream

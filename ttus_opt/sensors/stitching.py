@@ -23,9 +23,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
-from ttus_opt.optional import load
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.optional import load
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, moved, rigid_motion
 from ttus_opt.probe.trajectory_csv import read_trajectory_columns

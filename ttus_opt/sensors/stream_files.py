@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.column_map import table_columns
 from ttus_opt.sensors.netcdf_stream import read_netcdf_poses, read_netcdf_wrenches

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.text_table import first_of_each, read_text_table, seconds
 from ttus_opt.probe.trajectory import Trajectory
 

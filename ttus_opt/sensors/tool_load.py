@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, warn
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError, warn
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
-from ttus_opt.fitting.weight_choice import word_for
-from ttus_opt.io import shortened
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.io import shortened
+from ttus_opt.fitting.weights.weight_choice import word_for
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.sensors.clock import LARGEST_OFFSET
 from ttus_opt.sensors.column_map import column_map, read_column_map

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from ttus_opt.errors import MistakeWarning, warn
+from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core.errors import MistakeWarning, warn
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.contact_spread import warn_of_one_spot
-from ttus_opt.fitting.frame_check import scene_in_contact
-from ttus_opt.fitting.other_readings import contact_readings
-from ttus_opt.fitting.sanity import likely_mistake
-from ttus_opt.fitting.weight_choice import WeightChoice, choice_of
+from ttus_opt.fitting.checks.frame_check import scene_in_contact
+from ttus_opt.fitting.checks.other_readings import contact_readings
+from ttus_opt.fitting.checks.sanity import likely_mistake
+from ttus_opt.fitting.uncertainty.contact_spread import warn_of_one_spot
+from ttus_opt.fitting.weights.weight_choice import WeightChoice, choice_of
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -19,7 +20,6 @@ from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.session.description import Description
 
 #: Keys of the description that a mistake is made in, by its cause

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.fitting.frame_check import warn_of_jumps
-from ttus_opt.multigrid.ahead import compiling_ahead
+from ttus_opt.fitting.checks.frame_check import warn_of_jumps
+from ttus_opt.laplace.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.tables import Comparison

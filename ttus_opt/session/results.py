@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ttus_opt import io
-from ttus_opt.errors import FileError, TtusError
-from ttus_opt.json_values import plain
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, TtusError
+from ttus_opt.core.json_values import plain
 
 #: Complete steps and their figures
 SUMMARY = "session.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.scan.cloud import UNITS
 from ttus_opt.sensors.probe_axis import AXES, USUAL
 from ttus_opt.session.section import Section

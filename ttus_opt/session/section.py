@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, TtusError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.probe.rigid_motion import read_rigid_motion, rigid_motion
 
 

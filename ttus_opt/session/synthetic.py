@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from ttus_opt import example, io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError
+from ttus_opt import example
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
 from ttus_opt.phantom.camera import ScanSetup, depth_image
 from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions

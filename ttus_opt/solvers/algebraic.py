@@ -19,8 +19,8 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.errors import MissingPackageError
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program

@@ -17,10 +17,14 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.base import Penalty
+from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.structure import LaplaceRows
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
@@ -33,10 +37,6 @@ from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
 from ttus_opt.solvers.sizes import Sizes
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.base import Penalty
-from ttus_opt.terms.penalties.squares import Squares
-from ttus_opt.terms.structure import LaplaceRows
 
 #: Most rows beside Laplace's, over the voxels, for Newton steps in the dual [–]
 FEW = 0.1

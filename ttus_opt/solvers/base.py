@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, SolverUnavailableError
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, SolverUnavailableError
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 
 #: Least relative KKT residual that can be asked for: sums of many numbers in double
 #: precision are not more accurate [–]
@@ -43,7 +43,7 @@ class Candidate:
 
     Attributes:
         x: All variables, shape (n,); None without an answer.
-        duals: Multipliers, signs as in `ttus_opt.problem.kkt`.
+        duals: Multipliers, signs as in `ttus_opt.problem.verify.kkt`.
         iterations: Iterations of the main loop [–].
         claim: The solver's statement about its run.
         detail: The same in its own words.
@@ -123,7 +123,7 @@ class Prepared(abc.ABC):
 
         Args:
             x: All variables, shape (n,).
-            duals: Multipliers there, signs as in `ttus_opt.problem.kkt`.
+            duals: Multipliers there, signs as in `ttus_opt.problem.verify.kkt`.
         """
         del x, duals
 

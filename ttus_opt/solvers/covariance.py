@@ -1,7 +1,7 @@
 """Gaussian-process regression: a prior of known covariance, few measured rows.
 
 Where a term's square rows R have a covariance C = (RᵀR)⁻¹ that is known at single
-voxels (`ttus_opt.terms.structure.KnownCovariance`), the minimiser of
+voxels (`ttus_opt.problem.terms.structure.KnownCovariance`), the minimiser of
 ‖R p − t₀‖² + ‖D p + E c − t‖² is
 
     p = p̄ + C Dᵀ y,   p̄ = C Rᵀ t₀,   S = I + D C Dᵀ,   S y = t − D p̄ − E c,
@@ -23,16 +23,16 @@ import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
-from ttus_opt.terms.structure import (
+from ttus_opt.problem.terms.structure import (
     CovarianceColumns,
     KnownCovariance,
     known_covariance,
 )
+from ttus_opt.problem.verify.kkt import Duals
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
 
 #: Most voxels that measured rows may touch, the size of dense matrices
 LARGEST = 12_000

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttus_opt.problem.absorption import CLOSE_ENOUGH
-from ttus_opt.problem.kkt import STRICTER, Duals, kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.absorption import CLOSE_ENOUGH
+from ttus_opt.problem.verify.kkt import STRICTER, Duals, kkt_residuals
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,

@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import ttus_opt.solvers
-from ttus_opt.errors import InputError
+import ttus_opt.solvers.packages
+from ttus_opt.core.errors import InputError
+from ttus_opt.core.user_code import module_of_file, unknown_name, user_errors
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Solver
-from ttus_opt.user_code import module_of_file, unknown_name, user_errors
 
 #: Where another package offers solvers
 ENTRY_POINTS = "ttus_opt.solvers"
@@ -32,10 +33,11 @@ def solvers() -> dict[str, Solver]:
     found: dict[str, Solver] = {}
     for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
         found |= _of(_loaded(entry), f"entry point {entry.name} of {ENTRY_POINTS}")
-    for module in pkgutil.iter_modules(ttus_opt.solvers.__path__):
-        loaded = importlib.import_module(f"ttus_opt.solvers.{module.name}")
-        if hasattr(loaded, "SOLVERS"):
-            found |= _of(loaded, module.name)
+    for folder in (ttus_opt.solvers, ttus_opt.solvers.packages):
+        for module in pkgutil.iter_modules(folder.__path__):
+            loaded = importlib.import_module(f"{folder.__name__}.{module.name}")
+            if hasattr(loaded, "SOLVERS"):
+                found |= _of(loaded, module.name)
     return dict(sorted(found.items()))
 
 

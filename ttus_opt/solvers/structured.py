@@ -1,8 +1,8 @@
 """The structured solver: eq. 10 without forming Q (docs/method.md, section 10).
 
 The dual system is solved by conjugate gradients in a recycled subspace, with an
-approximate Schur preconditioner (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid
-(`ttus_opt.multigrid`). Bounds, growth along spokes, and a second field that is at most
+approximate Schur preconditioner (`solvers.dual`); L⁻¹ is a multigrid
+(`laplace.multigrid`). Bounds, growth along spokes, and a second field that is at most
 a share of the first are handled by a primal-dual active-set method. Solves with L or Lᵀ
 that a new solve takes:
 
@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,

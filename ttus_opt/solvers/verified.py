@@ -1,7 +1,7 @@
 """A tolerance with the same meaning for every backend: solve, check, tighten.
 
 Packages stop by residuals of their own scaling; a request is about the relative KKT
-residual of the original program (`ttus_opt.problem.kkt`). So the answer of a first
+residual of the original program (`problem.verify.kkt`). So the answer of a first
 attempt is checked; where it falls short, the package's tolerance is tightened by the
 missing factor and the solve repeated, a few times and within the time limit. A backend
 that keeps its iterate is checked at intervals: where rounding keeps it from its own
@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
 
 #: Most times the tolerance is tightened

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
 
 #: Lower limit of |φ_a| [–]. It is above ½ where regions follow from the surface. A
 #: decoded field has the sender's regions with a rounded surface: both ends predict with

@@ -28,8 +28,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 from ttus_opt.voxmap.grid import GridLimits, flat_index, spoke_place
 from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 

@@ -3,7 +3,7 @@
 For places θ and z, the map holds the standard deviation of a press's force over that
 force. A frame's standard deviation is the map's value under the probe, bilinear between
 places, times the frame's force. This assumes that uncertainty is proportional to force
-and independent of orientation; `ttus_opt.fitting.doubt` assumes neither.
+and independent of orientation; `ttus_opt.fitting.uncertainty.doubt` assumes neither.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ttus_opt import io
-from ttus_opt.arguments import expect_numbers
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import FileError, InputError
-from ttus_opt.html_card import SIZE, card, signed_map
+from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.html_card import SIZE, card, signed_map
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.doubt_map import DoubtMap

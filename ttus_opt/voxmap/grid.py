@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.voxmap.sector import Sector, checked_sector, holds, in_degrees
 
 #: Memory of a fit by the structured solver per voxel (L, the multigrid, a dozen

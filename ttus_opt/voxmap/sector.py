@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.cylindrical import TURN
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.surface import Surface
 
 #: From and to [rad]

@@ -26,9 +26,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid, nodes_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ttus_opt.benchmark.parts.registry import SOLVERS, chosen
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 def test_names() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark.parts.rendering import frame_times, time_rendering
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 
 @pytest.mark.slow

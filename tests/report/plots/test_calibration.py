@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.report.plots.drawn import lines
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 from ttus_opt.report.calibration_curve import CalibrationCurve
 

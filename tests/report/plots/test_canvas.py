@@ -8,7 +8,7 @@ import matplotlib
 import pytest
 from matplotlib.figure import Figure
 
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.report.plots.canvas import (
     SUFFIXES,
     look,

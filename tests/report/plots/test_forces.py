@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import ellipsoid, presses, torso
 from tests.report.plots.drawn import lines
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.metrics import Evaluation, evaluate

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.report.plots.drawn import lines
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import Evaluation
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface

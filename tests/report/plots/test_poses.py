@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.plots import poses

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 from ttus_opt.report.plots.potential import colour_limit, local_change, round_up
 from ttus_opt.voxmap.field import PotentialField

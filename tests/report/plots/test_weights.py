@@ -9,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 
 WEIGHTS = [1e-3, 1e-1, 10.0]

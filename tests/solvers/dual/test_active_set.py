@@ -11,9 +11,9 @@ import pytest
 from tests.solvers.dual.test_field_pair import contested as contested_pair
 from tests.solvers.dual.test_field_pair import coulomb
 from tests.solvers.dual.user_limits import contested, eq10
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.conjugate_gradients import (
     RecycledSubspace,

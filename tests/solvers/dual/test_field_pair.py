@@ -12,20 +12,20 @@ import scipy.sparse as sp
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from tests.solvers.dual.user_limits import INF, Rows, Within
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.drag_limit import DragLimit
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation
+from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.drag_limit import DragLimit
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
-from ttus_opt.scene import Scene
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
-from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import duals_without_limits

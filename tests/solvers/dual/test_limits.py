@@ -11,13 +11,13 @@ from scipy.optimize import linprog
 
 from tests.conftest import small_scene, some
 from tests.solvers.dual.user_limits import Rows, Steeper, Within
-from ttus_opt.constraints.base import Constraint
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.kkt import kkt_residuals
-from ttus_opt.scene import Scene
+from ttus_opt.problem.constraints.base import Constraint
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 
 INF = np.inf

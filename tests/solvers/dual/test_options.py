@@ -8,7 +8,7 @@ from dataclasses import fields
 
 import pytest
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 
 

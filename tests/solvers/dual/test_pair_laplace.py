@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
 
 LAPLACE = small_scene("trilinear", shape=(6, 10, 6), n_poses=4).laplace

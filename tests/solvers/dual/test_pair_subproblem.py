@@ -10,9 +10,9 @@ import pytest
 import scipy.sparse as sp
 
 from tests.dragging import dragged_scene
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
+from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.pair_laplace import PairLaplace

@@ -17,16 +17,16 @@ from tests.conftest import some, torso
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Constraint
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.constraints.sign import Sign
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.constraints.base import Constraint
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
-from ttus_opt.scene import Scene
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import soft_values

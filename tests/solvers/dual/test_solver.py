@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.solvers.dual.user_limits import contested, eq10
-from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.solvers.dual import solver as solver_module
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters

@@ -12,13 +12,13 @@ from scipy.sparse.linalg import spsolve
 from tests.conftest import ellipsoid, presses, torso
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Constraint
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.constraints.base import Constraint
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.program import Program
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers

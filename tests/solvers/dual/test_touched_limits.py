@@ -13,8 +13,8 @@ import scipy.sparse as sp
 
 from tests.solvers.dual.test_field_pair import contested, coulomb
 from tests.solvers.dual.test_pair_subproblem import pair
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair

@@ -10,11 +10,11 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.data import DualData, root_weights
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.weight_sweep import (

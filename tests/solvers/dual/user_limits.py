@@ -8,12 +8,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
 
 INF = np.inf
 

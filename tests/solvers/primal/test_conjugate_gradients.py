@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.primal.conjugate_gradients import (
     Goal,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.primal.flexible import Map, Step, flexible_conjugate_gradients
 
 N = 40

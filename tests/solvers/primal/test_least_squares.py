@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.linear_parameters import Complement

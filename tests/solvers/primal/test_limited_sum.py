@@ -14,9 +14,10 @@ from tests.solvers.dual.test_subproblem import (
 )
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.base import Term
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -24,7 +25,6 @@ from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
-from ttus_opt.terms.base import Term
 
 #: Terms of more rows than these are wide
 FEW = 100

@@ -9,11 +9,11 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.solvers.primal.matching import Root, _Stencil, _Waves, matched_root
-from ttus_opt.terms.base import Term
-from ttus_opt.terms.tikhonov import TikhonovTerm
 
 SCENE = small_scene("trilinear", shape=(7, 12, 9), n_poses=3)
 LAPLACE = SCENE.laplace

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.primal.test_limited_sum import FEW, made
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal import preconditioner as module
 from ttus_opt.solvers.primal.conjugate_gradients import Pair

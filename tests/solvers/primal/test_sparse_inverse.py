@@ -8,7 +8,8 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.solvers.primal.sparse_inverse import (
     BYTES,
     ENTRY,
@@ -18,7 +19,6 @@ from ttus_opt.solvers.primal.sparse_inverse import (
     Estimate,
     SparseInverse,
 )
-from ttus_opt.terms.total_variation import difference_rows
 
 
 def test_a_chain_is_factorised_and_a_volume_is_not() -> None:

@@ -10,7 +10,8 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted, Differences
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.normal_equations import NormalEquations
@@ -18,7 +19,6 @@ from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields
-from ttus_opt.terms.base import Term
 
 SCENE = small_scene("trilinear", shape=(6, 8, 10), n_poses=3)
 GRID = SCENE.voxmap.grid

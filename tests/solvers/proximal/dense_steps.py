@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
+from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
-from ttus_opt.terms.penalties.base import Slope
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 

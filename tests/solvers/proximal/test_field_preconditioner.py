@@ -8,15 +8,15 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.solvers.primal.flexible import Map
 from ttus_opt.solvers.proximal.field_preconditioner import (
     WithFewRows,
     by_differences,
     by_laplace,
 )
-from ttus_opt.terms.total_variation import difference_rows
 from ttus_opt.voxmap.grid import nodes_of
 
 SCENE = small_scene("trilinear", shape=(6, 8, 6), n_poses=3)

@@ -15,8 +15,8 @@ from tests.solvers.proximal.dense_steps import (
     problem_of,
     slopes_of,
 )
+from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
-from ttus_opt.terms.penalties.base import Slope
 
 
 @pytest.mark.parametrize("name", ["robust", "sparse_sources"])

@@ -12,9 +12,12 @@ import pytest
 import scipy.sparse as sp
 
 from tests.solvers.problems import program, rows, term
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.proximal import method_of_multipliers
 from ttus_opt.solvers.proximal.method_of_multipliers import (
@@ -23,9 +26,6 @@ from ttus_opt.solvers.proximal.method_of_multipliers import (
 )
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.base import Slope
-from ttus_opt.terms.penalties.squares import Squares
 
 WEIGHT = 3.0
 

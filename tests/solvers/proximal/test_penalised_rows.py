@@ -8,7 +8,11 @@ import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
 
 from tests.solvers.problems import term
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.terms.penalties.squares import Squares
 from ttus_opt.solvers.proximal.penalised_rows import (
     EXACT,
     Between,
@@ -16,10 +20,6 @@ from ttus_opt.solvers.proximal.penalised_rows import (
     PenalisedRows,
     group_columns,
 )
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.groups import Groups
-from ttus_opt.terms.penalties.huber import Huber
-from ttus_opt.terms.penalties.squares import Squares
 
 M, N, WEIGHT = 6, 4, 0.7
 LIMITS = Between(

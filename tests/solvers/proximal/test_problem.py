@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.solvers.problems import INF, bounds, program, rows, term
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.proximal.penalised_rows import Between
 from ttus_opt.solvers.proximal.problem import BOX, PenalisedProblem
-from ttus_opt.terms.penalties.absolute import Absolute
-from ttus_opt.terms.penalties.huber import Huber
 
 N = 6
 

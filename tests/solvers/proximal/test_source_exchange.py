@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.proximal.source_exchange import nonnegative_minimum
-from ttus_opt.terms.force import ForceTerm
-from ttus_opt.terms.sparse_sources import SparseSourcesTerm
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
 

@@ -16,10 +16,10 @@ from ttus_opt.benchmark.roofline import roofline, summary
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.benchmark.settings import WEIGHTS
 from ttus_opt.benchmark.summary import seconds
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation as shelf
-from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 
 #: Least fraction of the fit's time for a function to be listed [–]

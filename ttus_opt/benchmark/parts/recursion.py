@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.benchmark import memory
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
@@ -18,13 +17,14 @@ from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import WEIGHTS
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
-from ttus_opt.fitting.recursive import RecursiveFit
+from ttus_opt.fitting.recursion.recursive import RecursiveFit
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 
 #: Number of updates, and of those after which the field is compared with a batch fit

@@ -8,7 +8,7 @@ import pkgutil
 
 import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.parts.base import Part
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 
 #: The first part, and the default
 SOLVERS = "solvers"

@@ -14,7 +14,6 @@ from typing import get_args
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
 from ttus_opt.benchmark.plain_frame import numpy_frame
@@ -23,11 +22,12 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
 #: Repetitions of every pose

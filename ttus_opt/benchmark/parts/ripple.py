@@ -15,7 +15,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ttus_opt.arrays import Array
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import Progress
@@ -23,6 +22,7 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
+from ttus_opt.core.arrays import Array
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface

@@ -26,11 +26,11 @@ from ttus_opt.benchmark.settings import (
 from ttus_opt.benchmark.solver_report import sections, terminal
 from ttus_opt.benchmark.solver_run import FIELDS, label, measured
 from ttus_opt.benchmark.summary import row_table
-from ttus_opt.errors import InputError
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 

@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from ttus_opt import io
-from ttus_opt.errors import InputError
+from ttus_opt.core import io
+from ttus_opt.core.errors import InputError
 
 SUFFIXES = (".png", ".pdf", ".svg")
 

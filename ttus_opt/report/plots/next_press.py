@@ -11,7 +11,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.plots.canvas import look, new_figure
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.next_press import NextPresses
+    from ttus_opt.fitting.uncertainty.next_press import NextPresses
 
 _SHADES = "cividis"  # uniform in greyscale too
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import Evaluation
 from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.report.plots.forces import draw_magnitude

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.errors import InputError
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField

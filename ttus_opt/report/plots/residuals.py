@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import Evaluation
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.report.plots.potential import draw_outline
 from ttus_opt.scan.surface import Surface

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
-from ttus_opt.problem.gradient_blocks import ROUNDING
+from ttus_opt.problem.verify.gradient_blocks import ROUNDING
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
     Multipliers,

@@ -19,8 +19,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.system import DualSystem
 
 

@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.laplace.system import RTOL
-from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits

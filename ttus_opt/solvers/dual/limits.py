@@ -14,10 +14,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class SpokeLimits:
             of_links: Multipliers of links, at their deeper voxel, non-negative, (V,).
 
         Returns:
-            Signs as in `ttus_opt.problem.kkt`.
+            Signs as in `ttus_opt.problem.verify.kkt`.
         """
         left = of_links.copy()
         rows = {}

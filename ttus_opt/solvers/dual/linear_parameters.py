@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
 
 #: Relative threshold for a column that depends on others [–]
 DEPENDENT = 1e-12

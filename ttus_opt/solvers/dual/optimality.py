@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 

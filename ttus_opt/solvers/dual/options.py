@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from ttus_opt.errors import InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import RTOL
 
 

@@ -18,9 +18,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
+from ttus_opt.laplace.multigrid import Multigrid, MultigridResult, VCycle
 from ttus_opt.laplace.square_system import BlockSolves
-from ttus_opt.multigrid import Multigrid, MultigridResult, VCycle
 
 
 class PairCycle:

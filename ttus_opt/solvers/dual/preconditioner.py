@@ -4,10 +4,10 @@ The relative error of a V-cycle B ≈ A⁻¹ is bounded, so S̃ = I + D B ω B D
 equivalent to the Schur complement S. Conjugate gradients on S̃ z = r, stopped early,
 precondition S y = t at any weight, in a number of steps that hardly grows. They take
 many steps, but only within a box of the grid around the contact
-(`multigrid.subdomain`): on a million voxels hundreds cost as much as one exact product.
-Rows of a subproblem outside that box matter little and are treated as the identity. The
-S of a coarser grid is not equivalent: its error is small only compared with the largest
-eigenvalues of S.
+(`laplace.multigrid.subdomain`): on a million voxels hundreds cost as much as one exact
+product. Rows of a subproblem outside that box matter little and are treated as the
+identity. The S of a coarser grid is not equivalent: its error is small only compared
+with the largest eigenvalues of S.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,

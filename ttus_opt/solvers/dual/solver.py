@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.solvers.dual.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,

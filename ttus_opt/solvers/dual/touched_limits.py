@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.pair_subproblem import PairRows
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.system import DualSystem

@@ -23,9 +23,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Mask
+from ttus_opt.core.arrays import Mask
 from ttus_opt.solvers.dual.limits import SpokeLimits
 
 #: Marks a voxel with a given value, beside -1 and +1 for bounds

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
-from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.elimination import eliminated, factor

@@ -19,7 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual.options import Accuracy
 
 

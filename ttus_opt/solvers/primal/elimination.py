@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import SuperLU, splu
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.compiled import compiled
 
 Order = Literal["MMD_AT_PLUS_A", "NATURAL"]
 Indices = NDArray[np.int32] | IntArray

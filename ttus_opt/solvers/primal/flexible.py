@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.primal.conjugate_gradients import inner_product
 
 Map = Callable[[Array], Array]

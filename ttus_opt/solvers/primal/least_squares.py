@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions

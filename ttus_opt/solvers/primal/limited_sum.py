@@ -13,8 +13,8 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits

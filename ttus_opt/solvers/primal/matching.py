@@ -22,8 +22,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.multigrid.coarsening import Added
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.laplace.multigrid.coarsening import Added
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import compiled
 
 Indices = NDArray[np.int32] | NDArray[np.int64]
 

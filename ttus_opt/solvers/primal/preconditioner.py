@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from ttus_opt.arrays import Array
-from ttus_opt.optional import load
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.optional import load
 from ttus_opt.solvers.primal.elimination import factor
 
 #: Most bytes of a factor; bytes of one of its entries with its index

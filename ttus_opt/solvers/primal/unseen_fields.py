@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.primal.elimination import factor
 

@@ -13,9 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from ttus_opt.arrays import Array
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
 from ttus_opt.solvers.primal.normal_product import add_normal_product
 from ttus_opt.solvers.proximal.field_preconditioner import (
@@ -29,7 +30,6 @@ from ttus_opt.solvers.proximal.penalised_rows import (
     group_columns,
 )
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
-from ttus_opt.terms.penalties.base import Slope
 
 #: Up to how many variables H is formed and factorised
 SMALL = 3000

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.laplace.multigrid.coarsening import Added
+from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.multigrid.coarsening import Added
-from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.primal.approximate_system import ApproximateLaplace

@@ -20,14 +20,14 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_columns
-from ttus_opt.terms.penalties.base import Slope
-from ttus_opt.terms.structure import LaplaceRows
 
 #: Relative residual of solves with L, over that of the inexact step [–]
 INSIDE = 1e-2

@@ -23,14 +23,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.primal.conjugate_gradients import inner_product
 from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
-from ttus_opt.terms.penalties.base import Slope
 
 
 class NewtonSystem(Protocol):

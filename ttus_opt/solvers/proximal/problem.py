@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.problem.distance import held_by_equalities
-from ttus_opt.problem.kkt import Duals
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.declared_rows import unit_rows
+from ttus_opt.problem.terms.structure import LaplaceRows
+from ttus_opt.problem.verify.distance import held_by_equalities
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
-from ttus_opt.terms.declared_rows import unit_rows
-from ttus_opt.terms.structure import LaplaceRows
 
 #: Name of the rows that stand for the box; no constraint is called so
 BOX = "box of all bounds"

@@ -25,9 +25,9 @@ import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 from scipy.ndimage import maximum_filter
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.threads import side_by_side
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
-from ttus_opt.threads import side_by_side
 
 #: Most exchanges, and most new columns of one
 EXCHANGES, NEW = 100, 40

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import ellipsoid, presses, small_scene, torso
+from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.frame import Axis
+from ttus_opt.voxmap.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
+SHELL = ellipsoid()
+TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
+
+
+def test_shapes(scene: Scene) -> None:
+    V, T = scene.n_voxels, len(scene.trajectory)
+    assert scene.L.shape == (V, V)
+    assert scene.b.shape == (V,)
+    assert scene.N.shape == scene.W.shape == (3 * T, V)
+    assert scene.f.shape == scene.tau.shape == (3 * T,)
+    np.testing.assert_array_equal(scene.f[3:6], scene.trajectory.force[1])
+    assert scene.torque_length == scene.shell.rms_radius
+
+
+def test_boundary_values_reach_b(scene: Scene) -> None:
+    b = scene.voxmap.grid.unflatten(scene.b)
+    skin = scene.voxmap.on_surface
+    assert b[0, 0, 3] == 2.0
+    assert b[-1, 0, 3] == -1.5
+    assert not b[skin].any()
+
+
+def test_with_boundary_assembles_nothing(scene: Scene) -> None:
+    other = scene.with_boundary(4.0, 3.0)
+    assert other.rows is scene.rows
+    assert other.laplace is scene.laplace
+    np.testing.assert_allclose(other.b, 2.0 * scene.b)
+
+
+def test_regions_of_another_surface_warn() -> None:
+    wider = replace(SURFACE, radius=SURFACE.radius + 0.4 * VOXMAP.grid.r_step)
+    with pytest.warns(TtusWarning, match="region is not that of the surface"):
+        Scene.assemble(replace(VOXMAP, surface=wider), SHELL, TRAJECTORY)
+
+
+def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
+    away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
+    with pytest.warns(TtusWarning, match="Laplace field alone"):
+        Scene.assemble(VOXMAP, SHELL, away)
+    with (
+        pytest.warns(TtusWarning, match="Laplace field alone"),
+        pytest.raises(InputError, match="never touches"),
+    ):
+        Scene.assemble(VOXMAP, SHELL, away, inner="fit")
+
+
+def test_a_probe_larger_than_the_patient_is_doubted() -> None:
+    large = tt.PointShell.sphere(0.4, n_points=100)
+    with pytest.warns(TtusWarning) as told:
+        Scene.assemble(VOXMAP, large, TRAJECTORY, inner=1.0)
+    words = [str(w.message) for w in told if w.category is MistakeWarning]
+    assert any(w.startswith("the probe is 0.7") for w in words)
+    assert any("the patient 0.2" in w for w in words)
+
+
+def test_poses_off_the_grid_are_counted() -> None:
+    position = TRAJECTORY.position.copy()
+    position[:3, 2] += 5.0
+    with pytest.warns(MistakeWarning, match="3 of 12 poses lie outside"):
+        Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
+
+
+def test_points_beyond_the_inner_layer_are_counted() -> None:
+    position = TRAJECTORY.position.copy()
+    position[:5, :2] *= 0.3
+    with pytest.warns(TtusWarning, match="beyond the inner layer at 0.03 m") as told:
+        scene = Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
+    points = np.einsum("tij,mj->tmi", TRAJECTORY.rotation, SHELL.points)
+    points += position[:, None]
+    r = np.hypot(points[..., 0], points[..., 1])
+    np.testing.assert_array_equal(scene.rows.beyond_inner, (r < 0.03).sum(axis=1))
+    assert (scene.rows.beyond_inner[:5] > 0).all()
+    words = str(told[0].message)
+    assert words.startswith(f"5 of 12 poses press shell points ({(r < 0.03).sum()} in")
+
+
+def test_a_good_scene_warns_of_nothing() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        small_scene.__wrapped__()  # not one that another test has made
+
+
+def test_the_defaults_and_the_papers_choices() -> None:
+    scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY)
+    assert scene.sampling == "trilinear"
+    assert scene.inner == scene.parameters["boundary_scale"] != 1.0
+    paper = Scene.assemble(VOXMAP, SHELL, TRAJECTORY, **tt.paper.SCENE)
+    assert (paper.sampling, paper.inner, paper.outer) == ("voxel-mean", 1.0, 1.0)
+    weights = {t.name: t.weight for t in tt.load_formulation("eq10", scene).terms}
+    assert weights == {"laplace": 1.0, "force": 1e-2, "torque": 1e-2}
+
+
+@pytest.mark.parametrize(
+    ("inner", "word"),
+    [("auto", "must be a number"), (float("nan"), "must be finite .* inner nan")],
+)
+def test_bad_inner(inner: object, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner=inner)
+
+
+def test_several_recordings_are_joined_first() -> None:
+    with pytest.raises(InputError, match=r"got list: join .* Trajectory\.concatenate"):
+        Scene.assemble(VOXMAP, SHELL, [TRAJECTORY, TRAJECTORY])  # type: ignore[arg-type]
+
+
+def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
+    bare = Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
+    scene = Scene.assemble(VOXMAP, SHELL, bare)
+    assert scene.N.nnz > 0
+    with pytest.raises(InputError, match="fx, fy, fz"):
+        _ = scene.f
+
+
+@pytest.mark.slow
+def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
+    """From a cloud, from its surface and by hand: the same scene."""
+    theta, z = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 200), np.linspace(0.0, 0.2, 100), indexing="ij"
+    )
+    r = SURFACE.radius_at(theta, z)
+    cloud = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
+    plan = ScenePlan(
+        (9, 20, 10), 0.04, 0.16, inner=3.0, outer=2.0, sampling="trilinear"
+    )
+    halves = [TRAJECTORY.select(slice(0, 5)), TRAJECTORY.select(slice(5, None))]
+    frame = Axis(np.zeros(3), np.eye(3), support=None)  # no plane to look for
+    found = plan.build(cloud, SHELL, halves, axis=frame)
+    surface = tt.extract_surface(cloud, axis=frame)
+    voxmap = Voxmap.from_surface(surface, shape=(9, 20, 10), r_inner=0.04, r_outer=0.16)
+    whole = Trajectory.concatenate(halves)
+    expected = Scene.assemble(
+        voxmap, SHELL, whole, inner=3.0, outer=2.0, sampling="trilinear"
+    )
+    for scene in (found, plan.build(surface, SHELL, whole)):
+        assert scene.voxmap.grid == expected.voxmap.grid
+        assert scene.sampling == expected.sampling
+        assert (scene.inner, scene.outer) == (3.0, 2.0)
+        np.testing.assert_array_equal(scene.b, expected.b)
+        np.testing.assert_array_equal(scene.N.toarray(), expected.N.toarray())

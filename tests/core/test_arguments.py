@@ -1,0 +1,75 @@
+"""Arguments that were mixed up are told by name, before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.dragging import dragged_scene
+from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.errors import InputError
+
+
+def mixed_up() -> dict[str, Callable[[], Any]]:
+    """Calls with an argument of another type, by a pattern of what they say."""
+    scene: Any = dragged_scene("contact")
+    solution: Any = tt.fit(scene, "laplace_only")
+    field, shell, told = solution.field, scene.shell, scene.trajectory
+    return {
+        r"the field must be a PotentialField, got a Solution: pass its \.field": (
+            lambda: tt.Renderer(solution, shell)
+        ),
+        "the field must be a PotentialField, got a PointShell$": (
+            lambda: tt.Renderer(shell, field)
+        ),
+        "the probe must be a PointShell, got a str$": lambda: tt.Renderer(field, "a"),
+        r"got a Solution: pass its \.field": (
+            lambda: tt.evaluate(solution, shell, told)
+        ),
+        "the probe must be a PointShell, got a Trajectory": (
+            lambda: tt.evaluate(field, told, shell)
+        ),
+        "the recording must be a Trajectory, got a Scene": (
+            lambda: tt.evaluate(field, shell, scene)
+        ),
+        "the voxmap must be a Voxmap, got a PointShell": (
+            lambda: tt.Scene.assemble(shell, scene.voxmap, told)
+        ),
+        "the probe must be a PointShell, got a Trajectory$": (
+            lambda: tt.Scene.assemble(scene.voxmap, told, shell)
+        ),
+        "the scene must be a Scene, got a Voxmap": lambda: tt.fit(scene.voxmap),
+        "trajectory position must be an array of real numbers, got list: Tr": (
+            lambda: replace(told, position=told.position.tolist())
+        ),
+        "trajectory force must be an array .* an array of complex128": (
+            lambda: replace(told, force=told.force + 0j)
+        ),
+        "shell areas must be an array of real numbers, got list": (
+            lambda: replace(shell, areas=shell.areas.tolist())
+        ),
+        "field values must be an array of real numbers, got an array of object": (
+            lambda: replace(field, values=field.values.astype(object))
+        ),
+        r"out must have floats of shape \(6,\), got int64 \(6,\)": (
+            lambda: tt.Renderer(field, shell).render_into(
+                told.rotation[0], told.position[0], np.zeros(6, dtype=int)
+            )
+        ),
+    }
+
+
+def test_what_was_mixed_up_is_named() -> None:
+    for told, call in mixed_up().items():
+        with pytest.raises(InputError, match=told):
+            call()
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4", ">f8", "i4", "u1", "?"])
+def test_numbers_of_any_size_are_numbers(kind: str) -> None:
+    expect_numbers(np.ones(3, dtype=kind), "values")

@@ -1,0 +1,119 @@
+"""Signals wait until a file is written, each of them, and then do what they would."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from ttus_opt.core.interrupts import (
+    ALARM,
+    INTERRUPT,
+    STOPPED,
+    ended_at_once,
+    signals_deferred,
+)
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM])
+def test_a_signal_comes_when_all_is_written(kind: signal.Signals) -> None:
+    came: list[str] = []
+    before = signal.signal(kind, lambda *_: came.append("signal"))
+    try:
+        with signals_deferred():
+            signal.raise_signal(kind)
+            came.append("written")
+        assert came == ["written", "signal"]
+        signal.raise_signal(kind)
+        assert came == ["written", "signal", "signal"]
+    finally:
+        signal.signal(kind, before)
+
+
+def test_an_interrupt_ends_what_comes_after() -> None:
+    done = False
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), signals_deferred():
+            signal.raise_signal(signal.SIGINT)
+            done = True
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done
+
+
+def test_a_mistake_meanwhile_leaves_the_handlers_as_they_were() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyError), signals_deferred():
+        raise KeyError("a mistake")
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_another_thread_may_write_as_well() -> None:
+    before, within = signal.getsignal(signal.SIGINT), list[object]()
+
+    def write() -> None:
+        with signals_deferred():
+            within.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    thread.join()
+    assert within == [before]
+
+
+@pytest.mark.parametrize("kind", ["signal.SIGINT", "INTERRUPT"])
+def test_what_loads_ends_at_once_and_without_a_traceback(kind: str) -> None:
+    program = f"""
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from ttus_opt.core.interrupts import INTERRUPT, ended_at_once
+with ended_at_once():
+    try:
+        signal.raise_signal({kind})
+    except BaseException:
+        print("seen")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == f"\n{STOPPED}\n"
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, INTERRUPT])
+def test_once_loaded_an_interrupt_is_an_exception(kind: signal.Signals) -> None:
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with ended_at_once():
+            pass
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(kind)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def test_an_interrupt_that_is_ignored_stays_so() -> None:
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with ended_at_once():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def test_a_handler_that_was_set_meanwhile_stays() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        with ended_at_once():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,289 @@
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, TtusWarning
+
+
+def dataset() -> xr.Dataset:
+    return xr.Dataset({"a": ("x", np.arange(3.0), {"units": "m"})})
+
+
+def test_round_trip_with_provenance(tmp_path: Path) -> None:
+    io.write_dataset(dataset(), tmp_path / "a.nc", kind="surface", version=1)
+    back = io.read_dataset(tmp_path / "a.nc", kind="surface", version=1)
+    np.testing.assert_array_equal(back["a"], [0, 1, 2])
+    assert back["a"].attrs["units"] == "m"
+    assert "ttus_opt" in back.attrs["source"]
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    with pytest.raises(RuntimeError), io.replacing(target) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_disk_that_fills_up_is_told_with_the_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    told = pytest.raises(
+        FileError, match=r"cannot write .*a\.txt: No space left on dev"
+    )
+    with told, io.replacing(target) as temporary:
+        temporary.write_text("half")
+        raise full
+    with pytest.raises(FileNotFoundError, match="elsewhere"), io.replacing(target):
+        (tmp_path / "elsewhere").read_text()
+    with pytest.raises(FileError, match="of the caller"), io.replacing(target):
+        raise FileError("of the caller")
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def replaced_mode(target: Path, umask: int) -> int:
+    """Permissions of a file that was replaced under a umask."""
+    before = os.umask(umask)
+    try:
+        with io.replacing(target) as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(before)
+    return stat.S_IMODE(target.stat().st_mode)
+
+
+@pytest.mark.parametrize(
+    ("umask", "mode"), [(0o022, 0o644), (0o002, 0o664), (0o077, 0o600), (0, 0o666)]
+)
+def test_a_file_has_the_mode_of_any_new_file(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
+    assert replaced_mode(tmp_path / "a.txt", umask) == mode
+
+
+def test_writing_leaves_the_umask_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is the process's: another thread's file would be open to everyone."""
+
+    def changed(mask: int) -> int:
+        raise AssertionError("the umask was changed")
+
+    monkeypatch.setattr(os, "umask", changed)
+    with io.replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_many_writers_of_one_file_do_not_meet(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with io.replacing(target) as first, io.replacing(target) as second:
+        assert first != second
+        first.write_text("first")
+        second.write_text("second")
+    assert target.read_text() == "first"  # the last to end
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    target = tmp_path / "file" / "a.txt"
+    with (
+        pytest.raises(FileError, match=r"cannot write .*is not a folder"),
+        io.replacing(target),
+    ):
+        pass
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to(tmp_path / "real.txt")
+    with io.replacing(tmp_path / "link.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == "new"
+
+
+def test_an_output_that_is_an_input_needs_force(tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_text("precious")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "scan.ply")
+    for output in ("scan.ply", "link.ply"):
+        with pytest.raises(FileError, match="would overwrite the input"):
+            io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"])
+        io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"], force=True)
+
+
+def test_a_pipe_and_a_folder_are_no_output(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with (
+        pytest.raises(FileError, match="not a regular file"),
+        io.replacing(tmp_path / "pipe"),
+    ):
+        pass
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    with pytest.raises(FileError, match="is a folder"):
+        io.check_output(tmp_path)
+
+
+def test_a_full_disk_is_told_before_the_work(tmp_path: Path) -> None:
+    io.check_output(tmp_path / "a.nc", size=1)
+    with pytest.raises(FileError, match="MiB are free"):
+        io.check_output(tmp_path / "a.nc", size=2**60)
+
+
+def test_a_write_that_fails_is_one_line_and_keeps_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a.nc"
+    io.write_dataset(dataset(), file, kind="field", version=1)
+
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("NetCDF: HDF error")
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    with pytest.raises(FileError, match="HDF error: is the disk full"):
+        io.write_dataset(dataset(), file, kind="field", version=1)
+    monkeypatch.undo()
+    assert "a" in io.read_dataset(file, kind="field", version=1)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_an_interrupt_waits_for_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    # a process in the background may have been started with interrupts ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), io.signals_deferred():
+            signal.raise_signal(signal.SIGINT)
+            file.write_text("whole")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert file.read_text() == "whole"
+
+
+def test_kind_and_version_are_checked(tmp_path: Path) -> None:
+    file = tmp_path / "a.nc"
+    io.write_dataset(dataset(), file, kind="surface", version=2)
+    with pytest.raises(FileError, match="version 2, this ttus_opt reads version 1"):
+        io.read_dataset(file, kind="surface", version=1)
+    with pytest.raises(FileError, match="holds surface, expected a field"):
+        io.read_dataset(file, kind="field", version=1)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "told"),
+    [
+        ({"ttus_opt_kind": np.arange(2.0)}, "ttus_opt_kind must be text, got array"),
+        ({"ttus_opt_kind": 5.0}, "ttus_opt_kind must be text, got np.float64"),
+        ({"ttus_opt_version": "two"}, "does not state its surface version"),
+        ({"ttus_opt_version": np.arange(2)}, "does not state its surface version"),
+        ({"ttus_opt_version": 1.5}, "does not state its surface version"),
+    ],
+)
+def test_stamps_of_another_type(
+    tmp_path: Path, attributes: dict[str, object], told: str
+) -> None:
+    file = tmp_path / "a.nc"
+    stamped = {"ttus_opt_kind": "surface", "ttus_opt_version": 1, **attributes}
+    dataset().assign_attrs(stamped).to_netcdf(file)
+    with pytest.raises(FileError, match=told) as caught:
+        io.read_dataset(file, kind="surface", version=1, foreign=True)
+    assert "a.nc" in str(caught.value)
+
+
+def test_a_file_from_elsewhere_is_read_only_where_allowed(tmp_path: Path) -> None:
+    file = tmp_path / "a.nc"
+    dataset().to_netcdf(file)
+    with pytest.warns(TtusWarning, match="has no checksums"):
+        found = io.read_dataset(file, kind="surface", version=1, foreign=True)
+    assert "a" in found
+    with pytest.raises(FileError, match="no ttus_opt data"):
+        io.read_dataset(file, kind="field", version=1)
+
+
+@pytest.mark.parametrize("content", [b"", b"CDF\x01 but then nothing", b"text"])
+def test_unreadable_files_are_one_line(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "a.nc"
+    file.write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        io.read_dataset(file, kind="field", version=1)
+    assert "\n" not in str(caught.value)
+    assert "a.nc" in str(caught.value)
+
+
+def test_an_attribute_that_hdf5_cannot_open_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """netCDF4 then raises an AttributeError: mutation 957 of a field file."""
+    file = tmp_path / "field.nc"
+    io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), file, kind="field", version=1)
+
+    def damaged(*args: object, **options: object) -> None:
+        raise AttributeError("NetCDF: Can't open HDF5 attribute")
+
+    monkeypatch.setattr(xr, "open_dataset", damaged)
+    with pytest.raises(FileError, match=r"field\.nc is not a readable netCDF file"):
+        io.read_dataset(file, kind="field", version=1)
+
+
+def test_truncated_netcdf_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.nc"
+    io.write_dataset(dataset(), file, kind="field", version=1)
+    file.write_bytes(file.read_bytes()[:-2000])
+    with pytest.raises(FileError, match=r"a\.nc"):
+        io.read_dataset(file, kind="field", version=1)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="not found"):
+        io.existing_file(tmp_path / "no.nc", "field")
+    with pytest.raises(FileError, match="folder"):
+        io.existing_file(tmp_path, "field")
+
+
+def test_the_kind_of_a_file(tmp_path: Path) -> None:
+    io.write_dataset(dataset(), tmp_path / "own.nc", kind="surface", version=1)
+    dataset().to_netcdf(tmp_path / "foreign.nc")
+    assert io.kind_of(tmp_path / "own.nc", "surface") == "surface"
+    assert io.kind_of(tmp_path / "foreign.nc", "surface") is None
+    (tmp_path / "text.nc").write_text("no netCDF")
+    with pytest.raises(FileError, match=r"text\.nc is not a readable netCDF file"):
+        io.kind_of(tmp_path / "text.nc", "surface")
+
+
+def test_files_of_killed_writers_go_at_the_next_write(tmp_path: Path) -> None:
+    """Those of writers that run, here or on another machine, stay."""
+    target = tmp_path / "a[1].txt"
+    program = (
+        "import os, sys\nfrom ttus_opt.core import io\n"
+        "with io.replacing(sys.argv[1]) as file:\n"
+        "    file.write_text('half')\n    os.kill(os.getpid(), 9)\n"
+    )
+    words = [sys.executable, "-c", program, str(target)]
+    assert subprocess.run(words, check=False).returncode == -9
+    (left,) = tmp_path.iterdir()
+    elsewhere = left.with_name(left.name.replace(io._machine(), "0" * 8))
+    elsewhere.write_text("another machine's")
+    numbered = left.name.removeprefix(f".a[1]-{io._machine()}-").partition("-")[0]
+    unknown = left.with_name(left.name.replace(f"-{numbered}-", f"-{10**30}-"))
+    unknown.write_text("of a process that cannot be asked for")
+    with io.replacing(target) as mine:
+        assert not left.exists()
+        io.write_text(target, "other")
+        assert mine.exists()
+    assert sorted(tmp_path.iterdir()) == sorted([elsewhere, unknown, target])

@@ -1,0 +1,23 @@
+"""A shelf finds the classes of its files, and nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+import ttus_opt.problem.constraints
+import ttus_opt.problem.terms
+from ttus_opt.core import shelf
+
+
+def test_public_classes_by_the_file_they_stand_in() -> None:
+    found = shelf.members(ttus_opt.problem.constraints)
+    assert found["Sign"].__module__ == "ttus_opt.problem.constraints.sign"
+    assert "Bounds" not in found  # imported there, defined elsewhere
+    assert not any(name.startswith("_") for name in found)
+    assert shelf.member(ttus_opt.problem.constraints, "Sign") is found["Sign"]
+
+
+@pytest.mark.parametrize("name", ["Sine", "sign", "_Sign"])
+def test_other_names_are_refused(name: str) -> None:
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
+        shelf.member(ttus_opt.problem.terms, name)

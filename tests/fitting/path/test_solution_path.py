@@ -1,0 +1,190 @@
+"""A path of weights: every point is the fit of its weights, in an annotated dataset."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.fitting.path import path_solvers
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.solution import Solution, Status
+
+WEIGHTS = np.geomspace(1e-4, 1e2, 4)
+
+
+def unseen() -> Trajectory:
+    return presses(torso(), 6, np.random.default_rng(9))
+
+
+@pytest.fixture(scope="module")
+def path() -> Any:
+    return tt.solution_path(
+        "eq10",
+        small_scene("trilinear"),
+        weights={("force", "torque"): WEIGHTS},
+        held_out={"unseen": unseen()},
+        extras=["potential"],
+    )
+
+
+def test_every_point_is_a_fit(path: Any) -> None:
+    scene = small_scene("trilinear")
+    for k, weight in enumerate(WEIGHTS):
+        alone = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight)
+        at = path.isel(force_weight=k)
+        assert at["status"] == 0 and at["kkt_residual"] < 1e-6
+        assert float(at["objective"]) == pytest.approx(alone.objective, rel=1e-8)
+        size = np.abs(alone.field.values).max()
+        off = np.abs(at["potential"].to_numpy() - alone.field.values).max()
+        assert off < 1e-6 * size
+        for term in ("force", "torque"):
+            value = float(at["term_value"].sel(term=term))
+            assert value == pytest.approx(alone.costs[term] / weight, rel=1e-6)
+        off_force = (scene.N @ alone.candidate - scene.f).reshape(-1, 3)
+        rms = np.sqrt((off_force**2).sum(axis=1).mean())
+        assert float(at["force_residual"].sel(recording="0")) == pytest.approx(rms)
+        errors = tt.evaluate(alone.field, scene.shell, unseen()).errors
+        held = at.sel(held_out="unseen")
+        for name, figure in (
+            ("held_out_force_magnitude_error", errors.force_magnitude_error_N),
+            ("held_out_force_angle_error", errors.force_angle_error_deg),
+            ("held_out_torque_magnitude_error", 1e3 * errors.torque_magnitude_error_Nm),
+            ("held_out_torque_angle_error", errors.torque_angle_error_deg),
+        ):
+            assert float(held[name]) == pytest.approx(figure, rel=1e-5), name
+    assert path.attrs["solver"] == "structured"
+    assert path.attrs["points_done"] == path.attrs["points"] == len(WEIGHTS)
+
+
+@pytest.mark.slow
+def test_a_grid_with_limits_carries_working_sets_over() -> None:
+    scene = small_scene("trilinear")
+    weights = {"force": [1e-2, 1.0], "torque": [1e-1, 10.0]}
+    path = tt.solution_path("eq10_sign", scene, weights=weights)
+    assert path["status"].shape == (2, 2) and (path["status"] == 0).all()
+    for force in weights["force"]:
+        for torque in weights["torque"]:
+            alone = tt.fit(scene, "eq10_sign", force_weight=force, torque_weight=torque)
+            at = path.sel(force_weight=force, torque_weight=torque)
+            assert float(at["objective"]) == pytest.approx(alone.objective, rel=1e-6)
+    assert path.attrs["solver"] == "structured"
+
+
+def test_what_structured_does_not_take_is_solved_by_another() -> None:
+    scene = small_scene("trilinear", shape=(6, 8, 5), n_poses=4)
+    declared = tt.load_formulation("robust", scene)
+    path = tt.solution_path(
+        declared, weights={"torque": [1e-2, 1.0]}, solver="clarabel"
+    )
+    assert path.attrs["solver"] == "clarabel" and (path["status"] == 0).all()
+    alone = tt.fit(scene, "robust", torque_weight=1.0, solver="clarabel")
+    assert float(path["objective"][1]) == pytest.approx(alone.objective, rel=1e-5)
+
+
+def test_a_drag_coefficient_is_a_variable() -> None:
+    scene = small_scene("trilinear")
+    path = tt.solution_path("viscous_drag", scene, weights={"force": [1e-2, 1.0]})
+    found = path["parameter_viscous_coefficient"]
+    assert found.attrs["units"] == "N s m-1"
+    declared = tt.load_formulation("viscous_drag", scene, force_weight=1.0)
+    alone = tt.Fitter(declared).solve()
+    value = alone.parameters["viscous_coefficient"]
+    assert float(found[1]) == pytest.approx(value, rel=1e-4, abs=1e-6)
+
+
+class Stumbling(path_solvers.PointSolver):
+    """Solves until a point, where it does something else."""
+
+    def __init__(self, solve: Any, at: int, what: Any) -> None:
+        self._solve, self._left, self._what = solve, at, what
+
+    def __call__(self, declared: Formulation) -> Solution:
+        self._left -= 1
+        return self._what(declared) if self._left < 0 else self._solve(declared)
+
+
+def stumbling(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
+    plain = path_solvers.point_solver
+
+    def instead(*given: Any) -> Stumbling:
+        return Stumbling(plain(*given), 2, what)
+
+    monkeypatch.setattr("ttus_opt.fitting.path.solution_path.point_solver", instead)
+
+
+def test_an_interrupt_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(declared: Formulation) -> Solution:
+        raise KeyboardInterrupt
+
+    stumbling(monkeypatch, interrupt)
+    scene = small_scene("trilinear")
+    with pytest.warns(TtusWarning, match="2 of 4 points"):
+        path = tt.solution_path("eq10", scene, weights={"force": WEIGHTS})
+    assert path["status"].to_numpy().tolist() == [0, 0, -1, -1]
+    assert np.isfinite(path["objective"].to_numpy()).tolist() == [1, 1, 0, 0]
+    assert path.attrs["points_done"] == 2
+    assert "missing" in path["status"].attrs["flag_meanings"].split()[0]
+
+
+def test_a_point_that_fails_leaves_nan_and_its_status(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(declared: Formulation) -> Solution:
+        request = path_solvers.Request(1e-14)
+        return path_solvers._InTurn("structured", request)(declared)
+
+    stumbling(monkeypatch, fails)
+    scene = small_scene("trilinear")
+    path = tt.solution_path(
+        "eq10", scene, weights={"force": WEIGHTS}, extras=["potential"]
+    )
+    meanings = path["status"].attrs["flag_meanings"].split()
+    values = path["status"].attrs["flag_values"]
+    told = meanings[list(values).index(int(path["status"][3]))]
+    assert told == Status.INACCURATE.name.lower()
+    assert np.isnan(path["objective"][2:]).all()
+    assert np.isnan(path["potential"][2:]).all()
+    assert (path["kkt_residual"][2:] > 1e-15).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"weights": {"forse": [1.0]}}, "no term 'forse'"),
+        (
+            {"weights": {"force": [1.0]}, "held_out": "press.csv"},
+            "must be a Trajectory",
+        ),
+        ({"weights": {"force": [1.0]}, "solver": "none"}, "unknown solver"),
+        ({"weights": {"force": [1.0]}, "tolerance": 2.0}, "tolerance"),
+    ],
+)
+def test_bad_input_is_one_line(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        tt.solution_path("eq10", small_scene("trilinear"), **given)
+
+
+def test_a_name_needs_a_scene_and_a_recording_a_wrench() -> None:
+    with pytest.raises(InputError, match="needs a scene"):
+        tt.solution_path("eq10", weights={"force": [1.0]})
+    one = unseen()
+    bare = Trajectory(one.time, one.position, one.rotation)
+    with pytest.raises(InputError, match="no wrench"):
+        tt.solution_path(
+            "eq10", small_scene("trilinear"), weights={"force": [1.0]}, held_out=bare
+        )
+
+
+@pytest.mark.slow
+def test_a_searched_coefficient_is_found_at_every_point() -> None:
+    scene = small_scene("trilinear")
+    path = tt.solution_path("coulomb_global", scene, weights={"force": [1e-2, 1.0]})
+    alone = tt.fit(scene, "coulomb_global", force_weight=1.0)
+    found = float(path["parameter_friction_coefficient"][1])
+    assert found == pytest.approx(alone.parameters["friction_coefficient"], abs=1e-6)

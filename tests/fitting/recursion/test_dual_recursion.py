@@ -1,0 +1,310 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.conftest import small_scene
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, NumericalError
+from ttus_opt.fitting.recursion import dual_recursion, field_refinement
+from ttus_opt.fitting.recursion.dual_recursion import DualRecursion
+from ttus_opt.fitting.recursion.measured_rows import Block
+from ttus_opt.laplace.system import LaplaceSystem
+
+#: Rows per block in these tests
+HEIGHT = 3
+
+
+class Problem:
+    """Random local rows on a small torso, and eq. 10 by explicit dense Q."""
+
+    def __init__(self, scene: Scene, n_blocks: int, seed: int, weight: float) -> None:
+        rng = np.random.default_rng(seed)
+        self.scene = scene
+        self.blocks, rows = [], []
+        for _ in range(n_blocks):
+            voxels = np.sort(rng.choice(scene.n_voxels, 9, replace=False))
+            values = rng.normal(size=(9, HEIGHT)) * np.sqrt(weight)
+            self.blocks.append(Block(voxels.astype(np.int32), values))
+            part = np.zeros((HEIGHT, scene.n_voxels))
+            part[:, voxels] = values.T
+            rows.append(part)
+        self.D = np.array(rows)
+        self.targets = rng.normal(size=(n_blocks, HEIGHT)) * 3.0 * np.sqrt(weight)
+
+    def start(self) -> DualRecursion:
+        scene = self.scene
+        return DualRecursion(scene.laplace, scene.b, height=HEIGHT)
+
+    def fold(self, system: DualRecursion, which: list[int]) -> None:
+        for s in which:
+            system.append(system.forecast(self.blocks[s]), self.targets[s])
+
+    def dense(
+        self, which: list[int], weights: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Q and p of the blocks, each with a weight of its own."""
+        L = self.scene.L.toarray()
+        w = np.ones(len(which)) if weights is None else weights
+        D = np.concatenate(
+            [self.D[s] * np.sqrt(v) for s, v in zip(which, w, strict=True)]
+        )
+        t = np.concatenate(
+            [self.targets[s] * np.sqrt(v) for s, v in zip(which, w, strict=True)]
+        )
+        Q = L.T @ L + D.T @ D
+        return Q, np.linalg.solve(Q, L.T @ self.scene.b + D.T @ t)
+
+
+@pytest.fixture(scope="module")
+def coarse() -> Scene:
+    return small_scene(shape=(7, 12, 7), n_poses=2)
+
+
+def close(a: Array, b: Array, tolerance: float = 1e-8) -> bool:
+    return bool(np.linalg.norm(a - b) <= tolerance * np.linalg.norm(b))
+
+
+@pytest.mark.parametrize("weight", [1e-4, 1.0, 1e4])
+def test_field_is_that_of_the_explicit_closed_form(
+    coarse: Scene, weight: float
+) -> None:
+    problem = Problem(coarse, 8, 0, weight)
+    system = problem.start()
+    assert close(system.field(), coarse.laplace.solve(coarse.b), 1e-12)
+    for s in range(8):
+        problem.fold(system, [s])
+        _, p = problem.dense(list(range(s + 1)))
+        assert close(system.field(), p)
+
+
+def test_forecast_is_the_dense_posterior(coarse: Scene) -> None:
+    problem = Problem(coarse, 7, 1, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(6)))
+    forecast = system.forecast(problem.blocks[6])
+    Q, p = problem.dense(list(range(6)))
+    h = problem.D[6]
+    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
+    assert np.allclose(forecast.schur, covariance, rtol=1e-6, atol=1e-8)
+    assert np.allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
+
+
+def test_forecast_after_a_removal_is_the_dense_posterior(coarse: Scene) -> None:
+    """The blocks that were there first go; the same ones once more take their part."""
+    problem = Problem(coarse, 4, 10, 1.0)
+    system = problem.start()
+    problem.fold(system, [0, 1, 0, 1, 2, 2])
+    system.remove(0, 2)
+    forecast = system.forecast(problem.blocks[3])
+    Q, p = problem.dense([0, 1, 2, 2])
+    h = problem.D[3]
+    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
+    np.testing.assert_allclose(forecast.schur, covariance, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
+    again = system.forecast(problem.blocks[0])  # of what is held
+    h = problem.D[0]
+    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
+    np.testing.assert_allclose(again.schur, covariance, rtol=1e-6, atol=1e-8)
+
+
+def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
+    problem = Problem(coarse, 5, 2, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(5)))
+    _, p = problem.dense(list(range(5)))
+    misfit = problem.D.reshape(-1, coarse.n_voxels) @ p - problem.targets.reshape(-1)
+    objective = np.sum((coarse.L @ p - coarse.b) ** 2) + np.sum(misfit**2)
+    assert system.misfit == pytest.approx(objective, rel=1e-6)
+
+
+@pytest.mark.slow
+@given(
+    order=st.permutations(range(5)),
+    removed=st.integers(0, 4),
+    count=st.integers(1, 3),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_any_order_and_any_removal(
+    coarse: Scene, order: list[int], removed: int, count: int, seed: int
+) -> None:
+    problem = Problem(coarse, 5, seed, 1.0)
+    system = problem.start()
+    problem.fold(system, order)
+    assert close(system.field(), problem.dense(list(range(5)))[1])
+    count = min(count, 5 - removed)
+    system.remove(removed, count)
+    left = order[:removed] + order[removed + count :]
+    if left:
+        assert close(system.field(), problem.dense(left)[1])
+    else:
+        assert close(system.field(), coarse.laplace.solve(coarse.b))
+    # back in again: the identity
+    problem.fold(system, order[removed : removed + count])
+    assert close(system.field(), problem.dense(list(range(5)))[1])
+
+
+def test_removing_the_last_returns_the_former_state(coarse: Scene) -> None:
+    problem = Problem(coarse, 4, 3, 1.0)
+    system = problem.start()
+    problem.fold(system, [0, 1, 2])
+    misfit = system.misfit
+    before = system.forecast(problem.blocks[3])
+    system.append(before, problem.targets[3])
+    system.remove(3, 1)
+    again = system.forecast(problem.blocks[3])
+    assert system.misfit == pytest.approx(misfit, rel=1e-12)
+    assert close(again.schur, before.schur, 1e-12)
+    assert close(again.mean, before.mean, 1e-12)
+
+
+def test_fading_is_the_batch_with_faded_weights(coarse: Scene) -> None:
+    problem = Problem(coarse, 6, 4, 1.0)
+    system = problem.start()
+    weights = np.ones(0)
+    for s in range(6):
+        problem.fold(system, [s])
+        weights = np.append(weights, 1.0)
+        if s in (1, 3, 4):
+            system.fade(0.4)
+            weights = weights * 0.4
+        _, p = problem.dense(list(range(s + 1)), weights)
+        assert close(system.field(), p)
+
+
+@pytest.mark.parametrize("array", ["_C", "_E", "_N"])
+def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse: Scene, array: str) -> None:
+    problem = Problem(coarse, 7, 9, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(6)))
+    # the sixth block again: others beside the pivots
+    problem.fold(system, [5])
+    getattr(system._kernel, array)[:] = 1e3
+    system.remove(6, 1)
+    problem.fold(system, [5])
+    assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
+
+
+def test_a_spoilt_factor_is_noticed_by_the_next_rows(coarse: Scene) -> None:
+    """Rows that are said to be known better than they are measured: R is made anew."""
+    problem = Problem(coarse, 7, 9, 1e2)
+    system = problem.start()
+    problem.fold(system, list(range(6)))
+    expected = system.forecast(problem.blocks[5]).schur
+    system._kernel._C *= 0.5
+    np.testing.assert_allclose(
+        system.forecast(problem.blocks[5]).schur, expected, rtol=1e-6, atol=1e-9
+    )
+    problem.fold(system, [5])
+    assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
+
+
+def test_solves_that_fail_leave_what_is_held(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(coarse, 4, 10, 1.0)
+    system = problem.start()
+    # whatever goes with the first two blocks is known from the next two
+    problem.fold(system, [0, 1, 0, 1, 2])
+
+    def fails(*_: object, **__: object) -> Array:
+        raise NumericalError("no convergence")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LaplaceSystem, "solve_adjoint", fails)
+        system.remove(0, 2)
+        assert len(system) == 3
+        for call in (system.field, lambda: system.forecast(problem.blocks[3])):
+            with pytest.raises(NumericalError, match="no convergence"):
+                call()
+        system.remove(2, 1)
+        system.fade(0.5)
+    _, p = problem.dense([0, 1], np.array([0.5, 0.5]))
+    assert close(system.field(), p)
+    assert system.forecast(problem.blocks[3]).schur.shape == (HEIGHT, HEIGHT)
+
+
+def test_rows_that_are_nearly_known_need_no_columns(coarse: Scene) -> None:
+    """Those that differ by 1e-4 have 1e-8 of their variance left, in their noise."""
+    problem = Problem(coarse, 3, 11, 1.0)
+    rng = np.random.default_rng(11)
+    first = problem.blocks[0]
+    for s, apart in ((1, 1e-4), (2, 0.5)):
+        values = first.values * (1.0 + apart * rng.normal(size=first.values.shape))
+        problem.blocks[s] = Block(first.voxels, values)
+        problem.D[s] = 0.0
+        problem.D[s][:, first.voxels] = values.T
+    system, ranks = problem.start(), []
+    for s in range(3):
+        problem.fold(system, [s])
+        ranks.append(system.rank)
+        assert close(system.field(), problem.dense(list(range(s + 1)))[1])
+    assert ranks == [HEIGHT, HEIGHT, 2 * HEIGHT]
+
+
+def test_a_factor_that_is_not_positive_is_made_anew(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(coarse, 4, 12, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(4)))
+    spoilt, rebuild = system._kernel, system._rebuild
+    monkeypatch.setattr(spoilt, "solve", lambda residual: -residual, raising=False)
+    rebuilt: list[bool] = []
+    monkeypatch.setattr(
+        system, "_rebuild", lambda: (rebuilt.append(True), rebuild())[1]
+    )
+    assert close(system.field(), problem.dense(list(range(4)))[1])
+    assert rebuilt == [True]
+
+
+def test_memory_holds_no_dense_columns() -> None:
+    scene = small_scene(shape=(12, 40, 24), n_poses=2)
+    problem = Problem(scene, 20, 5, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(20)))
+    # V × rows numbers are what must not be held
+    assert system.memory_bytes < 0.3 * 8 * scene.n_voxels * 20 * HEIGHT
+    arrays = [v for v in vars(system).values() if isinstance(v, np.ndarray)]
+    assert max(a.size for a in arrays) <= scene.n_voxels
+    growing = sum(a.nbytes for a in arrays if a.size != scene.n_voxels)
+    parts = system._kernel.memory_bytes + system._D.memory_bytes
+    assert system.memory_bytes == growing + parts
+
+
+def test_weights_beyond_rounding_are_refused(coarse: Scene) -> None:
+    problem = Problem(coarse, 12, 6, 1e18)
+    system = problem.start()
+    with pytest.raises(NumericalError, match="weights are too large"):
+        problem.fold(system, [*range(12), *range(12)])
+        system.field()
+
+
+def test_a_field_that_does_not_converge_is_an_error(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(coarse, 2, 7, 1.0)
+    system = problem.start()
+    problem.fold(system, [0, 1])
+    for module in (dual_recursion, field_refinement):
+        monkeypatch.setattr(module, "FIELD_RTOL", 0.0)
+    with pytest.raises(NumericalError, match="dual residual stays"):
+        system.field()
+    monkeypatch.undo()
+    assert close(system.field(), problem.dense([0, 1])[1])
+
+
+def test_refusals(coarse: Scene) -> None:
+    system = Problem(coarse, 1, 8, 1.0).start()
+    with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
+        system.remove(2, 3)
+    for start, count in ((-1, 1), (1, -1), (0, 1)):
+        with pytest.raises(InputError, match=r"blocks .* are not within 0"):
+            system.remove(start, count)
+    for factor in (0.0, -0.5, 1.0 + 1e-12, np.nan):
+        with pytest.raises(InputError, match="fading factor"):
+            system.fade(factor)

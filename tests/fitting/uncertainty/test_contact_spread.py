@@ -1,0 +1,90 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import ellipsoid, presses, torso
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import TtusWarning
+from ttus_opt.fitting.uncertainty.contact_spread import (
+    USUAL_PLACES,
+    contact_spread,
+    independent_places,
+    told_variance,
+    warn_of_one_spot,
+)
+from ttus_opt.problem.terms.structure import UncertainMean
+from ttus_opt.voxmap.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10), r_inner=0.03)
+
+
+def scene_of(angle, z, depth):
+    """Presses at places of the skin; a seam at θ = 0 must not matter."""
+    path = presses(SURFACE, len(angle), np.random.default_rng(0))
+    r = SURFACE.radius_at(angle, z) + 0.012 - depth
+    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    return Scene.assemble(
+        VOXMAP, ellipsoid(), replace(path, position=position), inner=1.0
+    )
+
+
+@pytest.mark.parametrize("middle", [1.5, 0.0, 3.1])
+def test_deep_presses_in_one_spot_are_told(middle):
+    rng = np.random.default_rng(1)
+    angle = middle + rng.uniform(-0.01, 0.01, 30)
+    scene = scene_of(angle, np.full(30, 0.1), rng.uniform(0.004, 0.012, 30))
+    reach = (np.hypot(*scene.trajectory.position[:, :2].T)).max()
+    assert contact_spread(scene) < 0.02 * reach + 1e-3
+    with pytest.warns(TtusWarning, match=r"within \d\.\d mm of one spot"):
+        warn_of_one_spot(scene)
+
+
+def test_other_places_and_short_tries_are_not():
+    rng = np.random.default_rng(1)
+    depth = np.full(30, 0.006)
+    for angle, z in (
+        (1.5 + rng.uniform(-0.2, 0.2, 30), np.full(30, 0.1)),
+        (np.full(30, 1.5), 0.1 + rng.uniform(-0.02, 0.02, 30)),
+    ):
+        warn_of_one_spot(scene_of(angle, z, depth))  # warnings are errors here
+    short = scene_of(np.full(10, 1.5), np.full(10, 0.1), depth[:10])
+    assert np.isnan(contact_spread(short))
+    warn_of_one_spot(short)
+
+
+def test_frames_in_the_air_do_not_spread_contacts():
+    """Ten frames off the skin, all around, beside thirty in one spot."""
+    rng = np.random.default_rng(1)
+    angle = np.append(np.full(30, 1.5), np.linspace(0.0, 6.0, 10))
+    depth = np.append(rng.uniform(0.004, 0.012, 30), np.full(10, -0.02))
+    scene = scene_of(angle, np.full(40, 0.1), depth)
+    assert not scene.rows.contact_points[30:].any()
+    spread = contact_spread(scene)
+    assert spread == contact_spread(scene_of(angle[:30], np.full(30, 0.1), depth[:30]))
+    assert spread < 1e-3
+
+
+def test_places_far_apart_count_each_and_frames_of_one_place_once():
+    depth = np.full(30, 0.006)
+    angle = np.repeat([0.5, 2.5, 4.5], 10)
+    three = scene_of(angle, np.full(30, 0.1), depth)
+    assert independent_places(three, 0.01) == pytest.approx(3.0, abs=0.05)
+    one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
+    assert independent_places(one, 0.01) == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_place_is_widened_by_bodies_in_general_and_told():
+    depth = np.full(30, 0.006)
+    mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01)
+    one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
+    with pytest.warns(
+        TtusWarning, match="more than one place, not how stiffness varies"
+    ):
+        variance = told_variance(one, mean)
+    n = USUAL_PLACES
+    assert variance == pytest.approx((1.0 + n * 16.0) / (1.0 + n), rel=0.05)
+    many = scene_of(np.repeat([0.5, 2.5, 4.5], 10), np.full(30, 0.1), depth)
+    assert 1.0 < told_variance(many, mean) < 0.7 * variance
+    assert told_variance(many, replace(mean, deviation=0.8)) == 1.0

@@ -1,0 +1,92 @@
+"""The closed form of a depth map's posterior against dense algebra."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+import ttus_opt as tt
+from tests.fitting.uncertainty.test_doubt import (
+    KEPT_SHARE,
+    noise_of,
+    three_presses,
+    unseen,
+    wrench_rows,
+)
+from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.problem.solution import Solution
+from ttus_opt.problem.terms.structure import known_covariance, whitening
+
+pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
+
+WEIGHTS = {"force_weight": 30.0, "torque_weight": 3.0}
+
+
+@functools.cache
+def fitted() -> Solution:
+    return tt.fit(three_presses(), "depth_map", **WEIGHTS)
+
+
+@functools.cache
+def exact() -> Doubt:
+    return doubt(fitted(), three_presses())
+
+
+def dense() -> np.ndarray:
+    """Covariance of the errors, the prior's by its term's own matrix."""
+    prior = next(t for t in fitted().program.terms if known_covariance(t.tags))
+    R = np.sqrt(prior.weight) * prior.matrix.toarray()
+    C, scene = np.linalg.inv(R.T @ R), three_presses()
+    by = [  # what the rows of each frame are multiplied by
+        np.sqrt(term.weight)
+        * by.toarray()
+        * (scene.torque_length if term.name == "torque" else 1.0)
+        for term in fitted().program.terms
+        if (by := whitening(term.tags)) is not None
+    ]
+    mixed = scipy.linalg.block_diag(*by)
+    rows = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
+    D = mixed @ rows
+    G = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T) @ mixed
+    left = np.eye(len(C)) - G @ rows
+    found, mean = exact(), known_covariance(prior.tags).mean
+    seen = D @ mean.drift
+    told = seen.T @ np.linalg.solve(np.eye(len(D)) + D @ C @ D.T, seen)
+    drift = mean.drift @ np.linalg.inv(np.eye(len(told)) + told) @ mean.drift.T
+    own = left @ (C + drift) @ left.T
+    return np.asarray(found.variance * own + G @ noise_of(found) @ G.T)
+
+
+@pytest.mark.slow
+def test_covariance_is_that_of_dense_algebra() -> None:
+    rows = wrench_rows(three_presses(), unseen())
+    expected = (rows @ dense() @ rows.T).reshape(5, 6, 5, 6)
+    stated = exact().std(unseen()).covariance
+    assert exact().method == "exact" and stated[0, 0, 0] > 0.0
+    for t in range(5):
+        block = expected[t, :, t]
+        size = np.sqrt(np.outer(np.diag(block), np.diag(block)))
+        np.testing.assert_allclose(stated[t] / size, block / size, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_all_rows_at_once_are_those_of_dense_algebra() -> None:
+    rows = sp.csr_array(wrench_rows(three_presses(), unseen()))
+    expected = rows @ dense() @ rows.T
+    found = exact().covariance(rows, rows.shape[0])[0]
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_draws_agree_with_it() -> None:
+    drawn = exact().sampled(count=400)
+    ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
+    np.testing.assert_allclose(ratio, 1.0, atol=0.15)
+    std = np.sqrt(np.diag(dense()))
+    found = exact().potential_std().reshape(-1)
+    assert abs(np.median(found / std) - 1.0) < 0.02

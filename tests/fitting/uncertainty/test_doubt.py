@@ -1,0 +1,285 @@
+"""Covariance of errors against dense algebra, draws, and fits of perturbed data."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.stats
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from tests.fitting.uncertainty import test_wrench_noise
+from tests.fitting.weights import test_weight_criteria
+from ttus_opt.contact.places import places
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.fitting.uncertainty.laplace_posterior import SCALE_DEVIATION
+from ttus_opt.fitting.uncertainty.presses import presses as press_numbers
+from ttus_opt.fitting.uncertainty.wrench_noise import PRIORS
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.solution import Solution
+
+FORCE, TORQUE = 30.0, 3.0
+
+#: Of these three places the share of a place keeps its prior, and a warning says so
+KEPT_SHARE = "ignore:doubt. the recordings do not tell errors of whole places"
+
+
+@functools.cache
+def three_presses() -> Scene:
+    """Frames in contact with one in the air after every four."""
+    return test_weight_criteria.three_presses()
+
+
+@functools.cache
+def fitted() -> Solution:
+    return tt.fit(three_presses(), "eq10", force_weight=FORCE, torque_weight=TORQUE)
+
+
+@functools.cache
+def exact() -> Doubt:
+    with pytest.warns(TtusWarning, match="errors of whole places"):
+        return doubt(fitted(), three_presses())
+
+
+@functools.cache
+def unseen() -> Trajectory:
+    return presses(torso(), 5, np.random.default_rng(7))
+
+
+def wrench_rows(scene: Scene, trajectory: Trajectory) -> np.ndarray:
+    """Six rows per frame, one frame after the other."""
+    there = Scene.assemble(scene.voxmap, scene.shell, trajectory, inner=1.0)
+    T, V = len(trajectory), scene.n_voxels
+    parts = [m.toarray().reshape(T, 3, V) for m in (there.N, there.W)]
+    return np.concatenate(parts, axis=1).reshape(6 * T, V)
+
+
+def noise_of(found: Doubt) -> np.ndarray:
+    """Covariance of the errors of force and torque over ℓ, by dense algebra."""
+    scene = found.scene
+    wrench = np.hstack(
+        [
+            (M @ found.potential.values.ravel()).reshape(-1, 3)
+            for M in (scene.N, scene.W)
+        ]
+    )
+    T = len(wrench)
+    place = places(press_numbers(scene), scene.trajectory.position)
+    whole = test_wrench_noise.dense(found.noise, wrench, place)
+    order = np.arange(6 * T).reshape(T, 2, 3).transpose(1, 0, 2).ravel()
+    scale = np.repeat([1.0, 1.0 / scene.torque_length], 3 * T)
+    return np.asarray(whole[np.ix_(order, order)] * np.outer(scale, scale))
+
+
+def dense_errors(
+    C: np.ndarray, found: Doubt, weights: tuple[float, float] = (FORCE, TORQUE)
+) -> np.ndarray:
+    """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ.
+
+    Args:
+        C: Covariance of the field's prior.
+        found: Prior variance and noise.
+        weights: Of force and torque.
+    """
+    scene = found.scene
+    D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
+    w = np.repeat(weights, len(D) // 2)
+    G = C @ D.T @ np.linalg.inv(np.diag(1.0 / w) + D @ C @ D.T)
+    left = np.eye(len(C)) - G @ D
+    return np.asarray(found.variance * left @ C @ left.T + G @ noise_of(found) @ G.T)
+
+
+def laplace_covariance(scene: Scene) -> np.ndarray:
+    """(LᵀL)⁻¹."""
+    L = scene.L.toarray()
+    return np.linalg.inv(L.T @ L)
+
+
+@pytest.mark.slow
+def test_covariance_is_that_of_dense_algebra() -> None:
+    scene = three_presses()
+    rows = wrench_rows(scene, unseen())
+    expected = rows @ dense_errors(laplace_covariance(scene), exact()) @ rows.T
+    found = exact().std(unseen())
+    for t in range(5):
+        block = expected[6 * t : 6 * t + 6, 6 * t : 6 * t + 6]
+        scale = np.sqrt(np.outer(np.diag(block), np.diag(block))) + 1e-12
+        assert np.abs(found.covariance[t] - block).max() < 0.02 * scale.max()
+        np.testing.assert_allclose(
+            found.force[t], np.sqrt(np.diag(block))[:3], rtol=0.02
+        )
+        np.testing.assert_allclose(
+            found.torque[t], np.sqrt(np.diag(block))[3:], rtol=0.05
+        )
+    assert exact().method == "exact"
+
+
+@pytest.mark.filterwarnings(KEPT_SHARE)
+@pytest.mark.parametrize("sized", [1.0, 0.0])
+def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> None:
+    """Also where every measured torque is zero, which tells no length."""
+    scene = three_presses()
+    assert scene.trajectory.torque is not None
+    measured = replace(scene.trajectory, torque=sized * scene.trajectory.torque)
+    scene = replace(scene, trajectory=measured)
+    lengths = [
+        doubt(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
+        for options in (
+            {"torque_length": scene.torque_length, "torque_weight": TORQUE},
+            {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE},
+        )
+    ]
+    assert lengths[1].variance == pytest.approx(lengths[0].variance, rel=1e-3)
+    for name in PRIORS:
+        own, other = (getattr(one.noise, name) for one in lengths)
+        assert own == pytest.approx(other, rel=1e-3)
+    own, other = (one.std(unseen()).covariance for one in lengths)
+    np.testing.assert_allclose(own, other, atol=1e-3 * np.abs(other).max())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(KEPT_SHARE)
+def test_draws_agree_with_it() -> None:
+    drawn = doubt(fitted(), three_presses(), method="samples")
+    ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)
+    std = np.sqrt(np.diag(dense_errors(laplace_covariance(three_presses()), exact())))
+    found = exact().potential_std().reshape(-1)
+    assert np.median(np.abs(found / std - 1.0)) < 0.06
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(KEPT_SHARE)
+def test_draws_where_the_basis_is_not_kept_are_the_same() -> None:
+    near = doubt(fitted(), three_presses(), method="samples", depth=0.001)
+    deeper, whole = near.draws(4, 0.05), exact().draws(4, 0.05)
+    assert len(deeper.voxels) > len(near.draws(4, 0.001).voxels)
+    off = np.abs(deeper.values - whole.values).max()
+    assert off < 0.05 * whole.values.std()
+
+
+@pytest.mark.slow
+def test_prior_and_noise_are_the_likeliest() -> None:
+    found = exact()
+    scene, C = found.scene, laplace_covariance(found.scene)
+    touching = np.tile(np.repeat(scene.rows.contact_points > 0, 3), 2)
+    D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])[
+        touching
+    ]
+    t = np.concatenate([scene.f, scene.tau / scene.torque_length])[touching]
+    misfit = t - D @ np.linalg.solve(scene.L.toarray(), scene.b)
+
+    def log_posterior(other: Doubt) -> float:
+        """But for a constant."""
+        noise = noise_of(other)[np.ix_(touching, touching)]
+        density = scipy.stats.multivariate_normal(
+            cov=other.variance * D @ C @ D.T + noise
+        )
+        steps = [
+            np.log(getattr(other.noise, name) / median) / spread
+            for name, (median, spread) in PRIORS.items()
+        ]
+        return float(density.logpdf(misfit) - 0.5 * np.sum(np.square(steps)))
+
+    best = log_posterior(found)
+    assert found.noise.place_share == PRIORS["place_share"][0]
+    for name in PRIORS.keys() - {"place_share"}:
+        for factor in (0.5, 2.0):
+            value = factor * getattr(found.noise, name)
+            other = replace(found, noise=replace(found.noise, **{name: value}))
+            assert log_posterior(other) < best + 0.3, name
+
+
+@pytest.mark.slow
+def test_fits_of_perturbed_data_scatter_as_stated() -> None:
+    scene, rng = three_presses(), np.random.default_rng(3)
+    L, rows = scene.L.toarray(), wrench_rows(scene, unseen())
+    prior = np.sqrt(exact().variance)
+    factor = np.linalg.cholesky(noise_of(exact()))
+    ell, errors = scene.torque_length, []
+    fitter = None
+    for _ in range(40):
+        p = np.linalg.solve(L, scene.b + prior * rng.normal(size=len(scene.b)))
+        e = factor @ rng.normal(size=len(factor))
+        force = scene.N @ p + e[: len(scene.f)]
+        torque = scene.W @ p + ell * e[len(scene.f) :]
+        trajectory = replace(
+            scene.trajectory, force=force.reshape(-1, 3), torque=torque.reshape(-1, 3)
+        )
+        given = tt.load_formulation(
+            "eq10",
+            replace(scene, trajectory=trajectory),
+            force_weight=FORCE,
+            torque_weight=TORQUE,
+        )
+        if fitter is None:
+            fitter = tt.Fitter(given, solver="structured")
+        else:
+            fitter.update(given)
+        errors.append(rows @ (fitter.solve().candidate - p))
+    stated = exact().std(unseen()).covariance
+    found = np.mean(np.square(errors), axis=0).reshape(5, 6)
+    ratio = found / np.einsum("tii->ti", stated)
+    # the mean of 40 squares of a normal number is off by 22 %
+    assert np.abs(ratio - 1.0).max() < 0.9 and abs(ratio.mean() - 1.0) < 0.2
+
+
+@pytest.mark.slow
+def test_a_fitted_scale_is_doubted_too() -> None:
+    scene = three_presses()
+    own = Scene.assemble(scene.voxmap, scene.shell, scene.trajectory, inner="fit")
+    given = own.with_boundary(own.inner, own.outer)
+    weights = {"force_weight": FORCE, "torque_weight": TORQUE}
+    with pytest.warns(TtusWarning, match="errors of whole places"):
+        free, fixed = (doubt(tt.fit(s, "eq10", **weights), s) for s in (own, given))
+    more = free.std(unseen()).force_size
+    assert (more > replaced(fixed, free).std(unseen()).force_size).all()
+    # a column of its own with a flat prior, in dense algebra
+    p0 = SCALE_DEVIATION * np.linalg.solve(own.L.toarray(), own.b)
+    errors = dense_errors(laplace_covariance(own) + np.outer(p0, p0), free)
+    rows = wrench_rows(own, unseen())
+    expected = np.einsum("iv,vw,iw->i", rows, errors, rows)
+    size = np.sqrt(expected.reshape(5, 6)[:, :3].sum(axis=1))
+    np.testing.assert_allclose(more, size, rtol=0.03)
+
+
+def replaced(given: Doubt, other: Doubt) -> Doubt:
+    """One with the prior and the noise of another."""
+    errors = other._posterior.errors
+    return replace(given, _posterior=replace(given._posterior, errors=errors))
+
+
+def test_one_press_is_enough() -> None:
+    scene = small_scene("trilinear")
+    found = doubt(tt.fit(scene, "eq10"), scene)
+    assert found.variance > 0.0 and found.noise.force > 0.0
+    assert (found.std(scene.trajectory).force_noise > 0.0).all()
+
+
+def test_what_has_no_such_posterior_is_refused() -> None:
+    scene = three_presses()
+    with pytest.raises(InputError, match="no doubt for robust"):
+        doubt(tt.fit(scene, "robust"), scene)
+    with pytest.raises(InputError, match="measured terms"):
+        doubt(tt.fit(scene, "laplace_only"), scene)
+    with pytest.raises(InputError, match="another scene"):
+        doubt(fitted(), small_scene("trilinear", n_poses=3))
+    with pytest.raises(InputError, match="rows must be"):
+        exact().covariance(sp.csr_array((5, 7)))
+    with pytest.raises(InputError, match="number above 1"):
+        exact().draws(1)
+    for depth in (0.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="depth must be"):
+            exact().draws(5, depth)
+        with pytest.raises(InputError, match="depth must be"):
+            doubt(fitted(), three_presses(), depth=depth)
+    with pytest.raises(InputError, match="exact or samples"):
+        doubt(fitted(), three_presses(), method="sample")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="comparators have no doubt"):
+        doubt(tt.Renderer(fitted().field, three_presses().shell), three_presses())  # type: ignore[arg-type]

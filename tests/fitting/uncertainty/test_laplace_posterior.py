@@ -1,0 +1,145 @@
+"""Covariance and draws of a field's error against dense algebra, on few voxels."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.fitting.uncertainty import laplace_posterior
+from ttus_opt.fitting.uncertainty.laplace_posterior import (
+    SCALE_DEVIATION,
+    LaplacePosterior,
+)
+from ttus_opt.fitting.uncertainty.wrench_noise import ErrorModel
+from ttus_opt.problem.formulation import load
+from ttus_opt.solvers.dual.data import DualData
+
+SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
+V = SCENE.n_voxels
+VARIANCE = 0.3
+
+
+def errors_of(n_rows: int) -> ErrorModel:
+    """Noise of frames of three rows each, with parts that frames of a place share."""
+    rng, n = np.random.default_rng(0), n_rows // 3
+    own = np.tril(rng.normal(0.0, 0.3, (n, 3, 3))) + 0.5 * np.eye(3)
+    shared = rng.normal(0.0, 0.2, (n, 3, 7))
+    at = np.arange(3 * n).reshape(n, 3)
+    rows = sp.eye_array(3 * n, format="csr")
+    return ErrorModel(VARIANCE, own, shared, np.arange(n) // 2, at, rows)
+
+
+def noise_of(errors: ErrorModel) -> Array:
+    """Σ of an error model, row by row."""
+    n = len(errors.own)
+    out = np.zeros((3 * n, 3 * n))
+    for i in range(n):
+        for j in range(n):
+            block = np.zeros((3, 3))
+            if errors.place[i] == errors.place[j]:
+                block = errors.shared[i] @ errors.shared[j].T
+            if i == j:
+                block = block + errors.own[i] @ errors.own[i].T
+            out[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = block
+    return out
+
+
+@functools.cache
+def made(scale: bool = False) -> tuple[LaplacePosterior, Array, Array]:
+    """The posterior, its weighted rows D and what dense algebra says of the error."""
+    weights = {"force_weight": 40.0, "torque_weight": 5.0}
+    data = DualData.of(load("eq10", SCENE, **weights).compile())
+    root = data.system.root_weights
+    with patch.object(laplace_posterior, "MISSING", 1e-8):  # a basis of all there is
+        bare = LaplacePosterior.of(data, root, scale)
+    errors = errors_of(int(bare.informative.sum()))
+    D = (root[:, None] * data.system.rows.toarray())[bare.informative]
+    inverse = np.linalg.inv(SCENE.L.toarray())
+    C = inverse @ inverse.T
+    if scale:
+        p0 = SCALE_DEVIATION * inverse @ SCENE.b
+        C = C + np.outer(p0, p0)
+    G = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T)
+    left = np.eye(V) - G @ D
+    exact = VARIANCE * left @ C @ left.T + G @ noise_of(errors) @ G.T
+    return bare.with_errors(errors), D, exact
+
+
+def some_rows() -> sp.csr_array:
+    """Four blocks of three rows, one of them empty."""
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(12, V)) * (rng.uniform(size=(12, V)) < 0.05)
+    rows[3:6] = 0.0
+    return sp.csr_array(rows)
+
+
+@pytest.mark.parametrize("scale", [False, True], ids=["known scale", "fitted scale"])
+def test_covariance_is_that_of_dense_algebra(scale: bool) -> None:
+    posterior, _, exact = made(scale)
+    rows = some_rows().toarray()
+    found = posterior.covariance(some_rows(), 3)
+    for k in range(4):
+        own = rows[3 * k : 3 * k + 3]
+        expected = own @ exact @ own.T
+        size = np.sqrt(np.outer(np.diag(expected), np.diag(expected))) + 1e-300
+        np.testing.assert_allclose(found[k] / size, expected / size, atol=1e-4)
+    assert not found[1].any()
+
+
+def test_the_mean_given_measurements_is_the_minimiser() -> None:
+    """Two solves and no fields, for draws where the basis is not kept."""
+    posterior, D, _ = made()
+    said = np.random.default_rng(1).normal(size=len(D))
+    found = posterior._estimate(said, None)
+    L = SCENE.L.toarray()
+    expected = np.linalg.solve(L.T @ L + D.T @ D, D.T @ said)
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_draws_have_the_covariance() -> None:
+    """400 draws: √ of a mean of squares is off by 1/√800."""
+    posterior, _, exact = made()
+    draws = posterior.draw(400).astype(float)
+    assert draws.shape == (400, V)
+    std = np.sqrt(np.diag(exact))
+    ratio = np.sqrt((draws**2).mean(axis=0)) / std
+    assert abs(np.median(ratio) - 1.0) < 0.03
+    assert np.abs(ratio - 1.0).max() < 0.2
+    rows = some_rows().toarray()[:3]
+    stated = posterior.covariance(some_rows(), 3)[0]
+    found = (draws @ rows.T).T @ (draws @ rows.T) / 400
+    assert np.abs(found - stated).max() < 0.25 * stated.max()
+
+
+def test_where_the_basis_is_kept_draws_are_the_same() -> None:
+    posterior, _, _ = made()
+    voxels = np.arange(0, V, 7)
+    here = posterior.draw(3, voxels)
+    np.testing.assert_allclose(here, posterior.draw(3)[:, voxels], rtol=1e-6)
+    few = replace(posterior, fields=posterior.fields[:, voxels], voxels=voxels)
+    np.testing.assert_allclose(few.draw(3, voxels), here, atol=1e-6)
+    # elsewhere by two solves more
+    others = np.arange(1, V, 7)
+    size = np.abs(posterior.draw(3)).max()
+    found, expected = few.draw(3, others), posterior.draw(3)[:, others]
+    np.testing.assert_allclose(found, expected, atol=1e-4 * size)
+
+
+def test_blocks_that_touch_other_voxels_are_not_known() -> None:
+    posterior, _, _ = made()
+    voxels = np.arange(V // 2)
+    few = replace(posterior, fields=posterior.fields[:, voxels], voxels=voxels)
+    rows = np.zeros((4, V))
+    rows[[0, 1], [3, 5]] = 1.0
+    rows[2, 4], rows[3, V - 1] = 1.0, 1.0
+    found = few.covariance(sp.csr_array(rows), 2)
+    assert np.isnan(found[1]).all()
+    whole = posterior.covariance(sp.csr_array(rows), 2)
+    np.testing.assert_allclose(found[0], whole[0], rtol=1e-9)

@@ -1,0 +1,127 @@
+"""Greedy choice against conditioning, and suggestions on a torso with three presses."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.fitting.uncertainty.test_doubt import KEPT_SHARE, three_presses
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.fitting.uncertainty.next_press import (
+    NextPresses,
+    greedy,
+    next_press,
+    normal_forces,
+)
+
+
+def conditioned(C: np.ndarray, noise: np.ndarray, chosen: list[int]) -> np.ndarray:
+    """Covariance of all, given measurements of some."""
+    among = C[np.ix_(chosen, chosen)] + np.diag(noise[chosen])
+    return np.asarray(C - C[:, chosen] @ np.linalg.solve(among, C[chosen]))
+
+
+def test_it_takes_what_explains_most_of_what_is_left() -> None:
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(12, 5)) * rng.uniform(0.3, 2.0, (12, 1))
+    C, noise = root @ root.T, rng.uniform(0.1, 1.0, 12)
+    noise[3] = np.inf  # cannot be measured
+    region = np.arange(12) < 7
+    chosen, shares, std = greedy(C, noise, region, 4)
+    taken: list[int] = []
+    before = C
+    for one, share in zip(chosen.tolist(), shares.tolist(), strict=True):
+        left = [
+            np.diag(conditioned(C, noise, [*taken, k]))[region].sum()
+            if k != 3 and k not in taken
+            else np.inf
+            for k in range(12)
+        ]
+        assert one == int(np.argmin(left))
+        was = np.diag(before)[region].sum()
+        assert share == pytest.approx((was - min(left)) / np.diag(C)[region].sum())
+        taken.append(one)
+        before = conditioned(C, noise, taken)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(before)), rtol=1e-9)
+
+
+@functools.cache
+def stated() -> Doubt:
+    return doubt(tt.fit(three_presses(), "depth_map"), three_presses())
+
+
+@functools.cache
+def suggested() -> NextPresses:
+    return next_press(stated(), 3, spacing=0.04, depth=0.006)
+
+
+pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
+
+
+def test_presses_are_where_least_is_known() -> None:
+    found, scene = suggested(), three_presses()
+    held = scene.trajectory.select(scene.rows.contact_points > 0).position
+    away = np.linalg.norm(held - found.poses.position[0], axis=1)
+    assert away.min() > 0.04
+    assert found.before[found.node[0]] > 0.8 * found.before.max()
+    assert (found.after <= found.before + 1e-9).all()
+    before, after = found.region_std
+    assert after**2 / before**2 == pytest.approx(1.0 - found.reduction.sum())
+    _, noise = normal_forces(
+        stated(), found.poses
+    )  # what was measured is known so well
+    assert (found.after[found.node] ** 2 <= noise).all()
+    assert len(found.as_dict()["presses"]) == 3
+
+
+def test_stated_deviations_are_those_of_the_doubt() -> None:
+    found = suggested()
+    rows, noise = normal_forces(stated(), found.poses)
+    own = np.sqrt(stated().covariance(rows)[:, 0, 0])
+    np.testing.assert_allclose(own, found.before[found.node], rtol=1e-6)
+    force = rows @ stated().potential.values.ravel()
+    np.testing.assert_allclose(force, found.force[found.node], rtol=1e-9)
+    along = stated().std(found.poses).noise[:, :3, :3]
+    assert (noise <= np.einsum("tii->t", along)).all() and (noise > 0.0).all()
+
+
+def test_the_region_decides() -> None:
+    box = (-math.inf, math.inf, -math.inf, math.inf, 0.05, 0.11)
+    low = next_press(stated(), 2, box=box, sector=(2.5, 4.5), spacing=0.04, depth=0.006)
+    inside = (low.z >= 0.05) & (low.z <= 0.11) & (low.theta >= 2.5) & (low.theta <= 4.5)
+    np.testing.assert_array_equal(low.in_region, inside)
+    assert low.in_region[low.node[0]]
+    elsewhere = suggested().node[0]
+    assert not low.in_region[elsewhere] or low.node[0] != elsewhere
+
+
+def test_poses_are_written_as_a_trajectory(tmp_path: Path) -> None:
+    suggested().save(tmp_path / "next.csv")
+    read = tt.read_trajectory(tmp_path / "next.csv")
+    np.testing.assert_array_equal(read.position, suggested().poses.position)
+    figure = tt.plots.next_press_picture(suggested(), three_presses().trajectory)
+    tt.plots.save_picture(figure, tmp_path / "next.png")
+    assert (tmp_path / "next.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"count": 0}, "count must be 1 to"),
+        ({"count": 10_000}, "count must be 1 to"),
+        ({"depth": -0.01}, "depth must be positive"),
+        ({"spacing": 0.0}, "spacing must be positive"),
+        ({"sector": (0.0, 7.0)}, "less than a full turn"),
+        ({"box": (5.0, 6.0, 5.0, 6.0, 5.0, 6.0)}, "no point lies in the box"),
+        ({"sector": (0.3, 0.5), "spacing": 0.09}, "no place of the region"),
+    ],
+)
+def test_what_gives_no_place_is_refused(given: dict[str, object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        next_press(stated(), **{"spacing": 0.04, "depth": 0.006} | given)  # type: ignore[arg-type]

@@ -1,0 +1,43 @@
+"""Draws near the skin: what contact samples, and what is deeper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.fitting.uncertainty.posterior_draws import (
+    BATCH,
+    PosteriorDraws,
+    skin_voxels,
+)
+
+
+def test_contact_touches_kept_voxels_only_and_all_are_inside() -> None:
+    scene = small_scene("trilinear")
+    kept = skin_voxels(scene.voxmap, 0.012)
+    assert np.isin(scene.N.indices, kept).all()
+    assert (scene.voxmap.region.reshape(-1)[kept] > 0).all()
+    assert len(kept) < len(skin_voxels(scene.voxmap, 0.04))
+    assert np.array_equal(kept, np.unique(kept))
+
+
+def test_deeper_than_the_innermost_layer_is_the_whole_inside() -> None:
+    voxmap = small_scene("trilinear").voxmap
+    inside = np.flatnonzero(voxmap.region.reshape(-1) > 0)
+    np.testing.assert_array_equal(skin_voxels(voxmap, 0.5), inside)
+
+
+@pytest.mark.parametrize("count", [7, 2 * BATCH, 2 * BATCH + 1])
+def test_covariance_is_that_of_what_is_measured_of_the_draws(count: int) -> None:
+    rng = np.random.default_rng(0)
+    values, voxels = rng.normal(size=(count, 3)), np.array([1, 4, 5])
+    draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01)
+    rows = np.zeros((6, 8))
+    rows[0, 1], rows[1, [4, 5]], rows[4, 5], rows[5, 6] = 2.0, (1.0, -3.0), 1.0, 1.0
+    found = draws.covariance(sp.csr_array(rows), 2)
+    said = rows[:2, voxels] @ values.T
+    np.testing.assert_allclose(found[0], said @ said.T / count, rtol=1e-5)
+    assert (found[1] == 0.0).all()
+    assert np.isnan(found[2]).all()

@@ -1,0 +1,262 @@
+"""Tuning against data whose noise, boundary scale and friction are known."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import ttus_opt as tt
+from tests.conftest import small_scene, torso
+from tests.core.test_blas_threads import threads
+from tests.fitting.weights.test_weight_criteria import three_presses
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.presses import pressed_places
+from ttus_opt.fitting.weights import coarse_scene, tuning
+from ttus_opt.fitting.weights.tuning import tune
+from ttus_opt.fitting.weights.tuning_result import Tuning
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.base import AffineRows
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.voxmap.voxmap import Voxmap
+
+NOISE, SCALE = 0.02, 1.4
+
+
+@functools.cache
+def drawn() -> Scene:
+    """Forces and torques of a field drawn from the prior, and white noise."""
+    scene, rng = three_presses(), np.random.default_rng(1)
+    L = scene.L.toarray()
+    p = np.linalg.solve(L, SCALE * scene.b + 0.3 * rng.normal(size=len(scene.b)))
+    force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, NOISE, (15, 3))
+    noise = NOISE * scene.torque_length
+    torque = (scene.W @ p).reshape(-1, 3) + rng.normal(0.0, noise, (15, 3))
+    trajectory = replace(scene.trajectory, force=force, torque=torque)
+    return Scene.assemble(scene.voxmap, scene.shell, trajectory, inner="fit")
+
+
+@functools.cache
+def tuned() -> Tuning:
+    return tune(drawn(), "eq10")
+
+
+def test_the_scale_is_found() -> None:
+    found = tuned()
+    named = {h.name: h for h in found.hyperparameters}
+    scale = named["boundary_scale"]
+    assert scale.determined
+    assert scale.value == pytest.approx(2.0 * SCALE, abs=3.0 * scale.spread)
+    assert found.scene.inner == found.scene.parameters["boundary_scale"] == scale.value
+    weights = {t.name: t.weight for t in found.formulation.terms if t.measures}
+    assert weights == found.weights
+
+
+def test_the_errors_are_those_of_fits_without_a_place() -> None:
+    """Of the weights chosen and of the formulation's own, by fits."""
+    found, own = tuned(), tt.load_formulation("eq10", drawn())
+    place, means = pressed_places(drawn()), {}
+    # the scale is estimated for each of the weights; its own weights' is not told
+    for label, declared in (("chosen", found.formulation), ("own", own)):
+        scene, by_place = declared.scene, []
+        weights = {t.name: t.weight for t in declared.terms if t.measures}
+        touching = scene.rows.contact_points > 0
+        for number in np.unique(place[touching]):
+            out = place == number
+            rows = replace(
+                scene.rows, N=scene.N[np.repeat(~out, 3)], W=scene.W[np.repeat(~out, 3)]
+            )
+            kept = scene.trajectory.select(~out)
+            options = {f"{name}_weight": w for name, w in weights.items()}
+            fitted = tt.fit(
+                replace(scene, trajectory=kept, rows=rows), "eq10", **options
+            )
+            off = (scene.f - scene.N @ fitted.candidate).reshape(-1, 3)[out & touching]
+            by_place.append(np.linalg.norm(off, axis=1).mean())
+        means[label] = np.mean(by_place)
+    assert found.check.places == len(by_place)
+    assert found.check.chosen_error == pytest.approx(means["chosen"], rel=0.02)
+    assert found.check.own_error == pytest.approx(means["own"], rel=0.3)
+    assert found.left_out_force_error == found.check.chosen_error
+    assert "places left out better than with its own weights" in str(found.check)
+
+
+def test_errors_that_differ_by_less_than_their_own_are_about_as_large() -> None:
+    alike = replace(tuned().check, difference_error=1e3)
+    assert "about as well as with its own weights" in str(alike)
+    worse = replace(tuned().check, own_error=0.0, difference_error=0.0)
+    assert "worse than with its own weights" in str(worse)
+    assert worse.as_dict()["own_error"] == 0.0
+
+
+def test_fit_with_weights_auto_is_the_fit_of_what_was_found() -> None:
+    found = tuned()
+    expected = tt.fit(found.scene, found.formulation)
+    field = tt.fit(drawn(), "eq10", weights="auto")
+    np.testing.assert_allclose(field.candidate, expected.candidate, rtol=1e-6)
+    assert field.parameters["boundary_scale"] == found.scene.inner
+
+
+def test_other_criteria_choose_multiples_of_the_weights() -> None:
+    names = [one.criterion for one in tuned().comparisons]
+    assert names == ["log_evidence", "gcv"]
+    for one in tuned().comparisons:
+        ratio = one.weights["force"] / tuned().weights["force"]
+        assert np.abs(np.log10(ratio / tuning.FACTORS)).min() < 1e-9
+        assert one.left_out_force_error > 0.0
+
+
+def test_without_sliding_drag_is_not_taken() -> None:
+    found = tune(drawn(), ["coulomb_global", "eq10"], compare=False)
+    assert found.formulation.name == "eq10"
+    assert set(found.candidates) == {"eq10", "coulomb_global"}
+    assert found.candidates["eq10"] == found.left_out_force_error
+
+
+@dataclass(frozen=True)
+class OwnForceTerm(ForceTerm):
+    """A user's term, whose rows are forces in another unit."""
+
+    name: ClassVar[str] = "own_force"
+
+    def rows(self) -> AffineRows:
+        given = super().rows()
+        blocks = {name: 3.0 * M for name, M in given.blocks.items()}
+        return AffineRows(blocks, 3.0 * given.target)
+
+
+def test_a_users_own_terms_are_tuned() -> None:
+    """By their rows alone: in another unit the weight is another, the fit the same."""
+    scene = tuned().scene
+    plain = Formulation([LaplaceTerm(scene), ForceTerm(scene)])
+    own = Formulation([LaplaceTerm(scene), OwnForceTerm(scene)]).named("mine")
+    weights = [tune(scene, each, compare=False).weights for each in (plain, own)]
+    ratio = weights[0]["force"] / weights[1]["own_force"]
+    assert ratio == pytest.approx(9.0, rel=0.5)
+    solution = tt.fit(scene, own, weights="auto")
+    assert solution.weights["own_force"] == weights[1]["own_force"]
+    assert solution.formulation == "mine"
+    with pytest.raises(InputError, match="belongs to another scene"):
+        tt.fit(drawn(), own, weights="auto")
+
+
+def test_a_users_file_is_tuned(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from ttus_opt import Formulation\n"
+        "from ttus_opt.problem.terms import ForceTerm, LaplaceTerm\n"
+        "def build(scene):\n"
+        "    return Formulation([LaplaceTerm(scene), ForceTerm(scene, 0.5)])\n",
+        encoding="utf-8",
+    )
+    solution = tt.fit(drawn(), file, weights="auto")
+    assert solution.weights["force"] != 0.5
+    assert "mine with the weights chosen predicts" in solution.chosen[-1]
+
+
+def test_any_squares_are_a_prior() -> None:
+    """With next to no Tikhonov term the factorised prior is eq. 10's."""
+    scene = tuned().scene
+    found = tune(scene, "tikhonov", compare=False, ridge=1e-9)
+    plain = tune(scene, "eq10", compare=False)
+    for name, weight in plain.weights.items():
+        assert found.weights[name] == pytest.approx(weight, rel=0.3)
+    assert found.check.chosen_error == pytest.approx(plain.check.chosen_error, rel=0.02)
+
+
+def test_forces_alone_are_tuned() -> None:
+    own = drawn()
+    silent = replace(own.trajectory, torque=None)
+    scene = Scene.assemble(own.voxmap, own.shell, silent, inner="fit")
+    found = tune(scene, "eq10", compare=False)
+    assert found.weights.keys() == {"force"} == found.weight_factors.keys()
+    assert 0.2 < found.weights["force"] / tuned().weights["force"] < 5.0
+
+
+def test_one_thread_does_the_dense_algebra() -> None:
+    seen: list[set[int]] = []
+    with threadpool_limits(limits=2, user_api="blas"):
+        tune(drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads()))
+    assert seen and all(one == {1} for one in seen)
+
+
+@pytest.mark.slow
+def test_an_option_is_chosen_among_others() -> None:
+    found = tune(drawn(), "free_surface", compare=False)
+    option = next(h for h in found.hyperparameters if h.name == "option_skin")
+    assert 1e-7 < option.value < 1.0
+    prior = next(t for t in found.formulation.terms if not t.measures)
+    assert prior.skin == option.value  # type: ignore[attr-defined]
+
+
+def test_a_coarse_grid_finds_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = drawn()
+    monkeypatch.setattr(coarse_scene, "MOST_VOXELS", scene.n_voxels // 2)
+    found = tune(scene, "eq10", compare=False)
+    assert np.prod(found.shape) < scene.n_voxels
+    ratio = found.weights["force"] / tuned().weights["force"]
+    assert 0.2 < ratio < 5.0
+    assert found.formulation.scene.n_voxels == scene.n_voxels
+
+
+def prior_variance(scene: Scene) -> float:
+    """Mean of N (LᵀL)⁻¹ Nᵀ's diagonal in contact, by dense algebra."""
+    N = scene.N.toarray()[np.repeat(scene.rows.contact_points > 0, 3)]
+    return float(np.square(np.linalg.solve(scene.L.toarray().T, N.T)).sum() / len(N))
+
+
+def test_what_another_grid_finds_is_rescaled_by_its_prior(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Half of the layers: the same rows have several times the prior variance."""
+    scene, own = drawn(), {"force_weight": 3.0, "torque_weight": 1.0}
+    voxmap = Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)
+    small = Scene.assemble(voxmap, scene.shell, scene.trajectory, inner="fit")
+    there = tune(small, "eq10")
+    monkeypatch.setattr(tuning, "coarser", lambda _: small)
+    found = tune(scene, "eq10", **own)
+    grid = found.weights["force"] / there.weights["force"]
+    assert not 0.4 < grid < 2.5
+    # eight random probes
+    assert grid == pytest.approx(prior_variance(small) / prior_variance(scene), rel=0.3)
+    assert found.noise == pytest.approx(there.noise, rel=0.01)
+    for one, other in zip(
+        (found, *found.comparisons), (there, *there.comparisons), strict=True
+    ):
+        for name, weight in one.weights.items():
+            assert weight == pytest.approx(grid * other.weights[name], rel=0.01)
+    monkeypatch.undo()
+    same = {name: weight / grid for name, weight in own.items()}
+    known = tune(small, "eq10", compare=False, **same).check
+    assert found.check.own_error == pytest.approx(known.own_error, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"formulation": "coulomb_drag"}, "cannot be tuned: .* beside the field"),
+        ({"formulation": "robust"}, "cannot be tuned: its term robust_force is no sum"),
+        ({"formulation": "laplace_only"}, "takes no measurements and has no weights"),
+        ({"force_weight": 1.0}, "chooses force_weight"),
+        ({"weights": "evidence"}, "take auto or own"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(given: dict, told: str) -> None:  # type: ignore[type-arg]
+    with pytest.raises(InputError, match=told):
+        tt.fit(drawn(), **{"weights": "auto", **given})
+
+
+def test_without_contact_nothing_is_tuned() -> None:
+    scene = small_scene("trilinear")
+    away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
+    with pytest.warns(tt.TtusWarning, match="Laplace field alone"):
+        off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    with pytest.raises(InputError, match="measured in contact"):
+        tune(off)

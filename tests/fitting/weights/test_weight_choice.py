@@ -1,0 +1,270 @@
+"""When a fit's weights are chosen from its recordings, and why not."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from tests.dragging import dragged_scene
+from tests.fitting.uncertainty.test_contact_spread import scene_of
+from tests.fitting.weights.test_tuning import drawn, tuned
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.fitting.weights import weight_choice
+from ttus_opt.fitting.weights.weight_choice import (
+    WORDS,
+    WeightChoice,
+    choice_of,
+    has_choice,
+    has_weights,
+    resampled,
+    word_for,
+)
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
+
+OWN = {"force": 1e-2, "torque": 1e-2}
+
+
+def weights(choice: WeightChoice) -> dict[str, float]:
+    return {t.name: t.weight for t in choice.formulation.terms if t.measures}
+
+
+def refused(scene: Scene, told: str) -> WeightChoice:
+    """The choice for a scene that cannot bear one; it has the formulation's own."""
+    with pytest.warns(TtusWarning, match=told):
+        choice = choice_of("auto", scene, "eq10")
+    assert choice.tuning is None and choice.scene is scene
+    assert weights(choice) == OWN
+    assert choice.as_dict()["by"] == "formulation"
+    assert choice.reason in choice.as_dict()["reason"]
+    assert choice.lines == ()
+    return choice
+
+
+def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
+    choice = choice_of("auto", drawn(), "eq10")
+    assert weights(choice) == tuned().weights
+    assert choice.scene.inner == tuned().scene.inner
+    told = choice.as_dict()
+    assert told["by"] == "places left out" and told["weights"] == tuned().weights
+    assert told["weight_factors"] == tuned().weight_factors
+    assert told["weight_factors"]["torque"] >= told["weight_factors"]["force"] > 1.0
+    assert told["hyperparameters"].keys() == {h.name for h in tuned().hyperparameters}
+    assert told["held_out"] == [tuned().check.as_dict()]
+    assert choice.lines[0].startswith("weights chosen from the recordings: force ")
+    assert choice.lines[-1] == str(tuned().check)
+
+
+def test_what_stays_open_is_told_with_the_value_that_is_kept() -> None:
+    """As is a hyperparameter that ran to the end of its range."""
+    choice = choice_of("auto", drawn(), "eq10")
+    assert choice.tuning is not None
+    first = replace(tuned().hyperparameters[0], determined=True)
+    scale = "boundary_scale"
+    lines = {}
+    for names in ((), ("mu",), (scale,), ("mu", scale)):
+        open_ones = (replace(first, name=name, determined=False) for name in names)
+        tuning = replace(choice.tuning, hyperparameters=(first, *open_ones))
+        lines[names] = replace(choice, tuning=tuning).lines[1:-1]
+    assert lines[()] == ()
+    assert lines["mu",] == ("hardly determined by the recordings: mu",)
+    (told,) = lines[scale,]
+    assert told.startswith("boundary_scale kept as the Laplace field alone fits")
+    assert lines["mu", scale] == (*lines["mu",], told)
+    ended = replace(first, determined=True, at_bound=True)
+    tuning = replace(choice.tuning, hyperparameters=(ended,))
+    (told,) = replace(choice, tuning=tuning).lines[1:-1]
+    assert told == f"signal_to_noise ended at its bound, {first.value:.3g}"
+
+
+def test_without_contact() -> None:
+    scene = small_scene("trilinear")
+    away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
+    with pytest.warns(TtusWarning, match="Laplace field alone"):
+        off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    refused(off, "touches the patient in no frame; the weights of eq10 are used")
+
+
+def test_too_few_frames() -> None:
+    scene = small_scene("trilinear")
+    few = scene.trajectory.select(np.arange(12) < 4)
+    refused(
+        Scene.assemble(scene.voxmap, scene.shell, few, inner=1.0),
+        "frames in contact: 4, 12 are needed",
+    )
+
+
+def test_forces_of_the_wrong_sign() -> None:
+    own = drawn().trajectory
+    assert own.force is not None and own.torque is not None
+    flipped = replace(own, force=-own.force, torque=-own.torque)
+    with pytest.warns(TtusWarning, match="push into the patient"):
+        scene = Scene.assemble(drawn().voxmap, drawn().shell, flipped)
+    refused(scene, "chosen from the recordings: the forces push into the patient")
+
+
+@pytest.mark.parametrize("lifted", [False, True])
+def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
+    rng = np.random.default_rng(1)
+    angle = 1.5 + rng.uniform(-0.01, 0.01, 30)
+    depth = rng.uniform(0.004, 0.012, 30)
+    if lifted:
+        depth[14:16] = -0.02
+    told = "all presses within" if lifted else "one press within"
+    refused(scene_of(angle, np.full(30, 0.1), depth), told)
+
+
+@pytest.mark.slow
+def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)
+        clean = dragged_scene("contact")
+    rng, n = np.random.default_rng(4), len(clean.trajectory)
+    assert clean.trajectory.force is not None and clean.trajectory.torque is not None
+    noisy = replace(
+        clean.trajectory,
+        force=clean.trajectory.force + rng.normal(0.0, 0.05, (n, 3)),
+        torque=clean.trajectory.torque + rng.normal(0.0, 1e-3, (n, 3)),
+    )
+    scene = Scene.assemble(clean.voxmap, clean.shell, noisy)
+    choice = choice_of("auto", scene, "coulomb_global")
+    assert choice.tuning is not None
+    named = {h.name: h for h in choice.tuning.hyperparameters}
+    assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
+
+
+def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
+    """The same by name in that scene; with drag where the recordings show it."""
+    choice = choice_of("auto", drawn())
+    assert choice.formulation.name == "depth_map" and choice.tuning is None
+    assert "by marginal likelihood" in choice.lines[0]
+    assert choice.as_dict()["by"] == "marginal likelihood"
+    likely = {
+        each: estimate_depth_map(resampled(drawn(), each)).log_evidence
+        for each in ("contact-size", "trilinear")
+    }
+    assert choice.scene.sampling == max(likely, key=likely.__getitem__)
+    assert all(f"{each} {e:.1f}" in choice.lines[-1] for each, e in likely.items())
+    named = choice_of("auto", choice.scene, "depth_map")
+    assert str(named.formulation) == str(choice.formulation)
+    assert (
+        choice_of("auto", drawn(), sampling="voxel-mean").scene.sampling == "voxel-mean"
+    )
+    found = tt.fit(drawn(), weights="auto")
+    assert found.field.sampling == choice.scene.sampling
+    assert found.chosen == choice.lines
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)
+        dragged = choice_of("auto", dragged_scene("contact"))
+    assert dragged.formulation.name == "depth_map_coulomb"
+
+
+def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
+    pulling = replace(drawn().trajectory, force=-drawn().f.reshape(-1, 3))
+    scene = Scene.assemble(drawn().voxmap, drawn().shell, pulling, inner=1.0)
+    with pytest.warns(TtusWarning, match="pull the probe in.*weights of eq10"):
+        choice = choice_of("auto", scene)
+    assert choice.formulation.name == "eq10" and "pull" in choice.reason
+
+
+def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:
+    with pytest.warns(TtusWarning, match=r"coulomb_drag cannot be tuned.*are used"):
+        choice = choice_of("auto", drawn(), "coulomb_drag", strict=False)
+    assert choice.tuning is None and weights(choice) == OWN
+    with pytest.raises(InputError, match="cannot be tuned"):
+        choice_of("auto", drawn(), "coulomb_drag")
+    with pytest.raises(InputError, match="has no option"):
+        choice_of("auto", drawn(), "eq10", {"strength": 1.0})
+
+
+def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    assert has_weights("eq10") and has_weights("coulomb_global")
+    assert not has_weights("laplace_only")
+    assert not has_weights("depth_map")  # chooses its own
+    assert has_choice("depth_map") and has_choice("eq10")
+    assert not has_choice("laplace_only")
+    own = tmp_path / "own.py"
+    own.write_text("def build(scene, strength: float = 1.0): ...\n", encoding="utf-8")
+    assert not has_weights(own)
+    declared = tt.load_formulation("eq10", drawn())
+    assert isinstance(declared, Formulation) and not has_weights(declared)
+    with pytest.raises(InputError, match="chooses force_weight"):
+        choice_of("auto", drawn(), "eq10", {"force_weight": 1.0})
+
+
+def test_a_library_fit_has_the_weights_it_names() -> None:
+    poses = presses(torso(), 20, np.random.default_rng(0))
+    scene = Scene.assemble(small_scene("trilinear").voxmap, drawn().shell, poses)
+    solution = tt.fit(scene, "eq10")
+    assert {n: solution.weights[n] for n in OWN} == OWN
+
+
+WEIGHT = {"force_weight": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("formulation", "options", "word"),
+    [
+        (None, {}, "auto"),
+        ("eq10", {}, "auto"),
+        ("depth_map", {}, "auto"),
+        ("laplace_only", {}, "own"),
+        ("eq10", WEIGHT, "own"),
+        (None, WEIGHT, "own"),
+    ],
+)
+def test_the_word_where_none_is_given(
+    formulation: str | None, options: dict[str, float], word: str
+) -> None:
+    assert word_for(None, formulation, options) == word
+    assert word_for("own", formulation, options) == "own"
+
+
+@pytest.mark.parametrize(
+    ("word", "formulation", "options", "told"),
+    [
+        (
+            "recipe",
+            None,
+            {},
+            "weights='recipe' is not known: take auto or own",
+        ),
+        ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
+    ],
+)
+def test_words_that_cannot_be_followed(
+    word: Any, formulation: str | None, options: dict[str, float], told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        word_for(word, formulation, options)
+    with pytest.raises(InputError, match=told):
+        tt.fit(small_scene("trilinear"), formulation, weights=word, **options)
+
+
+def test_own_weights() -> None:
+    scene = small_scene("trilinear")
+    choice = choice_of("own", scene, options=WEIGHT)
+    assert choice.formulation.name == "eq10" and choice.tuning is None
+    assert {t.name: t.weight for t in choice.formulation.terms}["force"] == 1.0
+    assert tt.fit(scene).formulation == "eq10"
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_fit_takes_what_the_word_chose(
+    word: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def choose(scene: Scene, *_: object, **__: object) -> WeightChoice:
+        other = scene.with_boundary(2.0, 1.0)
+        return WeightChoice(other, tt.load_formulation("tikhonov", other))
+
+    monkeypatch.setattr(weight_choice, "default_model", choose)
+    names = {"own": "eq10", "auto": "tikhonov"}
+    scene = small_scene("trilinear")
+    assert tt.fit(scene, weights=word).formulation == names[word]

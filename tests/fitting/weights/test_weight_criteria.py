@@ -1,0 +1,140 @@
+"""Criteria of weights against dense algebra and against fits with a press left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.presses import presses
+from ttus_opt.fitting.weights import weight_criteria
+from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
+
+FORCE, TORQUE = 30.0, 3.0
+
+
+def three_presses() -> Scene:
+    """Frames in contact with one in the air after every four."""
+    scene = small_scene("trilinear", n_poses=15)
+    position = scene.trajectory.position.copy()
+    position[4::5, :2] *= 1.2
+    trajectory = replace(scene.trajectory, position=position)
+    return Scene.assemble(
+        scene.voxmap, scene.shell, trajectory, inner=2.0, sampling="trilinear"
+    )
+
+
+def dense(scene: Scene) -> tuple[np.ndarray, ...]:
+    """C, misfit and weights of the rows that say something."""
+    ell = scene.torque_length
+    D = np.vstack([scene.N.toarray(), scene.W.toarray() / ell])
+    t = np.concatenate([scene.f, scene.tau / ell])
+    told = np.abs(D).sum(axis=1) > 0.0
+    G = np.linalg.solve(scene.L.toarray().T, D[told].T)
+    d = (t - D @ np.linalg.solve(scene.L.toarray(), scene.b))[told]
+    weights = np.repeat([FORCE, TORQUE], len(t) // 2)[told]
+    return G.T @ G, d, weights, told
+
+
+@pytest.fixture(scope="module")
+def path() -> object:
+    return tt.solution_path(
+        "eq10",
+        three_presses(),
+        weights={"force": [0.1, FORCE], "torque": [TORQUE]},
+        extras=["criteria"],
+    )
+
+
+def test_evidence_and_gcv_are_those_of_dense_algebra(path: object) -> None:
+    C, d, weights, _ = dense(three_presses())
+    covariance = np.diag(1.0 / weights) + C
+    m = len(d)
+    scale = d @ np.linalg.solve(covariance, d) / m
+    normal = scipy.stats.multivariate_normal(np.zeros(m), scale * covariance)
+    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)  # type: ignore[attr-defined]
+    assert float(at["log_evidence"]) == pytest.approx(normal.logpdf(d), abs=0.3)
+    # the hat matrix of the rows as they are, its residual in the rows' own metric
+    W = np.diag(np.sqrt(weights))
+    R = np.linalg.inv(np.eye(m) + W @ C @ W)
+    left = R @ W @ d
+    gcv = m * (left @ left) / np.trace(R) ** 2 / np.exp(np.log(weights).mean())
+    assert float(at["gcv"]) == pytest.approx(gcv, rel=1e-2)
+
+
+def test_presses_left_out_are_fits_without_them(path: object) -> None:
+    scene = three_presses()
+    numbers = presses(scene)
+    touching = scene.rows.contact_points > 0
+    off = []
+    for number in np.unique(numbers[touching]):
+        out = numbers == number
+        kept = replace(
+            scene,
+            trajectory=scene.trajectory.select(~out),
+            rows=replace(
+                scene.rows, N=scene.N[np.repeat(~out, 3)], W=scene.W[np.repeat(~out, 3)]
+            ),
+        )
+        solution = tt.fit(kept, "eq10", force_weight=FORCE, torque_weight=TORQUE)
+        force = (scene.N @ solution.candidate).reshape(-1, 3)[out]
+        told = scene.trajectory.force[out]
+        off += [np.abs(np.linalg.norm(told, axis=1) - np.linalg.norm(force, axis=1))]
+    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)  # type: ignore[attr-defined]
+    assert len(off) == 3
+    expected = np.concatenate(off).mean()
+    assert float(at["left_out_force_error"]) == pytest.approx(expected, rel=1e-3)
+    assert at["left_out_force_error"].attrs["units"] == "N"
+
+
+def test_a_large_press_is_solved_by_the_smaller_system() -> None:
+    rng = np.random.default_rng(0)
+    half, rest = 0.1 * rng.normal(size=(3, 8)), rng.normal(size=8)
+    expected = np.linalg.solve(np.eye(8) - half.T @ half, rest)
+    np.testing.assert_allclose(weight_criteria._without(half, rest), expected)
+    wide, few = half.T, rest[:3]
+    expected = np.linalg.solve(np.eye(3) - wide.T @ wide, few)
+    np.testing.assert_allclose(weight_criteria._without(wide, few), expected)
+
+
+def test_one_press_cannot_be_left_out() -> None:
+    scene = small_scene("trilinear")
+    path = tt.solution_path(
+        "eq10", scene, weights={"force": [1.0]}, extras=["criteria"]
+    )
+    assert np.isnan(path["left_out_force_error"]).all()
+    assert np.isfinite(path["log_evidence"]).all()
+
+
+def test_without_contact_there_is_nothing_to_tell() -> None:
+    told = np.zeros(6, dtype=bool)
+    found = criteria_of(
+        small_scene("trilinear", n_poses=1), {"force": 3, "torque": 3}, told
+    )
+    assert isinstance(found, Criteria)
+    values = found.values(np.empty((0, 0)), np.empty(0), np.empty(0))
+    assert np.isnan(list(values.values())).all()
+
+
+@pytest.mark.parametrize("name", ["eq10_sign", "viscous_drag"])
+def test_criteria_are_refused_where_there_are_none(name: str) -> None:
+    with pytest.raises(InputError, match="a problem without limits"):
+        tt.solution_path(
+            name,
+            small_scene("trilinear"),
+            weights={"force": [1.0]},
+            extras=["criteria"],
+        )
+
+
+def test_an_unknown_extra_is_one_line() -> None:
+    with pytest.raises(InputError, match="potential or criteria"):
+        tt.solution_path(
+            "eq10", small_scene("trilinear"), weights={"force": [1.0]}, extras=["all"]
+        )

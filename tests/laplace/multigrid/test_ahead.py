@@ -1,0 +1,48 @@
+"""The process that compiles the multigrid while another reads its data."""
+
+from __future__ import annotations
+
+import subprocess
+from typing import Any
+
+import pytest
+
+from ttus_opt.laplace.multigrid import ahead
+from ttus_opt.laplace.multigrid.ahead import LAST
+
+
+def test_what_it_solves_compiles_the_solver() -> None:
+    ahead.compile_multigrid()
+    for function in LAST:
+        assert function.signatures
+        assert ahead.is_kept(function)
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is done with the other process, which is a stand-in."""
+    events: list[str] = []
+
+    class Helper:
+        def __init__(self, command: list[str], **_: Any) -> None:
+            assert command[1:] == ["-P", "-m", "ttus_opt.laplace.multigrid.ahead"]
+            events.append("started")
+
+        def terminate(self) -> None:
+            events.append("ended")
+
+        def wait(self) -> None:
+            events.append("waited for")
+
+    monkeypatch.setattr(subprocess, "Popen", Helper)
+    return events
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_process_is_started_only_when_there_is_something_to_do(
+    is_kept: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
+) -> None:
+    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
+    with pytest.raises(KeyError), ahead.compiling_ahead():
+        raise KeyError("a mistake meanwhile")
+    assert done == ([] if is_kept else ["started", "ended", "waited for"])

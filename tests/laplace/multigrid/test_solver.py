@@ -1,0 +1,500 @@
+"""The multigrid solver against sparse factorisations, on well and ill-shaped masks."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from tests.conftest import SHARED
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import InputError, NumericalError
+from ttus_opt.laplace.multigrid import Multigrid
+from ttus_opt.laplace.multigrid.workspace import Workspace
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def make_grid(shape: tuple[int, int, int], **limits: float) -> CylindricalGrid:
+    values = {"r_inner": 0.03, "r_outer": 0.18, "z_min": 0.0, "z_max": 0.3} | limits
+    return CylindricalGrid(**values, shape=shape)
+
+
+def box(grid: CylindricalGrid) -> Mask:
+    """Everything free except the rim."""
+    free = np.ones(grid.shape, dtype=bool)
+    free[[0, -1]] = False
+    free[:, :, [0, -1]] = False
+    return free
+
+
+def explicit(grid: CylindricalGrid, free: Mask) -> sp.csc_array:
+    """A written down neighbour by neighbour (docs/method.md, 4.3), on free voxels."""
+    number = np.full(grid.shape, -1)
+    number[free] = np.arange(free.sum())
+    dr, dt, dz = grid.r_step, grid.theta_step, grid.z_step
+    i, j, k = np.nonzero(free)
+    r, me = grid.r[i], number[free]
+    neighbours = [
+        (i - 1, j, k, r - dr / 2),
+        (i + 1, j, k, r + dr / 2),
+        (i, (j - 1) % grid.shape[1], k, dr**2 / (r * dt**2)),
+        (i, (j + 1) % grid.shape[1], k, dr**2 / (r * dt**2)),
+        (i, j, k - 1, r * dr**2 / dz**2),
+        (i, j, k + 1, r * dr**2 / dz**2),
+    ]
+    A = sp.coo_array((len(me), len(me)))
+    for *voxel, weight in neighbours:
+        other = number[tuple(voxel)]
+        linked = other >= 0
+        A += sp.coo_array((weight, (me, me)), shape=A.shape)
+        places = me[linked], other[linked]
+        A -= sp.coo_array((weight[linked], places), shape=A.shape)
+    return sp.csc_array(A)
+
+
+def torso(grid: CylindricalGrid) -> Mask:
+    """Free voxels around a closed, bumpy surface layer."""
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    n = 2.5
+    radius = (
+        np.abs(np.cos(theta) / 0.16) ** n + np.abs(np.sin(theta) / 0.115) ** n
+    ) ** (-1 / n)
+    radius *= 1.0 - 0.08 * np.cos(2 * np.pi * z / grid.z[-1])
+    inside = grid.r[:, None, None] < radius[None]
+    free = box(grid)
+    for axis in range(3):
+        for side in (1, -1):
+            free &= ~(~inside & np.roll(inside, side, axis))
+    return free
+
+
+def touching(grid: CylindricalGrid) -> Mask:
+    """A surface that leaves the grid on one side and meets the inner layer."""
+    free = box(grid)
+    at = (
+        np.round((grid.shape[0] - 1) * (0.5 + 0.6 * np.sin(grid.theta)))
+        .astype(int)
+        .clip(0, grid.shape[0] - 1)
+    )
+    for j, i in enumerate(at):
+        free[max(i - 1, 0) : i + 2, j] = False
+    return free
+
+
+def pockets(grid: CylindricalGrid) -> Mask:
+    """Free voxels cut off from everything, singly and in groups."""
+    free = torso(grid)
+    free[5:9, 3:9, 3:8] = False
+    free[6:8, 4:6, 4:6] = True
+    free[7, 7, 7] = True
+    free[11, 11, 5:9] = True
+    free[10, 11, 5:9] = free[12, 11, 5:9] = False
+    return free
+
+
+def neck(grid: CylindricalGrid) -> Mask:
+    """Two chambers joined by one voxel, and one joined by a long thin pipe."""
+    free = box(grid)
+    free[:, :, grid.shape[2] // 2] = False
+    free[grid.shape[0] // 2, 3, grid.shape[2] // 2] = True
+    free[grid.shape[0] // 3] = False
+    free[grid.shape[0] // 3, 5, 3] = True
+    free[:, 10:16] = False
+    free[7, 10:16, 4] = True
+    return free
+
+
+def slices(grid: CylindricalGrid) -> Mask:
+    """Chambers one voxel thin, in every direction."""
+    free = box(grid)
+    third = grid.shape[0] // 3
+    free[:third, :, ::2] = False
+    free[third : 2 * third : 2] = False
+    free[2 * third :, ::2] = False
+    return free
+
+
+def random_mask(grid: CylindricalGrid) -> Mask:
+    """30 % of the voxels fixed, at random."""
+    return box(grid) & (np.random.default_rng(1).random(grid.shape) > 0.3)
+
+
+MASKS = [box, torso, touching, pockets, neck, slices, random_mask]
+#: Even, odd spokes, nothing divisible; tall, flat and slim ones
+GRIDS = {
+    "even": make_grid((16, 24, 14)),
+    "odd": make_grid((17, 25, 13)),
+    "prime": make_grid((15, 29, 17)),
+    "tall": make_grid((14, 20, 40), z_max=1.5),
+    "flat": make_grid((14, 20, 30), z_max=0.02),
+    "shell": make_grid((30, 26, 12), r_inner=0.17),
+    "core": make_grid((14, 40, 12), r_inner=0.007),
+}
+
+
+def noise(free: Mask, seed: int = 0) -> Array:
+    """White noise on the free voxels, shape (V,)."""
+    values = np.random.default_rng(seed).standard_normal(free.shape)
+    return np.where(free, values, 0.0).reshape(-1)
+
+
+def one_cycle(solver: Multigrid, b: Array) -> Array:
+    """A V-cycle's answer to b, both of shape (V,); zero at fixed voxels."""
+    at, cycle, x = (
+        np.flatnonzero(solver.free),
+        solver.preconditioner(),
+        np.zeros_like(b),
+    )
+    places = cycle.places(at)
+    cycle.b[places] = b[at]
+    cycle.run()
+    x[at] = cycle.x[places]
+    return x
+
+
+@pytest.fixture(params=["even", "odd"])
+def case(request: pytest.FixtureRequest) -> tuple[CylindricalGrid, Mask, Multigrid]:
+    grid = GRIDS[request.param]
+    free = torso(grid)
+    return grid, free, Multigrid(grid, free)
+
+
+#: Every mask on every grid, half of them quick to have: each mask and each grid is
+PAIRS = [
+    pytest.param(mask, name, marks=pytest.mark.slow if (i + j) % 2 else ())
+    for i, mask in enumerate(MASKS)
+    for j, name in enumerate(GRIDS)
+]
+
+
+@pytest.mark.parametrize(("mask", "name"), PAIRS)
+def test_equals_a_factorisation(mask: Callable[..., Mask], name: str) -> None:
+    grid = GRIDS[name]
+    free = mask(grid)
+    A = explicit(grid, free)
+    b = noise(free)
+    result = Multigrid(grid, free).solve(b, rtol=1e-12)
+    known = b[free.reshape(-1)]
+    found = result.x[free.reshape(-1)]
+    expected = splu(A).solve(known)
+    assert np.all(result.x[~free.reshape(-1)] == 0.0)
+    assert np.linalg.norm(found - expected) < 1e-10 * np.linalg.norm(expected)
+    residual = np.linalg.norm(known - A @ found) / np.linalg.norm(known)
+    assert residual <= 1.01e-12
+    assert result.relative_residual == pytest.approx(residual, rel=0.1, abs=5e-14)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    shape=st.tuples(st.integers(4, 14), st.integers(4, 14), st.integers(3, 14)),
+    fixed=st.floats(0.0, 0.9),
+    height=st.floats(0.01, 3.0),
+    seed=st.integers(0, 1000),
+)
+def test_equals_a_factorisation_on_any_mask(
+    shape: tuple[int, int, int], fixed: float, height: float, seed: int
+) -> None:
+    grid = make_grid(shape, z_max=height)
+    free = box(grid) & (np.random.default_rng(seed).random(shape) >= fixed)
+    b = noise(free, seed)
+    x = Multigrid(grid, free).solve(b).x
+    if free.any():
+        expected = splu(explicit(grid, free)).solve(b[free.reshape(-1)])
+        error = np.linalg.norm(x[free.reshape(-1)] - expected)
+        assert error <= 1e-10 * np.linalg.norm(expected)
+    else:
+        assert not x.any()
+
+
+@pytest.mark.parametrize("mask", MASKS)
+def test_cycles_stay_few_on_ill_shaped_masks(mask: Callable[..., Mask]) -> None:
+    grid = make_grid((24, 72, 30))
+    free = mask(grid)
+    assert Multigrid(grid, free).solve(noise(free), rtol=1e-10).iterations <= 16
+
+
+def test_cycles_hardly_grow_with_the_grid() -> None:
+    cycles = []
+    for shape in ((12, 36, 15), (24, 72, 30), (48, 144, 60)):
+        grid = make_grid(shape)
+        free = torso(grid)
+        cycles.append(Multigrid(grid, free).solve(noise(free), rtol=1e-10).iterations)
+    assert max(cycles) <= 16
+    assert max(cycles) <= 1.4 * min(cycles)  # for 64 times as many voxels
+
+
+def test_a_surface_costs_no_more_cycles_than_none() -> None:
+    grid = make_grid((48, 100, 40))
+    cycles = [
+        Multigrid(grid, free).solve(noise(free), rtol=1e-10).iterations
+        for free in (box(grid), torso(grid))
+    ]
+    assert cycles[1] <= cycles[0] + 1
+
+
+def test_the_phantom_surface() -> None:
+    path = SHARED / "phantom" / "surface.nc"
+    if not path.exists():
+        pytest.skip("shared data are not here")
+    voxmap = Voxmap.from_surface(Surface.load(path), shape=(48, 120, 60))
+    solver = Multigrid(voxmap.grid, ~voxmap.dirichlet)
+    b = noise(~voxmap.dirichlet)
+    result = solver.solve(b, rtol=1e-12)
+    assert result.iterations <= 20
+    residual = np.linalg.norm(b - solver.apply(result.x)) / np.linalg.norm(b)
+    assert residual <= 1.01e-12
+    assert solver.memory_bytes < 100 * voxmap.grid.n_voxels
+
+
+def test_apply_is_the_operator(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    grid, free, solver = case
+    x = np.random.default_rng(3).standard_normal(grid.n_voxels)
+    expected = np.zeros(grid.shape)
+    expected[free] = explicit(grid, free) @ x.reshape(grid.shape)[free]
+    np.testing.assert_allclose(
+        solver.apply(x), expected.reshape(-1), atol=1e-13 * np.abs(expected).max()
+    )
+
+
+def test_the_norm_bound_holds(case: tuple[CylindricalGrid, Mask, Multigrid]) -> None:
+    grid, free, solver = case
+    largest = sp.linalg.eigsh(explicit(grid, free), 1, return_eigenvectors=False)[0]
+    assert largest <= solver.norm_bound <= 3.0 * largest
+
+
+def test_v_cycle_is_linear_symmetric_and_positive(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    vectors = [noise(free, seed) for seed in range(8)]
+    images = [one_cycle(solver, v) for v in vectors]
+    gram = np.array([[v @ w for w in images] for v in vectors])
+    np.testing.assert_allclose(gram, gram.T, atol=2e-6 * np.abs(gram).max())
+    assert np.linalg.eigvalsh(gram + gram.T).min() > 0.0
+    both = one_cycle(solver, 2.0 * vectors[0] - 3e5 * vectors[1])
+    np.testing.assert_allclose(
+        both, 2.0 * images[0] - 3e5 * images[1], atol=1e-5 * np.abs(both).max()
+    )
+
+
+def test_nothing_is_left_over_from_the_cycle_before(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    expected = one_cycle(solver, noise(free, 3))
+    at, cycle = np.flatnonzero(free), solver.preconditioner()
+    places = cycle.places(at)
+    for seed in (4, 3):
+        cycle.b[places] = noise(free, seed)[at]
+        cycle.run()
+    np.testing.assert_array_equal(cycle.x[places], expected[at].astype(np.float32))
+
+
+@pytest.mark.parametrize("shape", [(16, 24, 14), (17, 25, 13), (4, 4, 3)])
+def test_a_cycle_without_red_loads_takes_them_for_zero(
+    shape: tuple[int, int, int],
+) -> None:
+    """Also where the finest level is the coarsest."""
+    grid = make_grid(shape)
+    free = torso(grid) if shape[0] > 4 else box(grid)
+    hierarchy = Multigrid(grid, free).hierarchy
+    work, plain = Workspace(hierarchy), Workspace(hierarchy)
+    layout = hierarchy.levels[0].layout
+    b = layout.split(noise(free, 4).reshape(free.shape).astype(np.float32))
+    plain.b[1] = work.b[1] = b[1]
+    work.b[0] = b[0]
+    work.v_cycle(has_red=False)
+    plain.v_cycle()
+    np.testing.assert_array_equal(work.x, plain.x)
+    work.v_cycle()
+    assert not np.array_equal(work.x, plain.x)
+
+
+@pytest.mark.parametrize("name", ["even", "odd", "core"])
+def test_v_cycle_is_close_to_the_inverse(name: str) -> None:
+    grid = GRIDS[name]
+    free = torso(grid)
+    solver = Multigrid(grid, free)
+    at = free.reshape(-1)
+
+    def cycle(rest: Array) -> Array:
+        full = np.zeros(grid.n_voxels)
+        full[at] = rest.reshape(-1)
+        return one_cycle(solver, full)[at]
+
+    n = int(at.sum())
+    B = LinearOperator((n, n), matvec=cycle, dtype=float)
+    A = explicit(grid, free)
+    product = LinearOperator((n, n), matvec=lambda v: A @ cycle(v), dtype=float)
+    largest = sp.linalg.eigs(product, 1, tol=1e-3, return_eigenvectors=False).real[0]
+    shifted = LinearOperator(
+        (n, n), matvec=lambda v: largest * v - A @ cycle(v), dtype=float
+    )
+    gap = sp.linalg.eigs(shifted, 1, tol=1e-3, return_eigenvectors=False).real[0]
+    assert largest / (largest - gap) < 8.0  # condition number of B A
+
+    steps: list[int] = []
+    b = noise(free)[at]
+    x, failed = cg(A, b, rtol=1e-10, M=B, callback=lambda _: steps.append(1))
+    assert failed == 0 and len(steps) <= 25
+    assert np.linalg.norm(A @ x - b) <= 1.1e-10 * np.linalg.norm(b)
+
+
+def test_solve_is_linear_and_symmetric(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    a, b = noise(free, 1), noise(free, 2)
+    x, y = solver.solve(a).x, solver.solve(b).x
+    assert a @ y == pytest.approx(b @ x, rel=1e-9, abs=1e-10 * np.abs(a @ x))
+    both = solver.solve(a - 1e6 * b).x
+    np.testing.assert_allclose(both, x - 1e6 * y, atol=1e-10 * np.abs(both).max())
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e30, 1e300])
+def test_units_do_not_matter(
+    scale: float, case: tuple[CylindricalGrid, Mask, Multigrid]
+) -> None:
+    _, free, solver = case
+    b = noise(free)
+    expected = solver.solve(b).x
+    np.testing.assert_allclose(
+        solver.solve(scale * b).x / scale, expected, atol=1e-10 * np.abs(expected).max()
+    )
+
+
+def test_smooth_right_sides_reach_rounding(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    x = free.astype(float).reshape(-1)
+    b = solver.apply(x)
+    result = solver.solve(b, rtol=0.0)
+    np.testing.assert_allclose(result.x, x, atol=1e-11)
+    floor = solver.norm_bound * np.linalg.norm(x) / np.linalg.norm(b) + 1.0
+    assert result.relative_residual <= 2.3e-16 * floor
+
+
+def test_start_near_the_answer_saves_cycles(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    b = noise(free)
+    cold = solver.solve(b)
+    near = cold.x * (1.0 + 1e-8)
+    warm = solver.solve(b, x0=near)
+    assert warm.iterations < cold.iterations
+    far = solver.solve(b, x0=1e9 * noise(free, 5))
+    np.testing.assert_allclose(warm.x, cold.x, atol=1e-10 * np.abs(cold.x).max())
+    np.testing.assert_allclose(far.x, cold.x, atol=1e-6 * np.abs(cold.x).max())
+    assert solver.solve(b, x0=cold.x, rtol=1e-11).iterations == 0
+
+
+def test_nothing_to_solve() -> None:
+    grid = make_grid((8, 16, 5))
+    nothing = np.zeros(grid.shape, dtype=bool)
+    result = Multigrid(grid, nothing).solve(np.ones(grid.n_voxels))
+    assert not result.x.any() and result.iterations == 0
+    assert result.relative_residual == 0.0
+    solver = Multigrid(grid, box(grid))
+    assert not solver.solve(np.zeros(grid.n_voxels)).x.any()
+    assert not one_cycle(solver, np.zeros(grid.n_voxels)).any()
+    assert not solver.solve(np.zeros(grid.n_voxels), x0=noise(box(grid))).x.any()
+
+
+@pytest.mark.parametrize("shape", [(4, 4, 3), (4, 5, 4), (5, 7, 3), (6, 4, 40)])
+def test_smallest_grids(shape: tuple[int, int, int]) -> None:
+    grid = make_grid(shape)
+    free = box(grid)
+    b = noise(free)
+    expected = splu(explicit(grid, free)).solve(b[free.reshape(-1)])
+    found = Multigrid(grid, free).solve(b).x[free.reshape(-1)]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_values_at_fixed_voxels_are_left_out(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    b = noise(free)
+    dirty = np.where(free.reshape(-1), b, np.nan)
+    assert np.array_equal(solver.solve(dirty).x, solver.solve(b).x)
+    assert np.array_equal(solver.apply(dirty), solver.apply(b))
+
+
+def test_bad_input_is_refused() -> None:
+    grid = GRIDS["even"]
+    solver = Multigrid(grid, box(grid))
+    b = noise(box(grid))
+    with pytest.raises(InputError, match="shape"):
+        solver.solve(b[1:])
+    bad = b.copy()
+    bad[np.flatnonzero(b)[5]] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        solver.solve(bad)
+    with pytest.raises(InputError, match="finite"):
+        solver.apply(np.where(np.isnan(bad), np.inf, bad))
+    with pytest.raises(InputError, match="rtol"):
+        solver.solve(b, rtol=-1.0)
+    with pytest.raises(InputError, match="times the right-hand side"):
+        solver.solve(1e-200 * b, x0=b)
+    with pytest.raises(InputError, match="x0 must be finite"):
+        solver.solve(0.0 * b, x0=np.where(solver.free, np.nan, 0.0))
+    with pytest.raises(InputError, match="layer"):
+        Multigrid(grid, np.ones(grid.shape, dtype=bool))
+    with pytest.raises(InputError, match="boolean"):
+        Multigrid(grid, np.zeros(grid.shape))
+
+
+def test_too_few_cycles_are_told() -> None:
+    grid = GRIDS["odd"]
+    solver = Multigrid(grid, box(grid))
+    b = noise(box(grid))
+    with pytest.raises(NumericalError, match=r"after 3 cycles, 1\.0e-12") as error:
+        solver.solve(b, rtol=1e-12, max_iterations=3)
+    assert "\n" not in str(error.value)
+    assert solver.solve(b).relative_residual <= 1e-12  # and leave nothing behind
+
+
+def test_several_at_once_equal_one_by_one(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    rows = np.stack([noise(free, seed) for seed in range(6)])
+    alone = [solver.solve(row).x for row in rows]
+    with ThreadPoolExecutor(4) as pool:
+        again = list(pool.map(solver.solve, [*rows, *rows]))
+    for one, result in zip([*alone, *alone], again, strict=True):
+        assert np.array_equal(result.x, one)
+
+
+def test_pickles(case: tuple[CylindricalGrid, Mask, Multigrid]) -> None:
+    _, free, solver = case
+    b = noise(free)
+    twin = pickle.loads(pickle.dumps(solver))
+    assert np.array_equal(twin.solve(b).x, solver.solve(b).x)
+
+
+def second_level(grid: CylindricalGrid) -> tuple[int, ...]:
+    return Multigrid(grid, box(grid)).hierarchy.levels[1].layout.shape
+
+
+def test_levels_follow_the_steps() -> None:
+    assert second_level(make_grid((48, 120, 60))) == (25, 60, 31)
+    # slices far apart against spokes: θ first
+    tall = make_grid((16, 64, 20), z_max=3.0)
+    assert second_level(tall) == (9, 32, 20)
+    # slices close together: z first, r not while its step is the longest
+    flat = make_grid((16, 16, 60), z_max=0.02)
+    assert second_level(flat) == (16, 16, 31)

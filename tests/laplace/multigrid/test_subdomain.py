@@ -1,0 +1,134 @@
+"""Boxes of the grid for approximate solves, against the same boxes written as masks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from tests.laplace.multigrid.test_solver import explicit, make_grid, torso
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid, VCycle
+from ttus_opt.laplace.multigrid.subdomain import LARGE, MARGIN, SPOKES, Subdomain
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+GRID = make_grid((24, 64, 40))
+
+
+def patch(grid: CylindricalGrid, free: Mask, spoke: int) -> NDArray[np.int64]:
+    """Free voxels within three layers under the skin of a few spokes and slices."""
+    spokes = (spoke + np.arange(-3, 4)) % grid.shape[1]
+    chosen = np.zeros(grid.shape, dtype=bool)
+    for j in spokes:
+        for k in range(16, 25):
+            # the first stretch of free voxels from the inside ends under the skin
+            skin = int(np.argmin(free[1:, j, k])) + 1
+            chosen[skin - 3 : skin, j, k] = True
+    return np.flatnonzero(chosen & free)
+
+
+def run(cycle: VCycle, at: NDArray[np.int64], b: Array) -> Array:
+    """One V-cycle on values at some voxels."""
+    places = cycle.places(at)
+    cycle.b.fill(0.0)
+    cycle.b[places] = b
+    cycle.run()
+    return cycle.x[places].astype(float)
+
+
+@pytest.mark.parametrize("spoke", [30, 0, 62])
+def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
+    """Also where the box passes θ = 0."""
+    free = torso(GRID)
+    near = patch(GRID, free, spoke)
+    box = Subdomain.around(GRID, near)
+    inside = GRID.unflatten(box.extend(np.ones(box.shape, dtype=bool)))
+    assert inside.sum() == np.prod(box.shape) < LARGE * GRID.n_voxels
+    assert box.shape[1] % SPOKES == 0
+    i, j, k = np.unravel_index(near, GRID.shape)
+    for a in (-MARGIN, 0, MARGIN):
+        assert inside[(i + a).clip(0, GRID.shape[0] - 1), j, k].all()
+        assert inside[i, (j + a) % GRID.shape[1], k].all()
+        assert inside[i, j, (k + a).clip(0, GRID.shape[2] - 1)].all()
+
+
+@pytest.mark.parametrize("spoke", [30, 0])
+def test_its_arrays_are_the_grids(spoke: int) -> None:
+    free = torso(GRID)
+    box = Subdomain.around(GRID, patch(GRID, free, spoke))
+    values = np.arange(GRID.n_voxels, dtype=float)
+    known = box.extend(box.free(free))
+    at = np.flatnonzero(known)
+    assert known.any() and not (known & ~free.reshape(-1)).any()
+    np.testing.assert_array_equal(
+        box.restrict(GRID.unflatten(values))[box.nodes(at)], values[at]
+    )
+
+
+def test_large_boxes_are_the_grid() -> None:
+    free = torso(GRID)
+    everywhere = np.flatnonzero(free)
+    assert Subdomain.around(GRID, everywhere).is_whole
+    assert Subdomain.around(GRID, None).is_whole
+    assert Subdomain.around(GRID, everywhere[:0]).is_whole
+    ring = np.ravel_multi_index((8, np.arange(GRID.shape[1]), 20), GRID.shape)
+    around = Subdomain.around(GRID, ring)
+    assert around.shape[1] == GRID.shape[1] and not around.is_whole
+
+
+@pytest.mark.parametrize("pooled", [False, True])
+@pytest.mark.parametrize("spoke", [30, 0, 62])
+def test_v_cycle_nearly_inverts_the_box(spoke: int, pooled: bool) -> None:
+    """With zero around the box, and pooled blocks of pooled voxels."""
+    free = torso(GRID)
+    flat = free.reshape(-1)
+    near = patch(GRID, free, spoke)
+    joined = np.zeros(GRID.n_voxels, dtype=bool)
+    if pooled:  # every third pair of voxels of the patch, along its spoke
+        stride = GRID.strides[0]
+        own = near[np.isin(near + stride, near) & ~np.isin(near - stride, near)]
+        joined[own[::3]] = True
+        shown = flat & ~np.roll(joined, stride)
+        cycle = AggregatedMultigrid(GRID, flat, joined, shown).preconditioner(near)
+    else:
+        shown = flat
+        cycle = Multigrid(GRID, free).preconditioner(near)
+    assert 0 < cycle.free.sum() < 0.5 * flat.sum()
+    number = np.full(GRID.n_voxels, -1)
+    at = np.flatnonzero(cycle.free & shown)
+    number[at] = np.arange(len(at))
+    inner = np.roll(number, GRID.strides[0])
+    heads = np.where(np.roll(joined, GRID.strides[0]), inner, number)[cycle.free]
+    P = sp.csr_array((np.ones(len(heads)), (np.arange(len(heads)), heads)))
+    A = sp.csc_array(P.T @ explicit(GRID, GRID.unflatten(cycle.free)) @ P)
+    b = np.random.default_rng(1).normal(size=len(at))
+    B = LinearOperator(A.shape, matvec=lambda v: run(cycle, at, v.ravel()), dtype=float)
+    steps: list[int] = []
+    x, failed = cg(A, b, rtol=1e-6, M=B, callback=lambda _: steps.append(1))
+    assert failed == 0 and len(steps) <= (12 if pooled else 8)
+    np.testing.assert_allclose(x, splu(A).solve(b), atol=1e-4 * np.abs(x).max())
+
+
+@pytest.mark.slow
+def test_zero_around_a_box_hardly_matters_near_its_voxels() -> None:
+    """What loads of the patch do there keeps its energy, but for the widest one."""
+    free = torso(GRID)
+    near = patch(GRID, free, 0)
+    whole = Multigrid(GRID, free)
+    box = Subdomain.around(GRID, near)
+    part = Multigrid(GRID, free & GRID.unflatten(box.extend(box.free(free))))
+    loads = np.zeros((len(near), GRID.n_voxels))
+    loads[np.arange(len(near)), near] = 1.0
+    r = GRID.r.repeat(GRID.strides[0])
+    grams = []
+    for solver in (part, whole):
+        fields = np.array(
+            [r * v.x for v in (solver.solve(load, rtol=1e-8) for load in loads)]
+        )
+        grams.append(fields @ fields.T)
+    ratios = scipy.linalg.eigh(*grams, eigvals_only=True)
+    assert 0.5 < ratios.min() < ratios.max() < 1.01
+    assert ratios[1] > 0.75

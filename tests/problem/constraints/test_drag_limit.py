@@ -1,0 +1,26 @@
+"""Coulomb's limit of a drag field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.problem.constraints.declared import REGION, SCENE, linear
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.constraints.drag_limit import DragLimit
+
+
+def test_drag_limit_is_a_share_of_the_field() -> None:
+    rows = linear(DragLimit(SCENE, 0.4).rows())
+    p, q = np.random.default_rng(0).normal(size=(2, SCENE.n_voxels))
+    value = rows.blocks["p"] @ p + rows.blocks["q"] @ q
+    beside = REGION.reshape(-1) != 0
+    np.testing.assert_allclose(value, 0.4 * p[beside] - q[beside])
+    inside = REGION.reshape(-1)[beside] > 0
+    np.testing.assert_array_equal(rows.lower == 0.0, inside)
+    np.testing.assert_array_equal(rows.upper == 0.0, ~inside)
+
+
+def test_a_limit_that_is_none_is_refused() -> None:
+    with pytest.raises(InputError, match="largest friction must lie between"):
+        DragLimit(SCENE, 0.0)

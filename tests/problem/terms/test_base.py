@@ -1,0 +1,76 @@
+"""What a term's rows are assembled to, and what copies with another weight keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.penalties.base import Penalty
+from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties.squares import Squares
+
+SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
+V = SCENE.n_voxels
+
+
+@dataclass(frozen=True)
+class Own(Term):
+    """Counts how often its rows are made."""
+
+    made: list[int] = field(default_factory=list, repr=False)
+    group: int = 0
+    name = "own"
+
+    @property
+    def penalty(self) -> Penalty:
+        return Groups(self.group) if self.group else Squares()
+
+    def rows(self) -> AffineRows:
+        self.made.append(1)
+        return AffineRows({"p": sp.coo_array(np.eye(6, V))}, np.arange(6))  # type: ignore[dict-item]
+
+
+def test_rows_are_made_once_and_kept_by_another_weight() -> None:
+    term = Own(SCENE, 2.0)
+    first = term.assembled
+    other = term.with_weight(5.0)
+    assert (term.weight, other.weight) == (2.0, 5.0)
+    assert other.assembled is first is term.assembled
+    assert term.made == [1]
+    assert isinstance(first.blocks["p"], sp.csr_array)
+    assert first.target.dtype == np.float64
+
+
+def test_before_they_are_made_nothing_is_kept() -> None:
+    term = Own(SCENE)
+    other = term.with_weight(3.0)
+    assert not term.made
+    np.testing.assert_array_equal(other.assembled.target, np.arange(6.0))
+
+
+@pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf"), -1e-300])
+def test_a_weight_that_is_none_is_refused(weight: float) -> None:
+    with pytest.raises(InputError, match="own weight must be finite and not negative"):
+        Own(SCENE, weight)
+    with pytest.raises(InputError, match="own weight must be finite and not negative"):
+        Own(SCENE).with_weight(weight)
+
+
+def test_groups_take_all_rows() -> None:
+    assert len(Own(SCENE, group=3).assembled.target) == 6
+    with pytest.raises(InputError, match="groups of 4 rows, got 6"):
+        Own(SCENE, group=4).assembled  # noqa: B018
+
+
+def test_what_most_terms_have_none_of() -> None:
+    term, values = Own(SCENE), {"p": np.zeros(V)}
+    assert term.formula == "Σ r², r = M x − t"
+    assert not term.requires and not term.parameters(values)
+    assert not term.fitted(values) and not term.not_identifiable()
+    assert term.with_neutral(["friction"]) is term

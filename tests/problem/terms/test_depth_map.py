@@ -1,0 +1,93 @@
+"""The term of a depth map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.terms.base import AffineRows
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
+
+PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
+
+
+def term(**options: float) -> DepthMapTerm:
+    return DepthMapTerm(small_scene("trilinear"), profile=PROFILE, **options)
+
+
+def test_the_profile_costs_nothing_and_grows_inwards() -> None:
+    one = term()
+    rows = one.assembled
+    assert np.abs(rows.blocks["p"] @ one.mean - rows.target).max() < 1e-9
+    field = one.mean.reshape(one.scene.voxmap.grid.shape)
+    assert (np.diff(field, axis=0) < 0.0).all()
+    assert (field[one.scene.voxmap.inside] > 0.0).all()
+    assert (one.mean > 0.0).sum() == (voxel_depths(one.scene.voxmap) > 0.0).sum()
+
+
+def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
+    one = term()
+    rows = one.assembled
+    g = np.random.default_rng(1).normal(size=len(one.mean))
+    costs = [
+        float(np.sum((rows.blocks["p"] @ (one.mean * (1 + s * g)) - rows.target) ** 2))
+        for s in (1.0, 2.0)
+    ]
+    assert costs[1] == pytest.approx(4.0 * costs[0])
+    wider = term(deviation=0.8).assembled
+    cost = np.sum((wider.blocks["p"] @ (one.mean * (1 + g)) - wider.target) ** 2)
+    assert cost == pytest.approx(costs[0] / 4.0)
+
+
+@pytest.mark.parametrize("name", ["deviation", "surface_length", "depth_length"])
+@pytest.mark.parametrize(
+    "value", [0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e-9, 1e9]
+)
+def test_bad_options_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"{name} must lie between .*, got {value}"):
+        term(**{name: value})
+
+
+ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 0.0, length_ratio=2.0)
+
+
+def test_a_term_has_the_estimated_values() -> None:
+    scene = small_scene("trilinear")
+    found = DepthMapTerm.of(scene, ESTIMATED)
+    expected = DepthMapTerm(
+        scene,
+        profile=PROFILE,
+        deviation=0.3,
+        surface_length=0.02,
+        depth_length=0.011,
+        length_ratio=2.0,
+    )
+    assert found == expected
+
+
+def test_the_formula_has_a_length_for_each_direction() -> None:
+    formula = term(surface_length=0.03, length_ratio=4.0).formula
+    assert formula == (
+        "‖R (p/φ − 1)‖²/σ², φ = 0.8 (d/10 mm)^1 + 0.3 (d/10 mm)^2, σ = 0.4, lengths "
+        "60 mm around, 15 along, 15 deep"
+    )
+
+
+class Wrong(DepthMapTerm):
+    """Declares the covariance of other rows."""
+
+    def rows(self) -> AffineRows:
+        rows = super().rows()
+        return replace(rows, blocks={"p": rows.blocks["p"] * 1.01})
+
+
+def test_a_covariance_that_is_not_that_of_the_rows_is_refused() -> None:
+    wrong = Wrong(small_scene("trilinear"), profile=PROFILE)
+    with pytest.raises(InputError, match="drop the tag KnownCovariance"):
+        wrong.assembled  # noqa: B018

@@ -1,0 +1,385 @@
+"""Evidence against the density of a Gaussian, and what it finds of a drawn field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.spatial.distance import cdist
+from scipy.stats import multivariate_normal
+
+from tests.conftest import small_scene
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.problem.terms import depth_map_estimate
+from ttus_opt.problem.terms.depth_map_estimate import (
+    _Chosen,
+    _coarser,
+    _Problem,
+    estimate_depth_map,
+    least_squares_profile,
+)
+from ttus_opt.problem.terms.depth_profile import voxel_depths
+from ttus_opt.problem.terms.part_noise import PartNoise, contact_directions
+from ttus_opt.problem.terms.posterior_mode import PosteriorMode
+
+
+def with_forces(scene: Scene, force: np.ndarray) -> Scene:
+    return replace(
+        scene, trajectory=replace(scene.trajectory, force=force.reshape(-1, 3))
+    )
+
+
+def drawn(seed: int, n_poses: int = 80, ratio: float = 1.0) -> Scene:
+    """Forces of φ(d)(1 + g) with g drawn from the prior, and noise of 0.1 N."""
+    scene = small_scene("trilinear", (9, 24, 14), n_poses, seed)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    touched = np.unique(scene.N.indices)
+    grid = scene.voxmap.grid
+    _, j, k = np.unravel_index(touched, grid.shape)
+    radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    scale = np.array([ratio**-0.5, ratio**-0.5, ratio**0.5])
+    place = scale * np.stack(
+        [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
+    )
+    down = np.abs(depth[touched, None] - depth[touched])
+    prior = 0.3**2 * matern(cdist(place, place), 0.03) * matern(down, 0.015)
+    rng = np.random.default_rng(seed)
+    g = rng.multivariate_normal(np.zeros(len(touched)), prior, method="eigh")
+    p = np.zeros(scene.n_voxels)
+    p[touched] = 200.0 * depth[touched] * (1.0 + g)
+    force = scene.N @ p
+    return with_forces(scene, force + rng.normal(0.0, 0.1, force.shape))
+
+
+def matern(distance: np.ndarray, length: float) -> np.ndarray:
+    scaled = np.sqrt(3.0) * distance / length
+    return (1.0 + scaled) * np.exp(-scaled)
+
+
+CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04, 3e-4)
+
+
+def dense(scene: Scene, chosen: _Chosen) -> float:
+    """Log density of the normal forces of frames in contact, voxel by voxel."""
+    frames = np.flatnonzero(scene.rows.contact_points > 0)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    lever = (scene.N @ depth).reshape(-1, 3)[frames]
+    u = lever / np.linalg.norm(lever, axis=1, keepdims=True)
+    N = scene.N.toarray().reshape(-1, 3, scene.n_voxels)[frames]
+    N = np.einsum("ti,tiv->tv", u, N)
+    f = np.einsum("ti,ti->t", u, scene.f.reshape(-1, 3)[frames])
+    grid = scene.voxmap.grid
+    touched = np.flatnonzero(N.any(axis=0))
+    _, j, k = np.unravel_index(touched, grid.shape)
+    radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    place = np.stack(
+        [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
+    )
+    d = depth[touched, None]
+    stretched = np.sqrt(chosen.length_ratio) ** np.array([-1.0, -1.0, 1.0]) * place
+    prior = matern(cdist(stretched, stretched), chosen.surface_length)
+    prior *= matern(cdist(d, d), chosen.depth_length)
+    per_depth = chosen.exponent / np.maximum(d[:, 0], 5e-4)
+    N = N[:, touched] * (d[:, 0] / 0.01) ** chosen.exponent
+    G = N.sum(axis=1)
+    c = (G @ f) / (G @ G)
+    mean, scale, slope = c * G, chosen.deviation * c, c * N @ per_depth
+    at = scene.trajectory.position[frames]
+    same = (np.diff(frames) == 1) & (np.diff(scene.trajectory.segment[frames]) == 0)
+    press = np.concatenate([[0], np.cumsum(~same)])
+    shared = matern(cdist(at, at), 0.005) * (press[:, None] == press)
+    cov = scale**2 * N @ prior @ N.T + chosen.shared_error**2 * shared * np.outer(
+        mean, mean
+    )
+    time, recording = scene.trajectory.time[frames], scene.trajectory.segment[frames]
+    late = np.exp(-np.abs(time[:, None] - time)) * (recording[:, None] == recording)
+    cov += chosen.depth_error**2 * late * np.outer(slope, slope)
+    cov += np.diag(chosen.noise**2 + (chosen.relative_noise * mean) ** 2)
+    density = multivariate_normal(mean, cov).logpdf(f)
+    return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
+
+
+def test_evidence_is_the_log_density_of_the_normal_forces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = drawn(0, 40)
+    exact = dense(scene, CHOSEN)
+    assert _Problem.of(scene, scene.N).evidence(CHOSEN) == pytest.approx(exact, abs=0.2)
+    monkeypatch.setattr(depth_map_estimate, "LEAST_EIGENVALUE", 1e-9)
+    monkeypatch.setattr(depth_map_estimate, "DEPTHS", 400)
+    found = _Problem.of(scene, scene.N).evidence(CHOSEN)
+    assert found == pytest.approx(exact, abs=2e-3)
+
+
+def test_fewer_nodes_tell_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bilinear interpolation, whose weights are 1 and which leaves planes alone."""
+    scene, smooth = drawn(0, 40), CHOSEN._replace(surface_length=0.15, noise=1.0)
+    exact = dense(scene, smooth)
+    off = []
+    for most in (20, 60):
+        monkeypatch.setattr(depth_map_estimate, "MOST_NODES", most)
+        problem = _Problem.of(scene, scene.N)
+        assert problem.nodes.shape[1] <= most < problem.nodes.shape[0]
+        off.append(abs(problem.evidence(smooth) - exact))
+    assert off[1] < 3.0 < off[0]
+    grid = scene.voxmap.grid
+    n_theta, n_z = grid.shape[1:]
+    spokes = np.arange(n_theta * n_z)
+    nodes, weights = _coarser(spokes, grid)
+    assert len(nodes) <= 60
+    np.testing.assert_allclose(weights @ np.ones(len(nodes)), 1.0)
+    np.testing.assert_allclose(weights @ (nodes % n_z), spokes % n_z, atol=1e-12)
+    inner = spokes // n_z <= nodes.max() // n_z  # beyond, the angle starts again
+    np.testing.assert_allclose(
+        (weights @ (nodes // n_z))[inner], (spokes // n_z)[inner], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5, 2.0, 3.0])
+def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
+    power: float,
+) -> None:
+    """A stiff layer, a round tip on a half-space, tissue that stiffens."""
+    scene = drawn(0, 40)
+    p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
+    grown = with_forces(scene, scene.N @ p)
+    found = least_squares_profile(grown)
+    expected = 0.7 * (np.array(found.exponents) == power)
+    assert expected.any()
+    np.testing.assert_allclose(found.coefficients, expected, atol=1e-6)
+    c, mean = _Problem.of(grown, grown.N).mean(power)
+    assert c == pytest.approx(0.7)
+    np.testing.assert_allclose(mean, _Problem.of(grown, grown.N).force, rtol=1e-9)
+
+
+def test_the_posterior_has_the_priors_of_the_method(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Medians and factors as in docs/method.md, (8.15); starts at several lengths."""
+    asked = []
+
+    def climbed(evidence: Any, n: int, calls: int, starts: Any) -> PosteriorMode:
+        asked.append((evidence, n, starts))
+        return PosteriorMode(np.zeros(n), 0.0)
+
+    monkeypatch.setattr(depth_map_estimate, "posterior_mode", climbed)
+    scene = drawn(0, 40)
+    found = estimate_depth_map(scene)
+    medians = np.array(
+        [1.3, 2.6 * scene.shell.rms_radius, 0.4, 0.01, 0.05, 0.05, 1.0, 0.03, 1e-4]
+    )
+    factors = np.exp([0.35, 0.35, 0.7, 0.5, 1.0, 1.0, 0.5, 0.7, 1.0])
+    assert found.profile.exponents == (1.3,)
+    assert found.surface_length == pytest.approx(medians[1])
+    assert (found.deviation, found.depth_length) == pytest.approx((0.4, 0.01))
+    mean = _Problem.of(scene, scene.N).mean(1.3)[1]
+    noise = np.sqrt(np.mean(0.05**2 + (0.05 * mean) ** 2))
+    assert found.noise == pytest.approx(noise)
+    (evidence, n, starts), problem = asked[0], _Problem.of(scene, scene.N)
+    assert n == 9
+    for steps in (np.zeros(9), *np.eye(9)):
+        chosen = _Chosen(*(medians * factors**steps))
+        assert evidence(steps) == pytest.approx(problem.evidence(chosen))
+    begun = medians * factors ** np.array(starts)
+    radius = scene.shell.rms_radius
+    assert begun[:, 3] == pytest.approx([0.02, 0.002, 0.01, 0.01])
+    assert begun[:, 6] == pytest.approx([1.0, 1.0, 5.0, 0.2])
+    assert begun[:, 1] / radius == pytest.approx([2.6, 2.6, 0.75, 0.75])
+    estimate_depth_map(scene, depth_length=0.02)
+    assert asked[1][1] == 8
+    exact = estimate_depth_map(scene, depth_error=0.0)
+    assert asked[2][1] == 8 and exact.depth_error == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("deviation", 0.7), ("surface_length", 0.05), ("length_ratio", 0.5)],
+)
+def test_what_is_given_is_not_estimated(name: str, value: float) -> None:
+    """It keeps its value, where the evidence would have another one."""
+    scene = drawn(0, 40)
+    found = estimate_depth_map(scene, **{name: value})  # type: ignore[arg-type]
+    assert getattr(found, name) == value
+    assert getattr(estimate_depth_map(scene), name) != pytest.approx(value, rel=0.1)
+    with pytest.raises(InputError, match=f"{name} must lie between .*, got -1.0"):
+        estimate_depth_map(scene, **{name: -1.0})  # type: ignore[arg-type]
+
+
+def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
+    """Rows twice as large are those of a field half as large; all else stays."""
+    scene = drawn(3, 40)
+    one = estimate_depth_map(scene, depth_length=0.015)
+    rows = sp.csr_array(2.0 * scene.N)
+    two = estimate_depth_map(scene, rows, depth_length=0.015)
+    assert one.profile.coefficients == pytest.approx(
+        [2.0 * c for c in two.profile.coefficients]
+    )
+    for name in ("deviation", "surface_length", "noise"):
+        assert getattr(one, name) == pytest.approx(getattr(two, name))
+    assert two.depth_length == 0.015
+
+
+def lifted(scene: Scene, frame: int) -> Scene:
+    """A frame's probe lifted off the patient."""
+    trajectory = scene.trajectory
+    position = trajectory.position.copy()
+    position[frame] *= [1.3, 1.3, 1.0]
+    given = {"inner": 2.0, "outer": 1.5, "sampling": "trilinear"}
+    moved = replace(trajectory, position=position)
+    return Scene.assemble(scene.voxmap, scene.shell, moved, **given)
+
+
+def test_frames_in_the_air_do_not_count() -> None:
+    scene = drawn(0, 40)
+    whole = _Problem.of(scene, scene.N).force
+    away = lifted(scene, 0)
+    kept = _Problem.of(with_forces(away, scene.f), away.N).force
+    np.testing.assert_allclose(kept, whole[1:])
+
+
+@pytest.mark.parametrize(
+    ("most", "step"), [(200, 1), (40, 1), (39, 2), (20, 2), (19, 3), (1, 40)]
+)
+def test_many_frames_are_thinned_evenly(
+    most: int, step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No more than are asked for, by the least step that does it."""
+    scene = drawn(0, 40)
+    assert (scene.rows.contact_points > 0).all()
+    whole = _Problem.of(scene, scene.N).force
+    monkeypatch.setattr(depth_map_estimate, "MOST_FRAMES", most)
+    kept = _Problem.of(scene, scene.N).force
+    assert len(kept) <= most
+    np.testing.assert_allclose(kept, whole[::step])
+
+
+def test_further_errors_count_along_the_contact_alone() -> None:
+    """A large variance across it changes nothing, along it the evidence of the rest."""
+    scene = drawn(0, 40)
+    u = contact_directions(scene)
+    plain = _Problem.of(scene, scene.N).evidence(CHOSEN)
+
+    def covariance(blocks: np.ndarray) -> Any:
+        def of(frames: np.ndarray) -> np.ndarray:
+            out = np.zeros((3 * len(frames),) * 2)
+            for k, t in enumerate(frames):
+                out[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[t]
+            return out
+
+        return of
+
+    along = u[:, :, None] * u[:, None, :]
+    across = _Problem.of(scene, scene.N, errors=covariance(100.0 * (np.eye(3) - along)))
+    assert across.evidence(CHOSEN) == pytest.approx(plain, abs=1e-6)
+    more = _Problem.of(scene, scene.N, errors=covariance(0.1**2 * along))
+    noisier = CHOSEN._replace(noise=float(np.hypot(CHOSEN.noise, 0.1)))
+    expected = _Problem.of(scene, scene.N).evidence(noisier)
+    assert more.evidence(CHOSEN) == pytest.approx(expected, abs=1e-9)
+
+
+def test_noise_is_never_less_than_a_covariance_needs() -> None:
+    scene = drawn(0, 40)
+    problem = _Problem.of(scene, scene.N)
+    silent = CHOSEN._replace(noise=1e-9, relative_noise=1e-9)
+    rms = np.sqrt(np.mean(problem.force**2))
+    _, mean = problem.mean(1.2)
+    np.testing.assert_allclose(np.sqrt(problem.variances(silent, mean)), 1e-4 * rms)
+
+
+def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
+    scene = drawn(3)
+    found = estimate_depth_map(scene)
+    assert found.noise == pytest.approx(0.1, rel=0.3)
+    depth = np.array([0.004])
+    assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
+    assert 0.15 < found.deviation < 0.6
+    own = replace(found, depth_error=0.0).part_noise(scene)
+    assert own.level == pytest.approx(found.noise, rel=0.05)
+
+
+def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence() -> None:
+    scene = drawn(0, 30)
+    found = replace(estimate_depth_map(scene), depth_error=5e-4, relative_noise=0.1)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    u = contact_directions(scene)
+
+    def normal(p: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ti,ti->t", u, (scene.N @ p).reshape(-1, 3)))
+
+    force = normal(found.profile(depth))
+    deeper = normal(found.profile(np.where(depth > 0.0, depth + 1e-7, 0.0)))
+    drift = (deeper - force) / 1e-7 * 5e-4
+    own = np.hypot(found.sensor_noise, 0.1 * force)
+    expected = PartNoise.of(scene, own, force, drift)
+    noise = found.part_noise(scene)
+    assert noise.level == pytest.approx(expected.level, rel=1e-2)
+    np.testing.assert_allclose(noise.across, expected.across, rtol=1e-2)
+    left = abs(noise.normal - expected.normal).max() / abs(expected.normal).max()
+    assert left < 0.02 and noise.normal.nnz > len(u)
+
+
+@pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
+def test_it_finds_in_which_direction_a_drawn_field_varies(ratio: float) -> None:
+    found = estimate_depth_map(drawn(3, ratio=ratio))
+    assert np.log(found.length_ratio) * np.log(ratio) > 0.5 * np.log(16.0)
+
+
+def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
+    scene = drawn(4)
+    rng = np.random.default_rng(4)
+    size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
+    own = np.repeat(0.3 * size, 3) * rng.standard_normal(scene.f.shape)
+    found = estimate_depth_map(with_forces(scene, scene.f + own))
+    assert found.noise == pytest.approx(
+        np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.35
+    )
+
+
+def test_a_trackers_error_is_not_taken_for_tissue() -> None:
+    """Depths that are wrong by 0.5 mm for a second, which 20 frames share."""
+    scene = drawn(3, 120)
+    step = np.random.default_rng(6).standard_normal(120)
+    wrong = np.zeros(120)
+    kept = np.exp(-0.05)
+    for t in range(1, 120):
+        wrong[t] = kept * wrong[t - 1] + np.sqrt(1.0 - kept**2) * step[t]
+    slope = (scene.N @ (200.0 * (voxel_depths(scene.voxmap) > 0.0))).reshape(-1, 3)
+    off = (5e-4 * wrong[:, None] * slope).ravel()
+    assert np.sqrt(np.mean(off**2)) > 0.05
+    time = replace(scene.trajectory, time=0.05 * np.arange(120))
+    exact = estimate_depth_map(replace(scene, trajectory=time))
+    moved = estimate_depth_map(
+        replace(
+            with_forces(scene, scene.f + off),
+            trajectory=replace(time, force=(scene.f + off).reshape(-1, 3)),
+        )
+    )
+    assert exact.depth_error < 2e-4 < 3e-4 < moved.depth_error < 1e-3
+
+
+def test_errors_that_a_press_shares_are_not_taken_for_tissue() -> None:
+    """Alike over millimetres: the tissue would vary as fast, if frames were apart."""
+    scene = drawn(3, 120)
+    press = np.arange(120) // 8
+    rng = np.random.default_rng(5)
+    shared = np.repeat(1.0 + 0.05 * rng.standard_normal(15)[press], 3)
+    found = estimate_depth_map(with_forces(scene, scene.f * shared))
+    assert found.surface_length > 0.015
+
+
+def test_forces_that_pull_and_none_at_all_are_refused() -> None:
+    scene = drawn(0, 20)
+    for estimate in (estimate_depth_map, least_squares_profile):
+        with pytest.raises(InputError, match="pull the probe in"):
+            estimate(with_forces(scene, -scene.f))
+        with pytest.raises(InputError, match="touches they reach 0 N only"):
+            estimate(with_forces(scene, 0.0 * scene.f))
+    away = replace(scene.trajectory, position=[1.2, 1.2, 1] * scene.trajectory.position)
+    with pytest.warns(TtusWarning, match="touches the patient in none"):
+        apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    with pytest.raises(InputError, match="never touches"):
+        estimate_depth_map(apart)

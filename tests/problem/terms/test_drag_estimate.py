@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.dragging import dragged_scene
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.formulation import load
+from ttus_opt.problem.terms.drag import GlobalCoulomb
+from ttus_opt.problem.terms.drag_estimate import LEAST_GAIN, estimate_drag
+
+
+@pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
+def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
+    estimate = estimate_drag(dragged_scene(acts_at))
+    assert estimate.acts_at == acts_at
+    assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
+    assert estimate.boundary_scale == pytest.approx(1.0, rel=1e-6)
+    assert estimate.misfit < 1e-6
+
+
+def test_drag_of_another_coefficient_needs_no_other_rows() -> None:
+    scene = dragged_scene("points")
+    drag = estimate_drag(scene).drag
+    expected = GlobalCoulomb(scene, "points", coefficient=0.3)
+    found = drag.with_coefficient(0.3)
+    assert found.rows is drag.rows
+    difference = found.force_blocks()["p"] - expected.force_blocks()["p"]
+    assert not abs(difference).sum()
+
+
+def test_a_scale_that_is_off_is_told() -> None:
+    scene = dragged_scene("contact")
+    estimate = estimate_drag(scene.with_boundary(1.5, 1.5))
+    assert estimate.boundary_scale == pytest.approx(2.0, rel=1e-6)
+    assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
+
+
+def test_without_drag_there_is_none() -> None:
+    estimate = estimate_drag(dragged_scene("contact", mu=0.0))
+    assert estimate.friction_coefficient < 1e-9
+
+
+def test_drag_that_would_push_is_judged_without_it() -> None:
+    """A lag of the sensor pushes along the motion; no place gains by a negative μ."""
+    scene = dragged_scene("contact", mu=-0.3)
+    p = scene.laplace.solve(scene.b)
+    pressed = np.concatenate([scene.N @ p, scene.W @ p / scene.torque_length])
+    measured = np.concatenate([scene.f, scene.tau / scene.torque_length])
+    scale = pressed @ measured / (pressed @ pressed)
+    rest = measured - scale * pressed
+    for place in ("points", "contact", "reference"):
+        estimate = estimate_drag(scene, place)
+        assert estimate.friction_coefficient == 0.0
+        assert estimate.boundary_scale == pytest.approx(scale)
+        assert estimate.misfit == pytest.approx(np.sqrt(np.mean(rest**2)))
+
+
+def test_a_probe_at_rest_tells_nothing() -> None:
+    scene = dragged_scene("contact")
+    position = np.repeat(scene.trajectory.position[:1], len(scene.trajectory), axis=0)
+    rotation = np.repeat(scene.trajectory.rotation[:1], len(scene.trajectory), axis=0)
+    still = replace(scene.trajectory, position=position, rotation=rotation)
+    scene = tt.Scene.assemble(
+        scene.voxmap, scene.shell, still, inner=3.0, outer=3.0, sampling="trilinear"
+    )
+    assert estimate_drag(scene).friction_coefficient == 0.0
+
+
+def test_the_place_may_be_given() -> None:
+    scene = dragged_scene("contact")
+    given = estimate_drag(scene, "reference")
+    assert given.acts_at == "reference"
+    assert given.misfit > estimate_drag(scene, "contact").misfit
+    with pytest.raises(InputError, match="acts_at must be one of auto, contact, po"):
+        estimate_drag(scene, "handle")
+
+
+def test_viscous_drag_is_of_the_patch_only() -> None:
+    """Drag at every point is Coulomb's: viscous drag does not stand in for it."""
+    scene = dragged_scene("contact")
+    with pytest.raises(InputError, match="one of auto, contact, reference, got 'poin"):
+        load("viscous_drag", scene, acts_at="points")
+    assert load("viscous_drag", scene).terms
+
+
+@pytest.mark.slow
+def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
+    """`inner="fit"` needs no friction: drag is across the force it scales."""
+    folder = shared / "phantom"
+    surface = tt.Surface.load(folder / "surface.nc")
+    voxmap = tt.Voxmap.from_surface(surface, shape=(24, 60, 30), r_inner=0.03)
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=800)
+    for name in ("press_fit", "sweep_fit"):
+        trajectory = tt.read_trajectory(folder / f"{name}.csv")
+        scene = tt.Scene.assemble(
+            voxmap, shell, trajectory, inner="fit", sampling="trilinear"
+        )
+        estimate = estimate_drag(scene)
+        assert estimate.boundary_scale == pytest.approx(1.0, abs=0.02)
+        assert estimate.friction_coefficient == pytest.approx(0.25, rel=0.15)
+
+
+def test_drag_is_shown_where_forces_need_it() -> None:
+    """A gain of one by chance; that of recordings with drag grows with the places."""
+    scene = dragged_scene("contact")
+    found = estimate_drag(scene)
+    assert found.is_shown and found.gain > 3.0 * LEAST_GAIN
+    p = scene.laplace.solve(scene.b)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, scene.f.shape)
+    smooth = replace(
+        scene.trajectory,
+        force=(scene.N @ p + noise).reshape(-1, 3),
+        torque=(scene.W @ p).reshape(-1, 3),
+    )
+    without = estimate_drag(replace(scene, trajectory=smooth))
+    assert not without.is_shown and without.gain < 2.0

@@ -1,0 +1,330 @@
+"""Residuals on problems solved by hand, with the signs of their multipliers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.problem.formulation import load
+from ttus_opt.problem.members import (
+    ProgramBounds,
+    ProgramCones,
+    ProgramConstraint,
+    ProgramTerm,
+)
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.verify import kkt
+from ttus_opt.problem.verify.distance import CLOSE
+from ttus_opt.problem.verify.gradient_blocks import _least_gradient
+from ttus_opt.problem.verify.kkt import KKT, Duals, _held, bound_duals, kkt_residuals
+
+LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
+
+
+def program(
+    n: int,
+    terms: list[ProgramTerm],
+    constraints: tuple[ProgramConstraint, ...] = (),
+    bounds: tuple[ProgramBounds, ...] = (),
+) -> Program:
+    return Program({"p": slice(0, n)}, tuple(terms), constraints, bounds, LAPLACE)
+
+
+def squares(target: list[float], weight: float = 1.0) -> ProgramTerm:
+    eye = sp.csr_array(sp.eye_array(len(target)))
+    return ProgramTerm("squares", weight, eye, np.array(target))
+
+
+def rows(name: str, A: list[list[float]], low: float, high: float) -> ProgramConstraint:
+    m = len(A)
+    return ProgramConstraint(
+        name, sp.csr_array(np.array(A)), np.full(m, low), np.full(m, high)
+    )
+
+
+def assert_optimal(kkt: KKT, tolerance: float = 1e-12) -> None:
+    assert kkt.worst_relative <= tolerance
+    assert max(kkt.primal, kkt.dual, kkt.gap) <= 10 * tolerance
+
+
+def test_upper_row_has_a_positive_multiplier() -> None:
+    """min (x-2)² + (y-2)², x + y ≤ 2: x = y = 1, y = 2."""
+    problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
+    x = np.array([1.0, 1.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([2.0])})))
+    wrong_sign = kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])}))
+    assert min(wrong_sign.dual_relative, wrong_sign.gap_relative) >= 0.5
+
+
+def test_lower_row_has_a_negative_multiplier() -> None:
+    """min x² + y², x + y ≥ 2: x = y = 1, y = -2."""
+    problem = program(2, [squares([0, 0])], (rows("sum", [[1, 1]], 2.0, np.inf),))
+    x = np.array([1.0, 1.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])})))
+
+
+def test_equality_row_has_a_multiplier_of_either_sign() -> None:
+    """min x² + y², x - y = ±2: x = -y = ±1, y = ∓2."""
+    for value in (2.0, -2.0):
+        problem = program(2, [squares([0, 0])], (rows("tie", [[1, -1]], value, value),))
+        x = np.array([value / 2, -value / 2])
+        assert_optimal(kkt_residuals(problem, x, Duals({"tie": np.array([-value])})))
+
+
+def test_bounds_have_multipliers_of_their_own() -> None:
+    """min (x-2)² + (y+2)² + z², x ≤ 1, y ≥ -1, z free: duals 2, -2, 0."""
+    box = ProgramBounds("box", np.array([-9, -1.0, -9]), np.array([1.0, 9, 9]))
+    problem = program(3, [squares([2, -2, 0])], (), (box,))
+    x, z = np.array([1.0, -1.0, 0.0]), np.array([2.0, -2.0, 0.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({}, z)))
+    assert kkt_residuals(problem, x, Duals()).dual == pytest.approx(np.sqrt(8))
+
+
+def test_a_point_is_judged_anew_where_anything_of_it_has_changed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    judged = []
+    whole = kkt._residuals
+    monkeypatch.setattr(kkt, "_residuals", lambda *a: judged.append(a) or whole(*a))
+    x, y = np.array([1.0]), np.array([4.0])
+    first = kkt_residuals(of, x, Duals({"limit": y}))
+    assert kkt_residuals(of, x.copy(), Duals({"limit": y.copy()})) is first
+    assert len(judged) == 1
+    y[0] = 5.0  # in place
+    assert kkt_residuals(of, x, Duals({"limit": y})).dual > 0.5
+    y[0], x[0] = 4.0, 2.0
+    assert kkt_residuals(of, x, Duals({"limit": y})).primal == 1.0
+    kkt_residuals(of, x, Duals({"limit": y}), tolerance=1e-9)
+    kkt_residuals(of, x, Duals({}, None, {"limit": y}))
+    assert len(judged) == 5
+    other = program(1, [squares([2.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    assert kkt_residuals(other, x, Duals({"limit": y})) != first
+    key = id(of)
+    assert key in kkt._last
+    judged.clear()
+    del of
+    assert key not in kkt._last
+
+
+def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
+    """Targets of measured rows are views of the recording, which may be edited."""
+    of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    x, duals = np.array([1.0]), Duals({"limit": np.array([4.0])})
+    assert_optimal(kkt_residuals(of, x, duals))
+    of.terms[0].target[:] = 2.0
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.constraints[0].upper[:] = 0.5
+    assert kkt_residuals(of, x, duals).primal == 0.5
+    box = ProgramBounds("box", np.array([-9.0]), np.array([1.0]))
+    of = program(1, [squares([3.0])], (), (box,))
+    assert_optimal(kkt_residuals(of, x, Duals({}, np.array([4.0]))))
+    box.upper[:] = 0.5
+    assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
+
+
+def test_a_point_is_judged_anew_where_a_matrix_has_changed() -> None:
+    """An entry, a column's place, and two entries exchanged, all in place."""
+    x, duals = np.array([1.0, 1.0]), Duals({"limit": np.array([2.0])})
+    limit = rows("limit", [[1.0, 1.0]], -np.inf, 2.0)
+    of = program(2, [squares([2.0, 2.0])], (limit,))
+    assert_optimal(kkt_residuals(of, x, duals))
+    limit.matrix.data[1] = 3.0  # x + 3 y ≤ 2
+    assert kkt_residuals(of, x, duals).primal == 2.0
+    limit.matrix.data[1] = 1.0
+    assert_optimal(kkt_residuals(of, x, duals))
+    of.terms[0].matrix.data[0] = 2.0  # the gradient's first entry is 0 + 2
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.terms[0].matrix.data[:] = 1.0, 2.0
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.terms[0].matrix.data[:] = 1.0
+    limit.matrix.indices[:] = 0  # 2 x ≤ 2
+    found = kkt_residuals(of, x, duals)
+    assert found.primal == 0.0 and found.dual == pytest.approx(np.hypot(2.0, 2.0))
+    limit.matrix.indices[:] = 0, 1
+    limit.matrix.data[:] = 1.0, 3.0  # 1 at (1, 0)
+    x[1] = 0.0
+    assert kkt_residuals(of, x, duals).primal == 0.0
+    limit.matrix.data[:] = 3.0, 1.0
+    assert kkt_residuals(of, x, duals).primal == 1.0
+
+
+def test_a_point_is_judged_anew_where_a_cone_has_changed() -> None:
+    """x ≥ |y| with x = y = 1, and with half of x: from (½, 1) to (¾, ¾)."""
+    cone = ProgramCones("cone", sp.csr_array(np.eye(2)), np.zeros(2), (2,))
+    of = replace(program(2, [squares([1.0, 1.0])]), cones=(cone,))
+    x = np.ones(2)
+    assert_optimal(kkt_residuals(of, x, Duals()))
+    cone.matrix.data[0] = 0.5
+    assert kkt_residuals(of, x, Duals()).primal == pytest.approx(0.25)
+
+
+def test_a_multiplier_of_an_absent_limit_is_an_error() -> None:
+    problem = program(1, [squares([0])], (rows("high", [[1.0]], -np.inf, 5.0),))
+    kkt = kkt_residuals(problem, np.zeros(1), Duals({"high": np.array([-1.0])}))
+    assert kkt.worst_relative >= 1.0
+
+
+def test_what_is_not_finite_is_infinitely_wrong() -> None:
+    problem = program(2, [squares([0, 0])])
+    kkt = kkt_residuals(problem, np.array([np.nan, 0.0]), Duals())
+    assert kkt.worst_relative == np.inf
+    assert set(kkt.as_dict()) >= {"primal", "dual", "gap", "gap_relative"}
+
+
+def test_absolute_penalty_has_a_multiplier_within_one() -> None:
+    """min ½·2|x| + (x - 0.3)²: x = 0 with g = 0.6; (x - 3)²: x = 2.5 with g = 1."""
+    eye = sp.csr_array(sp.eye_array(1))
+    for target, solution, g in ((0.3, 0.0, 0.6), (3.0, 2.5, 1.0)):
+        terms = [
+            squares([target]),
+            ProgramTerm("size", 1.0, eye, np.zeros(1), Absolute()),
+        ]
+        problem = program(1, terms)
+        x = np.array([solution])
+        duals = Duals(terms={"size": np.array([g])})
+        assert_optimal(kkt_residuals(problem, x, duals))
+        # a multiplier outside [-1, 1] is brought back, and then cannot pass
+        too_far = Duals(terms={"size": np.array([-5.0])})
+        assert kkt_residuals(problem, x, too_far).dual > 0.1
+    missing = kkt_residuals(
+        program(1, [squares([0.3]), terms[1]]), np.zeros(1), Duals()
+    )
+    assert missing.dual == pytest.approx(0.6)
+
+
+def test_huber_penalty_needs_no_multiplier() -> None:
+    """min huber(x - 4; 1) + x²: slope 2 beyond the limit, so x = 1."""
+    eye = sp.csr_array(sp.eye_array(1))
+    bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Huber(1.0))
+    problem = program(1, [squares([0]), bent])
+    assert problem.objective(np.ones(1)) == pytest.approx(1.0 + 2 * 3 - 1)
+    assert_optimal(kkt_residuals(problem, np.ones(1), Duals()))
+    assert kkt_residuals(problem, np.full(1, 1.1), Duals()).dual_relative > 0.01
+
+
+def test_group_norm_shrinks_a_group_by_its_length() -> None:
+    """min ‖x - (3, 4)‖² + 2‖x‖: shrinks the length 5 by 1; near zero to zero."""
+    eye = sp.csr_array(sp.eye_array(2))
+    length = ProgramTerm("length", 2.0, eye, np.zeros(2), Groups(2))
+    x = 0.8 * np.array([3.0, 4.0])
+    problem = program(2, [squares([3, 4]), length])
+    assert_optimal(kkt_residuals(problem, x, Duals(terms={"length": x / 4.0})))
+    near = program(2, [squares([0.3, 0.4]), length])
+    duals = Duals(terms={"length": np.array([0.3, 0.4])})
+    assert_optimal(kkt_residuals(near, np.zeros(2), duals))
+
+
+def test_bound_duals_go_to_the_bound_that_holds() -> None:
+    first = ProgramBounds("first", np.array([0.0, -np.inf]), np.array([np.inf, 3.0]))
+    second = ProgramBounds("second", np.array([-1.0, -2.0]), np.array([5.0, 1.0]))
+    problem = program(2, [squares([0, 0])], (), (first, second))
+    split = bound_duals(problem, np.array([-4.0, 2.0]))
+    np.testing.assert_array_equal(split["first"], [-4.0, 0.0])
+    np.testing.assert_array_equal(split["second"], [0.0, 2.0])
+    np.testing.assert_array_equal(split["first"] + split["second"], [-4.0, 2.0])
+    assert not bound_duals(problem, None)["first"].any()
+
+
+def test_equal_bounds_share_no_multiplier() -> None:
+    both = [ProgramBounds(n, np.zeros(1), np.ones(1)) for n in ("one", "two")]
+    problem = program(1, [squares([9.0])], (), (both[0], both[1]))
+    split = bound_duals(problem, np.array([16.0]))
+    assert (split["one"].item(), split["two"].item()) == (16.0, 0.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
+def test_the_gap_alone_can_refuse_an_answer(side: float) -> None:
+    """min (x-2)², x ≤ 3 at x = 1.5 with y = 1: r = 0, but the limit is 1.5 away.
+
+    And mirrored: min (x+2)², x ≥ -3 at x = -1.5 with y = -1.
+    """
+    x, dual = np.array([1.5 * side]), np.array([side])
+    low, high = sorted([3.0 * side, -np.inf * side])
+    cap, target = rows("cap", [[1.0]], low, high), squares([2.0 * side])
+    kkt = kkt_residuals(program(1, [target], (cap,)), x, Duals({"cap": dual}))
+    assert (kkt.primal, kkt.dual) == (0.0, 0.0)
+    assert kkt.gap == pytest.approx(1.5)
+    assert kkt.gap_relative == pytest.approx(1.5 / 0.25)
+    assert kkt.worst_relative == kkt.gap_relative
+    # of a bound the same
+    box = ProgramBounds("box", np.array([low]), np.array([high]))
+    kkt = kkt_residuals(program(1, [target], (), (box,)), x, Duals({}, dual))
+    assert kkt.gap == pytest.approx(1.5)
+
+
+def test_rounding_of_rows_that_cancel_is_no_error() -> None:
+    """(x - y)² at x ≈ y: judged against what rounding leaves of a row."""
+    row = sp.csr_array(np.array([[1.0, -1.0]]))
+    problem = program(2, [ProgramTerm("difference", 1.0, row, np.zeros(1))])
+    off = 1e-9
+    kkt = kkt_residuals(problem, np.array([1.0, 1.0 - off]), Duals())
+    assert kkt.dual == pytest.approx(2.0 * np.sqrt(2.0) * off, rel=1e-6)
+    assert kkt.dual_relative == pytest.approx(kkt.dual / 4e-6, rel=1e-6)
+
+
+def test_every_block_is_judged_by_its_own_summands() -> None:
+    """A small parameter beside a large field: its wrong value is no rounding."""
+    field = sp.csr_array(np.array([[1e6, 0.0]]))
+    small = sp.csr_array(np.array([[0.0, 1e-3]]))
+    problem = Program(
+        {"p": slice(0, 1), "c": slice(1, 2)},
+        (
+            ProgramTerm("field", 1.0, field, np.array([1e6])),
+            ProgramTerm("parameter", 1.0, small, np.array([1e-3])),
+        ),
+        (),
+        (),
+        LAPLACE,
+    )
+    assert_optimal(kkt_residuals(problem, np.array([1.0, 1.0]), Duals()))
+    wrong = kkt_residuals(problem, np.array([1.0, 0.5]), Duals())
+    assert wrong.dual_relative == pytest.approx(0.5)
+
+
+def test_a_bound_far_above_what_is_asked_comes_close() -> None:
+    """Along what measured rows hold: the prior alone bounds it a hundredfold."""
+    scene = small_scene(shape=(7, 12, 7), n_poses=2)
+    declared = load("eq10", scene, force_weight=100.0, torque_weight=100.0)
+    problem = declared.compile()
+    M = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in problem.terms])
+    t = np.concatenate([np.sqrt(t.weight) * t.target for t in problem.terms])
+    best = np.linalg.lstsq(M, t)[0]
+    laplace = scene.laplace
+    along = laplace.solve(laplace.solve_adjoint(scene.N.T @ np.ones(scene.N.shape[0])))
+    along *= 1e-2 / np.linalg.norm(M @ along)
+    kkt = kkt_residuals(problem, best + along, Duals(), tolerance=1e-9)
+    assert 1.0 <= kkt.gap / 1e-4 <= 1.0 + 1.1 * CLOSE
+
+
+def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
+    problem = program(1, [squares([4.0])])
+    for off in (1e-9, 1e-6):
+        kkt = kkt_residuals(problem, np.array([4.0 + off]), Duals())
+        assert kkt.gap_relative == pytest.approx(100.0 * off / 4.0, rel=0.1)
+        assert kkt.distance == pytest.approx(off, rel=0.1)
+        assert kkt.primal == kkt.primal_relative == 0.0  # without any limit
+
+
+def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
+    """2 x₁ = 3 at x₁ = 2 is off by half in x₁; the sum of both fixes neither."""
+    held, both = rows("held", [[2.0, 0.0]], 3.0, 3.0), rows("both", [[1, 1]], 0.0, 0.0)
+    x, r = np.array([2.0, 7.0]), np.array([-6.0, 5.0])
+    assert _held(held, x, r) == 3.0
+    assert _held(both, x, r) == 0.0
+
+
+def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:
+    eye = sp.csr_array(sp.eye_array(2))
+    linear = ProgramTerm("linear", 5.0, eye, np.zeros(2), Linear())
+    absolute = ProgramTerm("absolute", 3.0, eye, np.zeros(2), Absolute())
+    for terms in ([linear, absolute], [absolute, linear]):
+        assert _least_gradient(program(2, terms), slice(0, 2), 1.0) == 3.0

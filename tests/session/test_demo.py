@@ -1,0 +1,109 @@
+"""The demo on a coarse grid; the full one is the README's command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ttus_opt.probe.trajectory import read_trajectory
+from ttus_opt.problem.solution import Status
+from ttus_opt.scan.surface import Surface
+from ttus_opt.session import demo
+from ttus_opt.voxmap.field import PotentialField
+
+
+@pytest.fixture(scope="module")
+def stages() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("demo")
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path, stages: list[str]) -> demo.DemoResult:
+    return demo.run(folder, shape=(24, 60, 24), progress=stages.append)
+
+
+def test_both_fits_hold_their_own_check(result: demo.DemoResult) -> None:
+    assert result.before.status is Status.SOLVED
+    assert result.after.status is Status.SOLVED
+    assert result.after.formulation == "eq10"
+
+
+def test_measurements_lower_the_errors_of_unseen_motion(
+    result: demo.DemoResult,
+) -> None:
+    unseen = [case for case in result.comparisons if not case.seen]
+    assert [case.recording for case in unseen] == ["press_test", "sweep_test"]
+    for case in unseen:
+        before, after = case.before.errors, case.after.errors
+        assert after.force_magnitude_error_N < before.force_magnitude_error_N
+        assert after.force_angle_error_deg < before.force_angle_error_deg
+
+
+def test_the_scan_gives_the_true_skin(result: demo.DemoResult) -> None:
+    assert result.surface_error.mean < 2e-3
+    assert result.surface_error.p95 < 5e-3
+    assert 0.3 < result.surface_error.observed < 0.8
+
+
+def test_every_file_is_there_and_readable(
+    result: demo.DemoResult, folder: Path
+) -> None:
+    written = {path.name for path in folder.iterdir()}
+    assert written == {*demo.PICTURES, "surface.nc", "field.nc", "report.md"}
+    field = PotentialField.load(folder / "field.nc")
+    np.testing.assert_array_equal(field.values, result.after.field.values)
+    surface = Surface.load(folder / "surface.nc")
+    np.testing.assert_array_equal(surface.radius, field.voxmap.surface.radius)
+    report = (folder / "report.md").read_text(encoding="utf-8")
+    assert all(f"({name})" in report for name in demo.PICTURES)
+    for name in demo.PICTURES:
+        picture = (folder / name).read_bytes()
+        assert picture.startswith(b"\x89PNG") and 2_000 < len(picture) < 300_000
+
+
+def test_progress_is_told_as_often_as_announced(
+    result: demo.DemoResult, stages: list[str]
+) -> None:
+    assert len(stages) == demo.N_STAGES == len(set(stages))
+
+
+def test_figures_go_into_json(result: demo.DemoResult) -> None:
+    told = json.loads(json.dumps(result.as_dict()))
+    assert told["status"] == "solved"
+    assert [row["seen"] for row in told["errors"]] == [True, True, False, False]
+
+
+def test_fitted_and_unseen_recordings_differ() -> None:
+    from ttus_opt import example
+
+    poses = [
+        read_trajectory(example.path(f"{name}.csv")).position
+        for name in (*demo.FITTED, *demo.UNSEEN)
+    ]
+    for i in range(2):
+        shared = np.abs(poses[i] - poses[i + 2]).max(axis=1) < 1e-4
+        assert shared.mean() < 0.1
+
+
+@pytest.mark.slow
+def test_the_command_ends_below_what_can_be_felt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from ttus_opt.cli import main
+
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "-o", str(tmp_path / "demo"), "--json"])
+    assert not stop.value.code
+    for row in json.loads(capsys.readouterr().out)["errors"]:
+        # docs/method.md, section 15: a person feels about 0.36 N and 18° of direction
+        # a hand feels 0.36 N; with the formulation's own weights a sweep has 0.24 N
+        assert row["after"]["force_magnitude_error_N"] < 0.18
+        assert row["after"]["force_angle_error_deg"] < 18.0

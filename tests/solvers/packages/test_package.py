@@ -1,0 +1,20 @@
+"""A tolerance and a time limit in a package's own words."""
+
+from __future__ import annotations
+
+from ttus_opt.solvers.packages.package import Package
+
+PLAIN = Package("a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10)
+
+
+def test_every_option_has_its_number() -> None:
+    assert PLAIN.options(1e-8, 5) == {
+        "rel": 1e-8, "gap": 1e-8, "abs": 1e-10, "rho": 3, "seconds": 5.0,
+    }  # fmt: skip
+    assert "seconds" not in PLAIN.options(1e-8, None)
+    assert PLAIN.options(1e-14, None)["rel"] == 1e-10
+
+
+def test_options_may_stand_within_another() -> None:
+    within = Package("a", "", "a", ("rel",), within="params")
+    assert within.options(1e-6, 5.0) == {"params": {"rel": 1e-6}}

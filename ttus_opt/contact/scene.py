@@ -1,0 +1,401 @@
+"""A scene: all data of a fit, assembled once.
+
+Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
+linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a scan or a surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
+from ttus_opt.contact.boundary_scale import Identified, identified_scale
+from ttus_opt.contact.cut_off import cut_off
+from ttus_opt.contact.places import touched_places
+from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
+from ttus_opt.core.arguments import expect
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.compiled import Stopwatch
+from ttus_opt.core.errors import InputError, MistakeWarning, warn
+from ttus_opt.core.html_card import card, sections_svg
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.extraction import extract_surface
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.sector import Sector
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
+LARGEST_BOUNDARY = 1e9
+
+#: Missing data of a trajectory without wrenches, in a message
+FORCES = "forces (columns fx, fy, fz)"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Matrices and measurements of one fit.
+
+    Attributes:
+        voxmap: Grid and surface.
+        shell: The probe.
+        trajectory: Poses and wrenches, T frames.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
+        laplace: L, the parts of b, and solves with L.
+        rows: N and W of the trajectory.
+        inner: p_in on the inner layer [N or N/cm²].
+        outer: p_out; the outer layer has -p_out [N or N/cm²].
+        b: Right side of L p = b, shape (V,) [N or N/cm²].
+        parameters: Parameters identified in the assembly, by name (``boundary_scale``).
+        seconds: Duration of the assembly, without compiling [s].
+        standard_errors: Standard errors of the parameters, by name.
+        not_identified: Reason for each parameter that the data do not determine, whose
+            neutral value is used, by name.
+        compile_seconds: Duration of compiling in the assembly [s].
+    """
+
+    voxmap: Voxmap
+    shell: PointShell = field(repr=False)
+    trajectory: Trajectory = field(repr=False)
+    sampling: str
+    laplace: LaplaceSystem = field(repr=False)
+    rows: ContactRows = field(repr=False)
+    inner: float
+    outer: float
+    b: Array = field(repr=False)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    seconds: float = field(default=0.0, compare=False)
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
+    not_identified: Mapping[str, str] = field(default_factory=dict)
+    compile_seconds: float = field(default=0.0, compare=False)
+
+    @classmethod
+    def assemble(
+        cls,
+        voxmap: Voxmap,
+        shell: PointShell,
+        trajectory: Trajectory,
+        *,
+        inner: float | Literal["fit"] | None = None,
+        outer: float = 1.0,
+        sampling: str = "trilinear",
+    ) -> Scene:
+        """Assemble L, b, N, f, W and τ.
+
+        Args:
+            voxmap: Grid and surface.
+            shell: The probe.
+            trajectory: Poses, and wrenches where they were measured.
+            inner: p_in, or "fit": the scale for which the Laplace field alone matches
+                the measured forces best in least squares; 1 where its standard error
+                exceeds half of it (a `TtusWarning`). None is "fit" where forces were
+                measured in contact, otherwise 1; forces that push into the patient are
+                then a warning instead of an error.
+            outer: p_out; where p_in is fitted the ratio p_out / p_in.
+            sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``. The paper has
+                ``voxel-mean`` and p_in = p_out = 1: `ttus_opt.core.paper.SCENE`.
+
+        Returns:
+            The scene. A `TtusWarning` reports poses off the grid or without contact.
+
+        Raises:
+            InputError: Not a trajectory, unknown sampling, boundary values that are not
+                finite, or "fit" without a measured force in contact.
+        """
+        watch = Stopwatch()
+        expect(voxmap, Voxmap, "the voxmap")
+        expect(shell, PointShell, "the probe")
+        if not isinstance(trajectory, Trajectory):
+            raise InputError(
+                f"a scene takes one trajectory, got {type(trajectory).__name__}: join "
+                "several with Trajectory.concatenate"
+            )
+        checked_sampling(sampling)
+        if isinstance(inner, str) and inner != "fit":
+            raise InputError(f'inner must be a number or "fit", got {inner!r}')
+        for name, value in (("inner", inner), ("outer", outer)):
+            _check_boundary(name, value)
+        _report_misplaced(voxmap)
+        _report_size(voxmap, shell)
+        laplace = LaplaceSystem.assemble(voxmap)
+        poses = trajectory.rotation, trajectory.position
+        rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
+        _report_contact(rows, voxmap.grid.r_inner)
+        _report_cut_off(cut_off(voxmap, shell, *poses))
+        known = Identified({}, {}, {})
+        asked = inner is not None
+        if inner is None:
+            in_contact = bool((rows.contact_points > 0).any())
+            inner = "fit" if in_contact and trajectory.has_wrench else 1.0
+        if isinstance(inner, str):
+            force = _measured(trajectory.force, FORCES)
+            at = trajectory.segment, trajectory.position
+            place = touched_places(rows.contact_points > 0, *at)
+            known = identified_scale(laplace, rows.N, place, force, outer, asked)
+            inner = known.parameters[BOUNDARY_SCALE]
+            outer = inner * outer
+        return cls(
+            voxmap,
+            shell,
+            trajectory,
+            sampling,
+            laplace,
+            rows,
+            float(inner),
+            float(outer),
+            laplace.right_side(float(inner), float(outer)),
+            known.parameters,
+            watch.seconds,
+            known.standard_errors,
+            known.not_identified,
+            watch.compile,
+        )
+
+    def __repr__(self) -> str:
+        return f"Scene({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        surface, grid = self.voxmap.surface, self.voxmap.grid
+        outline = surface.points()[:, len(surface.z) // 2, :2]
+        touching = self.rows.contact_points > 0
+        places = self.trajectory.position[touching, :2]
+        thinned = places[:: max(1, len(places) // 100)]
+        picture = sections_svg([outline], (grid.r_inner, grid.r_outer), thinned)
+        return card("Scene", self._facts(), picture)
+
+    def _facts(self) -> dict[str, str]:
+        """A short description, by name."""
+        touching = int((self.rows.contact_points > 0).sum())
+        measured = "measured" if self.trajectory.has_wrench else "no"
+        kind = "forces" if self.measures_force_only else "wrenches"
+        return {
+            "grid": self.voxmap.grid.sizes,
+            "poses": f"{len(self.trajectory)} poses, {touching} in contact",
+            "wrenches": f"{measured} {kind}",
+            "probe": f"{len(self.shell)} shell points",
+            "sampling": self.sampling,
+            "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}, "
+            f"{self.voxmap.boundary}",
+        }
+
+    def with_boundary(self, inner: float, outer: float) -> Scene:
+        """The same scene with other boundary values; nothing is assembled again."""
+        return replace(
+            self,
+            inner=inner,
+            outer=outer,
+            b=self.laplace.right_side(inner, outer),
+            parameters={},
+            standard_errors={},
+            not_identified={},
+        )
+
+    def rows_along(self, trajectory: Trajectory) -> ContactRows:
+        """N and W of other poses of the same probe on the same patient."""
+        poses = trajectory.rotation, trajectory.position
+        return contact_rows(self.voxmap, self.shell, *poses, sampling=self.sampling)
+
+    @property
+    def n_voxels(self) -> int:
+        """Number of voxels V [–]."""
+        return self.voxmap.grid.n_voxels
+
+    @property
+    def L(self) -> sp.csr_array:
+        """Laplace operator, (V, V) [–]."""
+        return self.laplace.L
+
+    @property
+    def N(self) -> sp.csr_array:
+        """Force rows, (3T, V)."""
+        return self.rows.N
+
+    @property
+    def W(self) -> sp.csr_array:
+        """Torque rows, (3T, V) [m]."""
+        return self.rows.W
+
+    @property
+    def f(self) -> Array:
+        """Measured forces, frame by frame, shape (3T,) [N].
+
+        Raises:
+            InputError: The trajectory carries no wrench.
+        """
+        return _measured(self.trajectory.force, FORCES)
+
+    @property
+    def tau(self) -> Array:
+        """Measured torques, frame by frame, shape (3T,) [N·m].
+
+        Raises:
+            InputError: The trajectory carries no torque.
+        """
+        return _measured(self.trajectory.torque, "torques (columns tx, ty, tz)")
+
+    @property
+    def measures_force_only(self) -> bool:
+        """Whether forces were measured without torques: there are no torque rows."""
+        return self.trajectory.has_wrench and not self.trajectory.has_torque
+
+    @property
+    def torque_length(self) -> float:
+        """Default length ℓ that makes torque rows comparable with force rows [m]."""
+        return self.shell.rms_radius
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """How a scene is built from a scan or a surface.
+
+    Attributes:
+        shape: Voxel counts (n_r, n_theta, n_z) [–].
+        r_inner: Radius of the inner layer [m].
+        r_outer: Radius of the outer layer; None for 20 mm beyond the surface [m].
+        inner: p_in, "fit" or None, as for `Scene.assemble`.
+        outer: p_out; where p_in is fitted the ratio p_out / p_in.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
+        boundary: ``subvoxel`` or ``staircase``, as for `Voxmap.from_surface`.
+        sector: Angles between which the grid lies [rad]; None for the full turn.
+    """
+
+    shape: Sequence[int] = (48, 120, 60)
+    r_inner: float = 0.03
+    r_outer: float | None = None
+    inner: float | Literal["fit"] | None = None
+    outer: float = 1.0
+    sampling: str = "trilinear"
+    boundary: str = "subvoxel"
+    sector: Sector | None = None
+
+    def build(
+        self,
+        patient: Surface | Array,
+        shell: PointShell,
+        recordings: Trajectory | Sequence[Trajectory],
+        *,
+        axis: Axis | None = None,
+    ) -> Scene:
+        """Build surface, voxmap and scene.
+
+        Args:
+            patient: The surface, or a scan of it, shape (n, 3) [m].
+            shell: The probe.
+            recordings: One or several.
+            axis: The patient frame in a scan; estimated when not given.
+
+        Raises:
+            InputError: Invalid input; see the steps.
+            GeometryError: The scan shows no body, or the surface does not fit the grid.
+        """
+        if not isinstance(patient, Surface):
+            frame = Axis.from_cloud(patient) if axis is None else axis
+            patient = extract_surface(patient, axis=frame)
+        if not isinstance(recordings, Trajectory):
+            recordings = Trajectory.concatenate(recordings)
+        voxmap = Voxmap.from_surface(
+            patient,
+            shape=self.shape,
+            r_inner=self.r_inner,
+            r_outer=self.r_outer,
+            boundary=self.boundary,
+            sector=self.sector,
+        )
+        return Scene.assemble(
+            voxmap,
+            shell,
+            recordings,
+            inner=self.inner,
+            outer=self.outer,
+            sampling=self.sampling,
+        )
+
+
+def _check_boundary(name: str, value: float | str | None) -> None:
+    """Validate a boundary value that is a number; `InputError` where it is invalid."""
+    if isinstance(value, str) or value is None:
+        return
+    if not np.isfinite(value) or abs(value) > LARGEST_BOUNDARY:
+        raise InputError(
+            f"boundary values must be finite and at most {LARGEST_BOUNDARY:g}, got "
+            f"{name} {value}"
+        )
+
+
+def _measured(values: Array | None, what: str) -> Array:
+    if values is None:
+        raise InputError(
+            f"the trajectory has no measured {what}: add them, or fit laplace_only"
+        )
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+def _report_misplaced(voxmap: Voxmap) -> None:
+    """Warn where regions do not match the surface."""
+    misplaced = voxmap.cut_links.misplaced
+    if misplaced:
+        warn(
+            f"at {misplaced} links of voxels the region is not that of the surface, "
+            "which is taken to lie a quarter of a layer beyond: lay the grid over the "
+            "surface with Voxmap.from_surface",
+            2,
+        )
+
+
+def _report_size(voxmap: Voxmap, shell: PointShell) -> None:
+    """Warn of a probe that is larger than the patient."""
+    probe = float(np.ptp(shell.points, axis=0).max())
+    patient = 2.0 * float(voxmap.surface.radius.max())
+    if probe > patient:
+        warn(
+            f"the probe is {probe:.3g} m long, the patient {patient:.3g} m wide: check "
+            "the unit of both",
+            2,
+            MistakeWarning,
+        )
+
+
+def _report_contact(rows: ContactRows, r_inner: float) -> None:
+    """Warn of poses that measure nothing, or reach below the inner layer."""
+    n_poses = len(rows.in_grid)
+    off = int(n_poses - rows.in_grid.sum())
+    if off:
+        warn(
+            f"{off} of {n_poses} poses lie outside the grid and give zero force: "
+            "check the trajectory's frame and unit",
+            2,
+            MistakeWarning,
+        )
+    if not (rows.contact_points > 0).any():
+        warn(
+            f"the probe touches the patient in none of {n_poses} poses: the fit is "
+            "the Laplace field alone",
+            2,
+        )
+    deep = int((rows.beyond_inner > 0).sum())
+    if deep:
+        warn(
+            f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
+            f"in all) beyond the inner layer at {r_inner:.4g} m, where that layer's "
+            "values continue: choose a smaller r_inner",
+            2,
+        )
+
+
+def _report_cut_off(cut: NDArray[np.bool_]) -> None:
+    """Warn of poses that touch beyond the sides or ends of the grid."""
+    if cut.any():
+        warn(
+            f"{cut.sum()} of {len(cut)} poses touch the patient beyond the grid's "
+            "sector or ends too, where nothing pushes back: widen the sector, or leave "
+            "them out",
+            2,
+        )

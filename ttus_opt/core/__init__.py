@@ -1,0 +1,1 @@
+"""Ground floor: arrays, errors, files, threads, compiled code, plug-ins."""

@@ -1,0 +1,44 @@
+"""Types of arguments, checked where a mix-up would otherwise surface far inside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.core.errors import InputError
+
+
+def expect(value: object, kind: type, name: str) -> None:
+    """Refuse an argument of another type.
+
+    Args:
+        value: What was given.
+        kind: The type it must have.
+        name: Of the argument.
+
+    Raises:
+        InputError: It has another type.
+    """
+    if isinstance(value, kind):
+        return
+    given = type(value)
+    hint = ": pass its .field" if hasattr(given, "field") else ""
+    raise InputError(f"{name} must be a {kind.__name__}, got a {given.__name__}{hint}")
+
+
+def expect_numbers(value: object, name: str, hint: str = "") -> None:
+    """Refuse what is no array of real numbers, such as a list.
+
+    Args:
+        value: What was given.
+        name: Of the array.
+        hint: What to do, at the end of the message.
+
+    Raises:
+        InputError: It is no array, or one of objects, text or complex numbers.
+    """
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return
+    given = type(value).__name__
+    if isinstance(value, np.ndarray):
+        given = f"an array of {value.dtype}"
+    raise InputError(f"{name} must be an array of real numbers, got {given}{hint}")

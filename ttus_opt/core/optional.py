@@ -1,0 +1,43 @@
+"""Optional packages: imported where used, with a clear error when missing."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+from typing import Any
+
+from ttus_opt.core.errors import InputError, MissingPackageError
+
+
+def load(module: str, extra: str) -> ModuleType:
+    """Import a package that an extra of ttus-opt installs.
+
+    Args:
+        module: Import name, such as ``skfem``.
+        extra: The extra that installs it, such as ``phantom``.
+
+    Raises:
+        MissingPackageError: It is not installed; the message says how to install it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.split(".")[0]:
+            raise
+        raise MissingPackageError(
+            f'{error.name} is not installed: pip install "ttus-opt[{extra}]"'
+        ) from error
+
+
+def dask_client(address: str) -> Any:
+    """A client of the dask scheduler at an address (host:port); use it in ``with``.
+
+    Raises:
+        MissingPackageError: dask is not installed.
+        InputError: No scheduler answers.
+    """
+    distributed = load("distributed", "parallel")
+    try:
+        return distributed.Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"no dask scheduler answers at {address}: {error}") from error

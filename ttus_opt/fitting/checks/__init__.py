@@ -1,0 +1,1 @@
+"""Checks of recordings: signs, frames, units and readings."""

@@ -1,0 +1,324 @@
+"""Do recordings and geometry agree? A check for wrong signs, frames, units and delays.
+
+A fit to forces of the wrong sign, frame or unit still converges. Measured wrenches are
+therefore compared with those of the Laplace field alone, whose directions and contacts
+follow from geometry. With f̂ = N p₀ and τ̂ = W p₀ of a few frames,
+
+    S = √(S_f S_τ),  S_f = min_s ‖f - s f̂‖²/‖f‖²,  S_τ = min_k ‖τ - k τ̂‖²/‖τ‖²
+
+with s, k ≥ 0 is small if they agree; with forces alone S = S_f. S is also computed for
+the recordings read in other conventions (sign, frame, order, delay), and the smallest
+value names the likely one. Comparing log S compares likelihoods of Gaussian residuals
+with two unknown variances; with the sum of S_f and S_τ, torques that no convention
+explains would hide the forces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.checks.agreement import agreement, torque_offset
+from ttus_opt.fitting.checks.other_readings import Reading, other_readings
+from ttus_opt.probe.conventions import Conventions
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.hysteresis import hysteresis_share
+from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
+from ttus_opt.voxmap.field import PotentialField
+
+#: Most frames that are compared [–]
+FRAMES = 120
+
+#: Another convention is reported if its S is below this share of the recordings' own
+CLEARLY = 0.7
+
+#: Torques this many times too large are in N·mm
+WRONG_UNIT = 100.0
+
+#: Least and largest plausible offset of the point about which torques were measured [m]
+FAR, FARTHEST = 0.01, 0.5
+
+#: Hysteresis below this comes from noise and slow drift of the probe [–]
+WORTH_TELLING = 0.05
+
+
+@dataclass(frozen=True)
+class RecordingCheck:
+    """One recording compared with the fitted field and the geometry.
+
+    Attributes:
+        name: Name of the recording.
+        frames: Number of frames [–].
+        force_residual_N: Mean ‖f - f̂‖ [N].
+        torque_residual_Nm: Mean ‖τ - τ̂‖; NaN without measured torques [N·m].
+        force_angle_deg: Mean angle between f and f̂ in contact; NaN without any [°].
+        force_without_contact: Frames with a measured force where no shell point is
+            inside the patient [–].
+        contact_without_force: Frames in contact by geometry without a measured force
+            [–].
+        beyond_inner: Frames with shell points beyond the inner layer [–].
+        hysteresis_share: Share of the work of complete presses that is lost; NaN
+            without any [–].
+    """
+
+    name: str
+    frames: int
+    force_residual_N: float
+    torque_residual_Nm: float
+    force_angle_deg: float
+    force_without_contact: int
+    contact_without_force: int
+    beyond_inner: int
+    hysteresis_share: float = math.nan
+
+    def __str__(self) -> str:
+        torque = f"{1e3 * self.torque_residual_Nm:.1f} mN·m"
+        if math.isnan(self.torque_residual_Nm):
+            torque = "no torques"
+        lost = ""
+        if self.hysteresis_share >= WORTH_TELLING:
+            lost = f", {100 * self.hysteresis_share:.0f} % hysteresis"
+        return (
+            f"{self.name}: {self.frames} frames, residual {self.force_residual_N:.2f} "
+            f"N, {torque}, "
+            f"{self.force_angle_deg:.1f}°; {self.force_without_contact} with force but "
+            f"no contact, {self.contact_without_force} with contact but no force, "
+            f"{self.beyond_inner} below the inner layer{lost}"
+        )
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A likely mistake in how the recordings were read.
+
+    Attributes:
+        what: Description.
+        mends: The options of ``ttus-opt fit`` that correct it; empty for none.
+        before: S of the recordings as read [–].
+        after: S with these options; a unit does not change it [–].
+        cause: What was mistaken: a field of `Conventions`, ``columns``, or axes.
+    """
+
+    what: str
+    mends: str
+    before: float
+    after: float
+    cause: str
+
+    def __str__(self) -> str:
+        return self.told(f"read them with {self.mends or 'none of those options'}")
+
+    def told(self, remedy: str) -> str:
+        """The mistake in a sentence, with a remedy."""
+        if self.after == self.before:
+            return f"{self.what}: {remedy}"
+        return (
+            f"{self.what}? Disagreement with the geometry {self.before:.2g} → "
+            f"{self.after:.2g}: {remedy}"
+        )
+
+
+@dataclass(frozen=True)
+class SanityReport:
+    """Result of `check_recordings`.
+
+    Attributes:
+        recordings: One check per recording.
+        shell_size: Edges of the shell's bounding box, probe frame, shape (3,) [m].
+        shell_centroid: Area centroid, probe frame, shape (3,) [m].
+        disagreement: S of the recordings as read, from 0 to 1 [–].
+        mistake: The most likely mistake; None if nothing fits clearly better.
+    """
+
+    recordings: tuple[RecordingCheck, ...]
+    shell_size: tuple[float, ...]
+    shell_centroid: tuple[float, ...]
+    disagreement: float
+    mistake: Mistake | None
+
+    def __repr__(self) -> str:
+        result = "no mistake found" if self.mistake is None else self.mistake.what
+        return (
+            f"<SanityReport on {len(self.recordings)} recordings: disagreement "
+            f"{self.disagreement:.2f}, {result}>"
+        )
+
+    @property
+    def lines(self) -> list[str]:
+        """The report as text."""
+        size = " × ".join(f"{1e3 * v:.0f}" for v in self.shell_size)
+        centroid = ", ".join(f"{1e3 * v:.1f}" for v in self.shell_centroid)
+        return [
+            *map(str, self.recordings),
+            f"probe: {size} mm, centroid at ({centroid}) mm of its frame",
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def check_recordings(
+    scene: Scene,
+    field: PotentialField,
+    names: Sequence[str] = (),
+    *,
+    written: Trajectory | None = None,
+    conventions: Conventions | None = None,
+) -> SanityReport:
+    """Compare recordings with the fitted field and with the geometry.
+
+    Args:
+        scene: A scene with measured wrenches.
+        field: The field fitted to it.
+        names: Names of the recordings, one per segment; by default numbers.
+        written: The recordings as in the files, read in the package's own
+            conventions; by default the scene's.
+        conventions: The conventions by which the scene's recordings were read from
+            these; by default the package's own.
+
+    Raises:
+        InputError: The scene has no wrenches.
+    """
+    trajectory = scene.trajectory
+    if not trajectory.has_wrench:
+        raise InputError("the recordings have no wrenches to check")
+    numbers = np.unique(trajectory.segment)
+    if len(names) != len(numbers):
+        names = [f"recording {number}" for number in numbers]
+    checks = [
+        _recording(scene, field, name, trajectory.select(trajectory.segment == number))
+        for name, number in zip(names, numbers, strict=True)
+    ]
+    shell = scene.shell
+    disagreement, mistake = _likely_mistake(
+        scene, written or trajectory, conventions or Conventions()
+    )
+    return SanityReport(
+        tuple(checks),
+        tuple(np.ptp(shell.points, axis=0).tolist()),
+        tuple(np.asarray(shell.reference).tolist()),
+        disagreement,
+        mistake,
+    )
+
+
+def _recording(
+    scene: Scene, field: PotentialField, name: str, own: Trajectory
+) -> RecordingCheck:
+    found = evaluate(field, scene.shell, own)
+    force = np.linalg.norm(found.measured_force, axis=1) > FORCE_THRESHOLD
+    contact = scene.rows_along(own).contact_points > 0
+    return RecordingCheck(
+        name,
+        len(own),
+        _mean_size(found.measured_force - found.rendered_force),
+        _mean_size(found.measured_torque - found.rendered_torque),
+        found.errors.force_angle_error_deg,
+        int((force & ~contact).sum()),
+        int((contact & ~force).sum()),
+        int((found.beyond_inner > 0).sum()),
+        hysteresis_share(own, scene.shell, FORCE_THRESHOLD),
+    )
+
+
+def likely_mistake(
+    scene: Scene,
+    written: Trajectory,
+    conventions: Conventions,
+    readings: Iterable[Reading] | None = None,
+) -> Mistake | None:
+    """A convention that agrees clearly better with the geometry; None without one.
+
+    Args:
+        scene: A scene with measured forces; its boundary values do not matter.
+        written: As in `check_recordings`.
+        conventions: As in `check_recordings`.
+        readings: What to compare with; by default `other_readings`.
+    """
+    return _likely_mistake(scene, written, conventions, readings)[1]
+
+
+def _likely_mistake(
+    scene: Scene,
+    written: Trajectory,
+    conventions: Conventions,
+    readings: Iterable[Reading] | None = None,
+) -> tuple[float, Mistake | None]:
+    """S as read, and the likely mistake."""
+    if readings is None:
+        readings = other_readings(scene, written, conventions)
+    frames = np.linspace(0, len(written) - 1, FRAMES)
+    chosen = np.unique(frames.astype(np.int64))
+    prior = scene.laplace.solve(scene.b)
+    own = agreement(scene, prior, scene.trajectory.select(chosen))
+    best: Mistake | None = None
+    for what, mends, cause, reread in readings:
+        # re-read as a whole: a delay needs neighbouring frames
+        other = agreement(scene, prior, reread.select(chosen))
+        bound = CLEARLY * own.disagreement if best is None else best.after
+        if other.disagreement < bound:
+            best = Mistake(what, mends, own.disagreement, other.disagreement, cause)
+    moved = _about_another_point(scene, prior, written, conventions, chosen)
+    if moved is not None:
+        reading, after = moved
+        if after < CLEARLY * (own.disagreement if best is None else best.after):
+            point = reading.point(np.asarray(scene.shell.reference))
+            x, y, z = (1e3 * v for v in point)
+            what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
+            return own.disagreement, Mistake(
+                what, reading.options, own.disagreement, after, "torque_about"
+            )
+    if (
+        best is None
+        and conventions.torque_unit == "Nm"
+        and own.torque_ratio > WRONG_UNIT
+    ):
+        mends = replace(conventions, torque_unit="Nmm").options
+        size = f"{own.torque_ratio:.0f} times those expected"
+        return own.disagreement, Mistake(
+            f"torques in N·mm, {size}",
+            mends,
+            own.disagreement,
+            own.disagreement,
+            "torque_unit",
+        )
+    return own.disagreement, best
+
+
+def _about_another_point(
+    scene: Scene,
+    prior: Array,
+    written: Trajectory,
+    conventions: Conventions,
+    chosen: NDArray[np.int64],
+) -> tuple[Conventions, float] | None:
+    """The convention with the reference point that the torques determine, and its S.
+
+    None without torques, or if that point is the assumed one.
+    """
+    frames = scene.trajectory.select(chosen)
+    if frames.torque is None or frames.force is None:
+        return None
+    expected = (scene.rows_along(frames).W @ prior).reshape(-1, 3)
+    c = torque_offset(frames.torque, expected, frames.force, frames.rotation)
+    if not FAR < np.linalg.norm(c) < FARTHEST:
+        return None
+    centroid = np.asarray(scene.shell.reference)
+    point = tuple(np.round(conventions.point(centroid) + c, 3).tolist())
+    other = replace(conventions, torque_about=point)
+    reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
+    found = agreement(scene, prior, reread.select(chosen))
+    return other, found.disagreement
+
+
+def _mean_size(vectors: Array) -> float:
+    return float(np.linalg.norm(vectors, axis=1).mean())

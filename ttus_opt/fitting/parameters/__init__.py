@@ -1,0 +1,1 @@
+"""Parameters beside the field: search, standard errors, identifiability."""

@@ -1,0 +1,177 @@
+"""Standard errors of the parameters beside the field, and their identifiability.
+
+A fit minimises J(x) = ‖L p - b‖² + Σ λ ‖M x - t‖² over the field and a few parameters
+c. The prior's rows and the measured rows, each times √λ, are assumed normal with one
+common variance σ²: λ fixes their ratio, σ² is estimated. J(c), the minimum over all
+else, is the profile likelihood (Golub and Pereyra, 1973, SIAM J. Numer. Anal. 10, 413)
+and the exponent of the marginal likelihood (Rasmussen and Williams, 2006, eq. 2.30). At
+the truth J/σ² is χ² with m degrees of freedom, m the measured rows of poses in contact,
+and k fitted parameters take k of them:
+
+    σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
+
+(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1; docs/method.md,
+Standard errors). Frames of a place share what the model has wrong there; the larger one
+of this standard error and that by places (`ttus_opt.contact.place_errors`) is reported.
+J'' is a finite difference of fits for a searched parameter (`parameter_search`), and
+follows from pseudo-measurements for one among the variables (`fitted_parameters`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.solution import Solution, Status
+
+#: Largest standard error of an identified parameter, as a share of its plausible span:
+#: ± 2 standard errors are then half of the span [–]
+SHARE = 0.125
+
+#: A value counts as at a limit when it is this near, as a share of its span [–]
+AT_LIMIT = 1e-4
+
+NO_SLOPE = "the objective does not depend on it"
+NOTHING_PRESSES = "nothing slides in contact with a field that presses"
+NOTHING_WEIGHS = "no measured row in contact has a weight"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate of one parameter.
+
+    Attributes:
+        value: Its value.
+        standard_error: NaN if unknown.
+        doubt: Why it is not identified; empty if it is.
+        remark: Further information.
+    """
+
+    value: float
+    standard_error: float
+    doubt: str = ""
+    remark: str = ""
+
+    def remarked(self, remark: str) -> Self:
+        """With a further remark, where the parameter is identified."""
+        if self.doubt or not remark:
+            return self
+        return replace(self, remark="; ".join(filter(None, (self.remark, remark))))
+
+
+def noise_variance(
+    declared: Formulation, program: Program, x: Array, n_parameters: int
+) -> float:
+    """Estimate of the common variance σ² of weighted rows.
+
+    Args:
+        declared: The formulation.
+        program: Its matrices.
+        x: Its minimiser, shape (n,).
+        n_parameters: Number of parameters fitted beside the field [–].
+
+    Returns:
+        σ̂²; NaN unless there are more measured rows than parameters.
+    """
+    names = {term.name for term in declared.terms if term.measures}
+    cost, count = program.objective(x), 0
+    for term in program.terms:
+        if term.name not in names or term.weight == 0.0:
+            continue
+        informative = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
+        cost -= term.weight * term.penalty.value(term.residual(x)[~informative])
+        count += int(informative.sum())
+    freedom = count - n_parameters
+    return max(cost, 0.0) / freedom if freedom > 0 else math.nan
+
+
+def judged_estimate(
+    value: float,
+    standard_error: float,
+    span: float,
+    low: float,
+    high: float,
+    neutral: float = 0.0,
+) -> Estimate:
+    """Decide whether a parameter is identified.
+
+    Args:
+        value: Its value.
+        standard_error: Its standard error.
+        span: Width of its plausible range.
+        low: Its lower limit.
+        high: Its upper limit.
+        neutral: Its neutral value; a limit equal to it is a valid estimate.
+    """
+    near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
+    doubt, remark = "", ""
+    if math.isinf(standard_error):
+        doubt = NO_SLOPE
+    elif value >= high - near:
+        doubt = f"at its upper limit {high:.4g}"
+    elif standard_error > SHARE * span:
+        doubt = f"the data give {value:.2g} ± {standard_error:.2g}"
+    elif value <= low + near:
+        remark = f"at its lower limit {low:.4g}"
+        if abs(low - neutral) > near:
+            doubt, remark = remark, ""
+    return Estimate(value, standard_error, doubt, remark)
+
+
+def with_estimates(
+    solution: Solution,
+    scene: Scene,
+    estimates: Mapping[str, Estimate],
+    doubts: Mapping[str, str],
+    trouble: str = "",
+) -> Solution:
+    """Add standard errors of the parameters, or the reasons for missing ones.
+
+    Args:
+        solution: A solution with neutral values of parameters not identified.
+        scene: Its estimates of the solution's parameters are included.
+        estimates: Estimates of the parameters, by name.
+        doubts: Why a parameter is not identified, by name.
+        trouble: Why the search failed; the solution then does not count as solved.
+    """
+    own = solution.parameters.keys()
+    errors = {n: e for n, e in scene.standard_errors.items() if n in own}
+    unknown = {n: why for n, why in scene.not_identified.items() if n in own}
+    for name, estimate in estimates.items():
+        errors[name] = estimate.standard_error
+    errors = {
+        name: error
+        for name, error in errors.items()
+        if math.isfinite(error) and name not in doubts
+    }
+    field = solution.verified_field
+    if field is not None:
+        field = replace(field, standard_errors=errors)
+    solution = replace(
+        solution,
+        standard_errors=errors,
+        not_identified={**unknown, **doubts},
+        remarks={
+            name: estimate.remark
+            for name, estimate in estimates.items()
+            if estimate.remark and name not in doubts
+        },
+        verified_field=field,
+    )
+    if not trouble:
+        return solution
+    solved = solution.status is Status.SOLVED
+    return replace(
+        solution,
+        status=Status.INACCURATE if solved else solution.status,
+        detail=f"{trouble}: {solution.detail}" if solution.detail else trouble,
+        verified_field=None,
+    )

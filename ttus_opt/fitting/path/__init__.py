@@ -1,0 +1,1 @@
+"""Paths of weights: one formulation solved for many weights."""

@@ -1,0 +1,186 @@
+"""Solvers for the points of a path; each point reuses the state of those before."""
+
+from __future__ import annotations
+
+import abc
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.batch import RepeatedFit, fit
+from ttus_opt.fitting.verdict import judged
+from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
+from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.weight_sweep import (
+    WeightSweep,
+    is_limited,
+    keeps_limits,
+    suits_sweep,
+    value_duals,
+)
+
+#: Energy norm of the error over that of the objective, in units of the KKT tolerance.
+#: The gap is its square, so that fields agree with those of single fits [–]
+ENERGY = 10.0
+
+#: Factor on that energy where the KKT residuals do not hold, and how often [–]
+TIGHTENING, TIGHTENINGS = 1e-2, 2
+
+
+class PointSolver(abc.ABC):
+    """Solves a formulation for one set of weights after the other."""
+
+    #: Whether all points share one basis, so that the ends should be solved first
+    common = False
+
+    #: Whether no point gains much from those before it
+    independent = False
+
+    @abc.abstractmethod
+    def __call__(self, declared: Formulation) -> Solution:
+        """Solve for the weights of a formulation, and verify."""
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """`weight_criteria.CRITERIA` for these weights; none by default."""
+        return {}
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Compute what `criteria` needs, for weights up to these.
+
+        Raises:
+            InputError: The problem has no criteria.
+        """
+        raise InputError(
+            f"no criteria for {largest.name}: they need a problem without limits, with "
+            "one field, a Laplace term and measured squares; use held-out recordings"
+        )
+
+
+def point_solver(
+    declared: Formulation, solver: str | Path | Solver, request: Request
+) -> PointSolver:
+    """The cheapest way to solve many points.
+
+    Args:
+        declared: The formulation at one of them.
+        solver: As in `ttus_opt.fit`.
+        request: Tolerance and time limit of each point.
+
+    Raises:
+        InputError: Unknown solver, or one that cannot take the problem.
+        SolverUnavailableError: The solver's package is not installed.
+    """
+    if declared.search is not None:
+        return _Searching(solver, request)
+    program = declared.compile()
+    if program.is_quadratic:
+        first = registry.candidates(solver, program)[0]
+        if first.name == "structured" and suits_sweep(program):
+            return _CommonBasis(program, request)
+    return _InTurn(solver, request)
+
+
+class _InTurn(RepeatedFit, PointSolver):
+    """Any solver, keeping its state from point to point."""
+
+    independent = True
+
+
+class _Searching(PointSolver):
+    """A formulation with a searched parameter: a fit per point."""
+
+    independent = True
+
+    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
+        self._solver, self._request = solver, request
+
+    def __call__(self, declared: Formulation) -> Solution:
+        return fit(
+            declared.scene,
+            declared,
+            solver=self._solver,
+            tolerance=self._request.tolerance,
+            time_limit=self._request.time_limit,
+        )
+
+
+class _CommonBasis(PointSolver):
+    """The structured solver's reduced basis.
+
+    A minimiser without limits that satisfies them is that with limits. Other points are
+    fitted one by one, each from the working set of the last.
+    """
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._request = request
+        self.common = not is_limited(program)
+        self._sweep = WeightSweep(DualData.of(program))
+        self._alone = _InTurn("structured", request)
+        self._criteria: Criteria | None = None
+
+    def __call__(self, declared: Formulation) -> Solution:
+        start = time.perf_counter()
+        limit = self._request.time_limit
+        deadline = None if limit is None else start + limit
+        program = declared.compile()
+        rtol, steps = ENERGY * self._request.tolerance, 0
+        for _ in range(1 + TIGHTENINGS):
+            answer = self._sweep.solve(root_weights(program), rtol, deadline)
+            steps += answer.directions
+            if not keeps_limits(program, answer.p):
+                break
+            late = deadline is not None and time.perf_counter() > deadline
+            candidate = Candidate(
+                answer.p,
+                value_duals(program, answer.p),
+                steps,
+                Claim.TIME_LIMIT if late and not answer.settled else Claim.DONE,
+            )
+            spent = time.perf_counter() - start
+            solution = judged(
+                declared,
+                Reduction(program, program),
+                "structured",
+                candidate,
+                self._request,
+                Timings(0.0, 0.0, spent),
+            )
+            if solution.status is not Status.INACCURATE:
+                return solution
+            rtol *= TIGHTENING
+        return self._alone(declared)
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Complete the basis and sort the rows."""
+        if not self.common:
+            raise InputError(
+                f"no criteria for {largest.name}: they need a problem without limits; "
+                "use held-out recordings"
+            )
+        frames = len(largest.scene.trajectory)
+        terms = {
+            term.name: len(term.assembled.target)
+            for term in largest.terms
+            if term.measures and term.weight > 0.0
+        }
+        if any(n != 3 * frames for n in terms.values()):
+            raise InputError("criteria need terms with three rows per frame")
+        informative = self._sweep.informative
+        if sum(terms.values()) != len(informative):
+            raise InputError("criteria need a Laplace term and measured ones only")
+        self._criteria = criteria_of(largest.scene, terms, informative)
+        self._sweep.complete(root_weights(largest.compile()))
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """Criteria by the basis."""
+        if self._criteria is None:
+            return {}
+        root = root_weights(declared.compile())[self._sweep.informative]
+        return self._criteria.values(self._sweep.images, self._sweep.misfit, root)

@@ -1,0 +1,232 @@
+"""A path of weights: one formulation solved for many weights by few solves.
+
+For one field without limits, the fields of all weights are combinations of a few
+response fields (`ttus_opt.solvers.dual.weight_sweep`). With limits, the working set of
+one point starts the next; other solvers keep their state. Every point is verified by
+its own residuals like any other fit.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.errors import InputError, warn
+from ttus_opt.fitting.path.path_dataset import PathRecord
+from ttus_opt.fitting.path.path_file import PathFile
+from ttus_opt.fitting.path.path_inputs import inputs_of
+from ttus_opt.fitting.path.path_points import Point, in_turn, several_at_a_time
+from ttus_opt.fitting.path.path_solvers import PointSolver, point_solver
+from ttus_opt.fitting.path.weight_grid import Index, WeightGrid, Weights
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.solvers.base import Request, Solver
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Held-out recordings: one, several, or several by name
+HeldOut = Trajectory | Sequence[Trajectory] | Mapping[str, Trajectory]
+
+#: Optional contents of a path
+EXTRAS = ("potential", "criteria")
+
+
+def solution_path(  # noqa: PLR0913  public, all but two by name
+    formulation: str | Path | Formulation,
+    scene: Scene | None = None,
+    *,
+    weights: Weights,
+    held_out: HeldOut = (),
+    solver: str | Path | Solver = "auto",
+    tolerance: float = 1e-6,
+    extras: Collection[str] = (),
+    progress: bool = False,
+    file: str | os.PathLike[str] | None = None,
+    jobs: int = 1,
+    dask: str = "",
+    **options: Any,
+) -> xr.Dataset:
+    """Solve a formulation for many weights.
+
+    An interrupt (Ctrl-C) ends the path early: finished points are kept, and a
+    `TtusWarning` gives their number. With ``file``, the same call goes on from them.
+
+    Args:
+        formulation: A name, a path to a file with ``build``, or a Formulation.
+        scene: Patient, probe and measurements; optional with a Formulation.
+        weights: Values by term, ``{"force": np.logspace(-4, 2, 25)}``; a tuple of names
+            for terms with a common weight, several entries for a grid. Other terms keep
+            their weights.
+        held_out: Recordings with wrenches, on which every point is evaluated.
+        solver: As in `ttus_opt.fit`.
+        tolerance: Largest relative KKT residual of a solution [–].
+        extras: "potential" keeps every point's field; "criteria" adds evidence,
+            generalised cross-validation, and errors on presses left out in turn, for
+            one field without limits. They take more response fields with larger
+            weights, on a fine grid ten times as many as the path.
+        progress: Whether to show a progress bar.
+        file: Where to keep the path, as `write_solution_path` does, at the end and
+            every half minute. Points that it holds already are not computed again; if
+            it is of other inputs, a `TtusWarning` names them, and it is replaced.
+        jobs: Processes for formulations that share no work between their points
+            (extra parallel); for others, a `TtusWarning` says that it is not used.
+        dask: Address of a dask scheduler, host:port, to use instead.
+        options: Options of the formulation.
+
+    Returns:
+        Over one dimension per entry of ``weights`` (``force_weight``): status, KKT
+        residual, objective, value of every term, residual of every fitted recording,
+        errors on held-out recordings, parameters (of the minimiser, whether or not the
+        data determine them), seconds and ``extras``; with units, NaN where a point was
+        not solved. `write_solution_path` writes it,
+        `ttus_opt.report.plots.weight_path` draws it.
+
+    Raises:
+        InputError: Unknown formulation, option, solver, term or extra, weights that are
+            not positive, held-out recordings without wrenches, criteria of a problem
+            that has none, fewer than one job, or no scheduler that answers.
+        SolverUnavailableError: The solver's package is not installed.
+        MissingPackageError: joblib or dask is requested and not installed.
+        FileError: The file cannot be written.
+    """
+    _check(extras, jobs)
+    declared = _declared(formulation, scene, options)
+    grid = WeightGrid.of(weights, [term.name for term in declared.terms])
+    unseen = _named(held_out)
+    neutral = declared.with_neutral(declared.not_identifiable())
+
+    def at(index: Index) -> Formulation:
+        return neutral.with_weights(**grid.at(index))
+
+    first = at((0,) * len(grid.axes))
+    solve = point_solver(first, solver, Request(tolerance))
+    inputs: dict[str, str] = {}
+    if file is not None:
+        inputs = inputs_of(first, grid, unseen, solver, tolerance, extras)
+    keep_fields = "potential" in extras
+    record = PathRecord(
+        declared, grid, unseen, tolerance, keep_fields=keep_fields, inputs=inputs
+    )
+    kept = None if file is None else PathFile(file, record, inputs)
+    left = [index for index in _order(grid, solve) if not record.has(index)]
+    if "criteria" in extras and left:
+        solve.prepare_criteria(at(tuple(n - 1 for n in grid.shape)))
+    if not (jobs > 1 or dask):
+        points = in_turn(solve, left, at)
+    elif solve.independent:
+        points = several_at_a_time(solve, left, at, jobs, dask)
+    else:
+        warn(
+            f"the points of {declared.name} share their work: one process solves them, "
+            "jobs and dask are not used"
+        )
+        points = in_turn(solve, left, at)
+    _collect(_shown(points, record.done, grid.size, progress), record, kept)
+    return record.dataset()
+
+
+def _check(extras: Collection[str], jobs: int) -> None:
+    """Refuse unknown extras, and fewer than one job."""
+    for extra in extras:
+        if extra not in EXTRAS:
+            raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, got {jobs}")
+
+
+def _collect(
+    points: Iterable[Point], record: PathRecord, kept: PathFile | None
+) -> None:
+    """Record the points, and keep them in the file whatever ends the path."""
+    try:
+        for point in points:
+            record.add(*point)
+            if kept is not None:
+                kept.save_now_and_then()
+    except KeyboardInterrupt:
+        if not record.done:
+            raise
+        again = "" if kept is None else f"; the same call goes on from {kept}"
+        warn(
+            f"interrupted after {record.done} of {record.size} points of the path: the "
+            f"others are missing{again}",
+            2,
+        )
+    finally:
+        if kept is not None:
+            kept.save()
+
+
+def _order(grid: WeightGrid, solve: PointSolver) -> list[Index]:
+    return grid.from_both_ends() if solve.common else grid.from_the_prior()
+
+
+def _declared(
+    formulation: str | Path | Formulation,
+    scene: Scene | None,
+    options: Mapping[str, Any],
+) -> Formulation:
+    if scene is None:
+        if not isinstance(formulation, Formulation):
+            raise InputError("solution_path needs a scene with a formulation's name")
+        scene = formulation.scene
+    declared = shelf.load(formulation, scene, **options)
+    if declared.scene is not scene:
+        raise InputError(
+            "the formulation belongs to another scene: build it for this one"
+        )
+    return declared
+
+
+def _named(held_out: HeldOut) -> dict[str, Trajectory]:
+    """Held-out recordings by name.
+
+    Raises:
+        InputError: Something else, or a recording without wrenches.
+    """
+    if isinstance(held_out, Trajectory):
+        held_out = [held_out]
+    if not isinstance(held_out, Mapping):
+        held_out = {f"held out {i + 1}": one for i, one in enumerate(held_out)}
+    for name, one in held_out.items():
+        if not isinstance(one, Trajectory):
+            raise InputError(
+                f"{name} must be a Trajectory, got {type(one).__name__}: read it with "
+                "read_trajectory"
+            )
+        if not one.has_wrench:
+            raise InputError(
+                f"{name} has no wrench to compare with: add fx,fy,fz, and "
+                "tx,ty,tz where torques were measured"
+            )
+    return dict(held_out)
+
+
+def _shown(
+    points: Iterable[Point], done: int, size: int, progress: bool
+) -> Iterator[Point]:
+    """The points, with a progress bar on stderr if requested."""
+    if progress:
+        from tqdm import tqdm
+
+        if done:
+            tqdm.write(f"going on from {done} of {size} points", file=sys.stderr)
+        # into a file or pipe only for long work, and every few seconds
+        watched = sys.stderr.isatty()
+        points = tqdm(
+            points,
+            desc="weights",
+            unit="point",
+            initial=done,
+            total=size,
+            file=sys.stderr,
+            delay=1.0 if watched else 5.0,
+            mininterval=0.2 if watched else 5.0,
+        )
+    yield from points

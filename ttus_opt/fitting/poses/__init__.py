@@ -1,0 +1,1 @@
+"""Errors of tracked poses, estimated from the forces."""

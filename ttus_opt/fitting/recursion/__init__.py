@@ -1,0 +1,1 @@
+"""Eq. 10 one measurement at a time."""

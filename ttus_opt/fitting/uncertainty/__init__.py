@@ -1,0 +1,1 @@
+"""Uncertainty of fields and wrenches, and where to press next."""

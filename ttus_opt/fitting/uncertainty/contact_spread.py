@@ -1,0 +1,110 @@
+"""How many places of a patient do recordings touch? Elsewhere the prior holds."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import TtusWarning
+from ttus_opt.problem.terms.matern import matern
+from ttus_opt.problem.terms.structure import UncertainMean
+
+#: Contacts within this distance of their centre, along the surface, are one spot [m]
+SPOT = 0.005
+
+#: Fewest frames in contact for a spread [–]
+LEAST = 20
+
+#: Frames between which distances are taken, at most [–]
+MOST_FRAMES = 300
+
+#: Variance of a place's own error over that of the field, so that frames of one place
+#: do not count as many [–]
+OWN_ERROR = 0.05
+
+#: Number of places that what is known of bodies in general counts for: 1 and 2 cover
+#: as much at new places of two simulated torsos, 1 states less [–]
+USUAL_PLACES = 1.0
+
+#: Number of independent places below which a warning is given [–]
+FEW_PLACES = 2.0
+
+
+def contact_spread(scene: Scene) -> float:
+    """Largest distance of a contact from the contacts' centre, along the surface [m].
+
+    NaN where fewer than `LEAST` frames are in contact.
+    """
+    touching = scene.rows.contact_points > 0
+    if touching.sum() < LEAST:
+        return float("nan")
+    x, y, z = _contacts(scene).T
+    middle = np.arctan2(np.median(y), np.median(x))
+    turned = np.angle(np.exp(1j * (np.arctan2(y, x) - middle)))
+    along = z - np.median(z)
+    return float(np.hypot(np.hypot(x, y) * turned, along).max())
+
+
+def warn_of_one_spot(scene: Scene) -> None:
+    """Warn when all contacts are in one spot."""
+    spread = contact_spread(scene)
+    if spread < SPOT:
+        warnings.warn(
+            f"all frames in contact lie within {1e3 * spread:.1f} mm of one spot: "
+            "elsewhere the field is only the prior; record presses at several places",
+            TtusWarning,
+            stacklevel=2,
+        )
+
+
+def independent_places(scene: Scene, length: float) -> float:
+    """Number of independent values that a field has at the contacts [–].
+
+    1ᵀ(K + ε)⁻¹1 with K the field's correlation between them: one over the variance of
+    the estimate of its mean.
+
+    Args:
+        scene: Patient, probe and poses.
+        length: Matérn length of the field along the surface [m].
+    """
+    at = _contacts(scene)
+    at = at[:: -(-len(at) // MOST_FRAMES)]
+    among = matern(cdist(at, at), length)
+    among[np.diag_indices_from(among)] += OWN_ERROR
+    return float(np.linalg.solve(among, np.ones(len(at))).sum())
+
+
+def told_variance(scene: Scene, mean: UncertainMean) -> float:
+    """Variance about the mean that the recordings bear out, over that of the fit [–].
+
+    The deviation found at n independent places counts n times, the one of bodies in
+    general `USUAL_PLACES` times; never less than 1. A `TtusWarning` tells when the
+    recordings cannot tell how stiffness varies.
+
+    Args:
+        scene: What was fitted.
+        mean: The mean, and the deviation found from it.
+    """
+    n = independent_places(scene, mean.length)
+    usual = (mean.usual / mean.deviation) ** 2
+    variance = max((n + USUAL_PLACES * usual) / (n + USUAL_PLACES), 1.0)
+    if n < FEW_PLACES:
+        warnings.warn(
+            "the recordings tell hardly more than one place, not how stiffness varies: "
+            f"{100 * np.sqrt(variance) * mean.deviation:.0f} % are stated for that, by "
+            "what bodies in general do; press at more places (see ttus-opt next-press)",
+            TtusWarning,
+            stacklevel=3,
+        )
+    return float(variance)
+
+
+def _contacts(scene: Scene) -> Array:
+    """The shell's reference point in every frame in contact, shape (k, 3) [m]."""
+    poses, touching = scene.trajectory, scene.rows.contact_points > 0
+    at = poses.position + poses.rotation @ np.asarray(scene.shell.reference)
+    return np.asarray(at[touching])

@@ -1,0 +1,224 @@
+"""Calibration of stated uncertainty: coverage, and rank correlation with the error.
+
+Rank correlations are computed over frames and over places. Within a place the stated
+uncertainty follows the force, while errors need not; between places it reflects how
+well each was measured. Errors within a place are alike, so that places, not frames, are
+independent: the standard error of a correlation is that of the jackknife over places.
+
+Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 (1981).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from ttus_opt.contact.places import places, runs
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.posterior import NORMAL
+from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.calibration_curve import CalibrationCurve
+from ttus_opt.report.metrics import Evaluation
+
+#: Fewest frames, or places, for a rank correlation [–]
+LEAST = 3
+
+
+class StatesDoubt(Protocol):
+    """The uncertainty of a fit (`Doubt`) or of a field file (`SavedDoubt`)."""
+
+    def std(self, trajectory: Trajectory) -> WrenchDoubt:
+        """Uncertainty of the wrenches rendered along a trajectory."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Stated uncertainty compared with errors on a recording, over frames in contact.
+
+    Rank correlations are Spearman's, with the length of the error. Figures of torque
+    are NaN where none was measured, those over places with fewer than three.
+
+    Attributes:
+        force_std_N: Median standard deviation of the whole force, √ trace.
+        torque_std_Nm: The same for torque.
+        force_coverage: Share of measured force components within the 95 % interval of
+            the field's uncertainty and the measurement noise together [–].
+        torque_coverage: The same for torque [–].
+        force_rank_correlation: With the field's own uncertainty [–].
+        torque_rank_correlation: The same for torque [–].
+        frames: Frames in contact.
+        frames_unknown: Frames deeper than the uncertainty is known; left out.
+        force_rank_error: Jackknife standard error of ``force_rank_correlation`` [–].
+        torque_rank_error: The same for torque [–].
+        force_total_rank_correlation: With uncertainty and noise together [–].
+        torque_total_rank_correlation: The same for torque [–].
+        force_place_rank_correlation: Rank correlation of the means over places [–].
+        torque_place_rank_correlation: The same for torque [–].
+        places: Runs of frames of one press within 30 mm [–].
+    """
+
+    force_std_N: float
+    torque_std_Nm: float
+    force_coverage: float
+    torque_coverage: float
+    force_rank_correlation: float
+    torque_rank_correlation: float
+    frames: int
+    frames_unknown: int = 0
+    force_rank_error: float = np.nan
+    torque_rank_error: float = np.nan
+    force_total_rank_correlation: float = np.nan
+    torque_total_rank_correlation: float = np.nan
+    force_place_rank_correlation: float = np.nan
+    torque_place_rank_correlation: float = np.nan
+    places: int = 0
+
+    def as_dict(self) -> dict[str, float]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Inverse of `as_dict`; null is NaN."""
+        known: dict[str, Any] = {
+            k: np.nan if v is None else v for k, v in values.items()
+        }
+        return cls(**known)
+
+
+def check_doubt(
+    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+) -> Calibration:
+    """Compare stated uncertainty with errors.
+
+    Args:
+        doubt: Doubt of the evaluated field.
+        evaluation: Result of `ttus_opt.evaluate` on the trajectory.
+        trajectory: A recording that was not fitted.
+
+    Raises:
+        InputError: The probe touches in fewer than three frames, or the evaluation is
+            of another recording.
+    """
+    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
+    press = runs(touching, trajectory.segment)[touching]
+    place = places(press, trajectory.position[touching])
+    force = _Agreement.of(
+        (evaluation.rendered_force - evaluation.measured_force)[touching],
+        stated.force[touching],
+        stated.force_noise[touching],
+        place,
+    )
+    torque, torque_std = _Agreement(), np.nan
+    if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
+        torque_std = float(np.median(stated.torque_size[touching]))
+        torque = _Agreement.of(
+            (evaluation.rendered_torque - evaluation.measured_torque)[touching],
+            stated.torque[touching],
+            stated.torque_noise[touching],
+            place,
+        )
+    return Calibration(
+        float(np.median(stated.force_size[touching])),
+        torque_std,
+        *(force.coverage, torque.coverage, force.ranks, torque.ranks),
+        int(touching.sum()),
+        int((~stated.known).sum()),
+        *(force.ranks_error, torque.ranks_error),
+        *(force.total_ranks, torque.total_ranks),
+        *(force.place_ranks, torque.place_ranks),
+        int(place[-1]) + 1,
+    )
+
+
+def stated_in_contact(
+    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+) -> tuple[WrenchDoubt, Mask]:
+    """Uncertainty along a recording, and its frames in contact where it is known.
+
+    Args:
+        doubt: Of the evaluated field.
+        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        trajectory: The recording.
+
+    Raises:
+        InputError: As of `check_doubt`.
+    """
+    if not np.array_equal(evaluation.time, trajectory.time):
+        raise InputError(
+            "the evaluation belongs to another recording: pass the recording it was "
+            "made on"
+        )
+    stated = doubt.std(trajectory)
+    touching = stated.known & (stated.force_size > 0.0)
+    if np.count_nonzero(touching) < LEAST:
+        raise InputError(
+            "a check of doubt needs three frames in contact, the recording has fewer"
+        )
+    return stated, touching
+
+
+def calibration_curve(
+    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+) -> CalibrationCurve:
+    """Stated uncertainty, noise of measurements included, against errors, to draw.
+
+    Args:
+        doubt: Of the evaluated field.
+        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        trajectory: A recording that was not fitted.
+
+    Raises:
+        InputError: As of `check_doubt`.
+    """
+    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
+    error = evaluation.rendered_force - evaluation.measured_force
+    std = np.sqrt(stated.force**2 + stated.force_noise**2)
+    force, torque = (error[touching], std[touching]), None
+    if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
+        error = evaluation.rendered_torque - evaluation.measured_torque
+        std = np.sqrt(stated.torque**2 + stated.torque_noise**2)
+        torque = error[touching], std[touching]
+    return CalibrationCurve.of(force, torque)
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """The figures of `Calibration` for force or torque."""
+
+    coverage: float = np.nan
+    ranks: float = np.nan
+    ranks_error: float = np.nan
+    total_ranks: float = np.nan
+    place_ranks: float = np.nan
+
+    @classmethod
+    def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
+        """From errors, standard deviations and noise of components, (n, 3) each."""
+        total = np.sqrt(std**2 + noise**2)
+        off, own, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
+        frames = np.bincount(place)
+        left = [_ranks(off[place != i], own[place != i]) for i in range(len(frames))]
+        spread = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
+        means = (np.bincount(place, values) / frames for values in (off, own))
+        return cls(
+            float((np.abs(error) <= NORMAL * total).mean()),
+            _ranks(off, own),
+            float(spread) if len(left) >= LEAST else np.nan,
+            _ranks(off, whole),
+            _ranks(*means),
+        )
+
+
+def _ranks(a: Array, b: Array) -> float:
+    """Spearman's rank correlation; NaN where it is undefined."""
+    from scipy.stats import spearmanr
+
+    if len(a) < LEAST or not (np.ptp(a) > 0.0 and np.ptp(b) > 0.0):
+        return np.nan
+    return float(spearmanr(a, b).statistic)

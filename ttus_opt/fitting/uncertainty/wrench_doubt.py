@@ -1,0 +1,139 @@
+"""Covariance of the errors of rendered wrenches, and their rows over a field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.contact.friction import (
+    DRAG_AT_POINTS,
+    DRAG_AT_REFERENCE,
+    DRAG_AXIS,
+    DRAG_DEADBAND,
+    FRICTION,
+    Sliding,
+)
+from ttus_opt.contact.point_drag import drag_rows
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap.field import PotentialField
+
+
+@dataclass(frozen=True)
+class WrenchDoubt:
+    """Covariance of the errors of rendered wrenches, and of the measurement noise.
+
+    Attributes:
+        covariance: Error of rendered force [N] and torque [N·m] in every frame, shape
+            (T, 6, 6); NaN where it is unknown.
+        noise: Noise of measured wrenches, shape (T, 6, 6); NaN for torque where none
+            was measured.
+    """
+
+    covariance: Array = field(repr=False)
+    noise: Array = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        potential: PotentialField,
+        shell: PointShell,
+        trajectory: Trajectory,
+        covariance: Callable[[sp.csr_array, int], Array],
+        noise: WrenchNoise,
+    ) -> WrenchDoubt:
+        """The uncertainty along a trajectory.
+
+        Args:
+            potential: The field.
+            shell: The probe.
+            trajectory: Poses; with drag, their motion matters.
+            covariance: Covariance of the errors of blocks of rows of the field.
+            noise: Noise of measured wrenches.
+        """
+        rows = wrench_rows(potential, shell, trajectory)
+        wrench = rendered(potential, rows)
+        return cls(covariance(rows, 6), noise.covariance(wrench))
+
+    @property
+    def known(self) -> Mask:
+        """Frames in which the covariance is known, shape (T,)."""
+        return np.asarray(np.isfinite(self.covariance[:, 0, 0]))
+
+    @property
+    def force(self) -> Array:
+        """Standard deviation of the force's components, shape (T, 3) [N]."""
+        return _deviations(self.covariance)[:, :3]
+
+    @property
+    def torque(self) -> Array:
+        """Standard deviation of the torque's components, shape (T, 3) [N·m]."""
+        return _deviations(self.covariance)[:, 3:]
+
+    @property
+    def force_noise(self) -> Array:
+        """Standard deviation of the noise of force components, shape (T, 3) [N]."""
+        return _deviations(self.noise)[:, :3]
+
+    @property
+    def torque_noise(self) -> Array:
+        """The same for torque; NaN where none was measured [N·m]."""
+        return _deviations(self.noise)[:, 3:]
+
+    @property
+    def force_size(self) -> Array:
+        """Standard deviation of the whole force, √ trace, shape (T,) [N]."""
+        return np.asarray(np.sqrt((self.force**2).sum(axis=1)))
+
+    @property
+    def torque_size(self) -> Array:
+        """Standard deviation of the whole torque, √ trace, shape (T,) [N·m]."""
+        return np.asarray(np.sqrt((self.torque**2).sum(axis=1)))
+
+
+def wrench_rows(
+    potential: PotentialField, shell: PointShell, trajectory: Trajectory
+) -> sp.csr_array:
+    """Force and torque rows of every frame, six of a frame together, (6T, V).
+
+    Args:
+        potential: The field, with drag among its parameters.
+        shell: The probe.
+        trajectory: Poses; with drag, their motion matters.
+    """
+    voxmap, parameters = potential.voxmap, potential.parameters
+    poses = trajectory.rotation, trajectory.position
+    rows = contact_rows(voxmap, shell, *poses, sampling=potential.sampling)
+    N, W = rows.N, rows.W
+    mu = parameters.get(FRICTION, 0.0)
+    if mu:
+        at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
+        at = "points" if parameters.get(DRAG_AT_POINTS) else at
+        axis = np.array([parameters[name] for name in DRAG_AXIS])
+        sliding = Sliding.of(voxmap, shell, trajectory, at, axis)
+        how = (rows, sliding, voxmap, shell, trajectory)
+        drag = drag_rows(
+            *how, sampling=potential.sampling, deadband=parameters[DRAG_DEADBAND]
+        )
+        N, W = N - mu * drag.force, W - mu * drag.torque
+    both = sp.csr_array(sp.vstack([N, W], format="csr"))
+    T = len(trajectory)
+    frame, part = np.divmod(np.arange(6 * T), 6)
+    order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
+    return sp.csr_array(both[order])
+
+
+def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:
+    """Force [N] and torque [N·m] of every frame by `wrench_rows`, shape (T, 6)."""
+    return np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)
+
+
+def _deviations(covariance: Array) -> Array:
+    """Square roots of the diagonals, shape (T, 6)."""
+    return np.asarray(np.sqrt(np.einsum("tii->ti", covariance)))

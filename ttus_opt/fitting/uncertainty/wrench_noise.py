@@ -1,0 +1,313 @@
+"""Noise of measured wrenches relative to a field: sensor and model errors.
+
+With w = (f, τ) rendered by the field in a frame, the error of a measured wrench is
+
+    e = s + r w + c w + (t × f, 0) + (0, o × f).
+
+The sensor noise s of each component and the relative error r are independent in every
+frame. The relative error c, the rotation t of the force and the shift o of its line of
+action are common to all frames of a place; they stand for model errors there. All are
+normal with mean zero, so that the covariance Σ of all rows is block-diagonal by frame
+plus seven columns per place. The prior's variance and the noise are estimated together
+by marginal likelihood, with weak log-normal priors. See docs/method.md, Doubt.
+
+Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
+(2006), eq. 2.30.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.problem.terms.posterior_mode import posterior_mode
+
+#: Priors of the noise: median, and standard deviation of the logarithm
+PRIORS = {
+    "force": (0.05, 0.7),
+    "share": (0.03, 0.7),
+    "place_share": (0.08, 0.5),
+    "turn": (0.03, 0.7),
+    "torque": (0.002, 0.7),
+    "shift": (0.001, 0.7),
+}
+
+#: Parameters that need measured torques
+TORQUE = ("torque", "shift")
+
+#: Relative error c of a place that no model has: a likelihood that runs up to it takes
+#: variation of the tissue, which the field is to learn, for noise [–]
+MOST_SHARE = 0.25
+
+#: Share of that limit from which c counts as having run to it: the search ends on
+#: either side of the limit, where the density has a corner
+AT_LIMIT = 0.95
+
+#: Name of the prior's variance, and standard deviation of its logarithm [–]
+VARIANCE, VARIANCE_SPREAD = "variance", 2.0
+
+#: Most frames in the evidence, and most evaluations
+MOST_FRAMES, MOST = 150, 300
+
+#: Standard deviation of a combination of fields in all these frames, over the sensor's
+#: noise, below which the frames do not tell it [–]
+NEGLECTED = 0.01
+
+
+@dataclass(frozen=True)
+class WrenchNoise:
+    """Standard deviations of the error of a measured wrench.
+
+    Attributes:
+        force: Sensor noise s of a force component [N].
+        share: Relative error r, per frame [–].
+        place_share: Relative error c, per place [–].
+        turn: Rotation t about an axis, per place [rad].
+        torque: Sensor noise s of a torque component; NaN where none was measured [N·m].
+        shift: Shift o along an axis, per place; NaN where no torque was measured [m].
+    """
+
+    force: float
+    share: float
+    place_share: float
+    turn: float
+    torque: float = np.nan
+    shift: float = np.nan
+
+    def own(self, wrench: Array) -> Array:
+        """Covariance of the errors per frame, shape (T, 6, 6).
+
+        Args:
+            wrench: Rendered force [N] and torque [N·m], shape (T, 6).
+        """
+        sensor = np.repeat([self.force**2, self.torque**2], 3)
+        relative = self.share**2 * wrench[:, :, None] * wrench[:, None, :]
+        return np.asarray(np.diag(np.nan_to_num(sensor)) + relative)
+
+    def shared(self, wrench: Array) -> Array:
+        """Columns of the errors per place, shape (T, 6, 7); arguments as for `own`."""
+        out = np.zeros((len(wrench), 6, 7))
+        out[:, :, 0] = self.place_share * wrench
+        turned = np.cross(np.eye(3), wrench[:, None, :3]).transpose(0, 2, 1)
+        out[:, :3, 1:4] = self.turn * turned
+        out[:, 3:, 4:] = np.nan_to_num(self.shift) * turned
+        return out
+
+    def covariance(self, wrench: Array) -> Array:
+        """Covariance of the whole error of every frame, shape (T, 6, 6).
+
+        NaN for a torque that was not measured; arguments as for `own`.
+        """
+        columns = self.shared(wrench)
+        out = self.own(wrench) + columns @ columns.transpose(0, 2, 1)
+        if np.isnan(self.torque):
+            out[:, 3:] = out[:, :, 3:] = np.nan
+        return np.asarray(out)
+
+    def as_dict(self) -> dict[str, float]:
+        """Known values by name, for JSON."""
+        return {name: v for name, v in asdict(self).items() if not np.isnan(v)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, float]) -> WrenchNoise:
+        """The inverse of `as_dict`.
+
+        Raises:
+            InputError: Numbers that are negative or not finite.
+            TypeError: Not a mapping, or wrong names.
+        """
+        numbers = {name: float(value) for name, value in dict(values).items()}
+        if not all(0.0 <= value < np.inf for value in numbers.values()):
+            raise InputError(f"noise must not be negative or infinite, got {numbers}")
+        return cls(**numbers)
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Prior variance and noise of weighted measured rows.
+
+    Attributes:
+        variance: Variance of the field's prior, over that of the program [–].
+        own: Cholesky factor of the errors per frame, shape (n, h, h) [N, N·m].
+        shared: Columns of the errors per place, shape (n, h, 7) [N, N·m].
+        place: Place of every frame, shape (n,) [–].
+        at: Column in `mixed` of every component, shape (n, h).
+        mixed: From measured components to weighted rows, shape (rows, components)
+            [1/N, 1/N·m].
+    """
+
+    variance: float
+    own: Array = field(repr=False)
+    shared: Array = field(repr=False)
+    place: IntArray = field(repr=False)
+    at: IntArray = field(repr=False)
+    mixed: sp.csr_array = field(repr=False)
+
+    def roots(self, rows: Array) -> Array:
+        """Y with Y Yᵀ = B Σ Bᵀ, shape (k, n h + 7 places).
+
+        Args:
+            rows: B, shape (k, rows).
+        """
+        parts = (rows @ self.mixed)[:, self.at]
+        own = np.einsum("knh,nhj->knj", parts, self.own).reshape(len(rows), -1)
+        sums = np.zeros((int(self.place.max()) + 1, len(rows), 7))
+        np.add.at(sums, self.place, np.einsum("knh,nhj->nkj", parts, self.shared))
+        shared = sums.transpose(1, 0, 2).reshape(len(rows), -1)
+        return np.concatenate([own, shared], axis=1)
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Errors of all rows, shape (rows,)."""
+        each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(self.at.shape))
+        numbers = rng.standard_normal((int(self.place.max()) + 1, 7))
+        each += np.einsum("nhj,nj->nh", self.shared, numbers[self.place])
+        out = np.zeros(self.mixed.shape[1])
+        out[self.at] = each
+        return np.asarray(self.mixed @ out)
+
+
+@dataclass(frozen=True)
+class MeasuredWrenches:
+    """Frames in contact, over a basis of fields.
+
+    Attributes:
+        images: Rows of the basis, shape (k, n, h) [N, N·m].
+        misfit: Measurement minus the prior's mean, shape (n, h) [N, N·m].
+        wrench: Wrenches rendered by the fit, shape (n, 6) [N, N·m].
+        place: Place of every frame, shape (n,) [–].
+        parts: Measured components of the wrench, shape (h,) [–].
+    """
+
+    images: Array = field(repr=False)
+    misfit: Array = field(repr=False)
+    wrench: Array = field(repr=False)
+    place: IntArray = field(repr=False)
+    parts: IntArray = field(repr=False)
+
+    def thinned(self) -> MeasuredWrenches:
+        """At most `MOST_FRAMES` evenly spaced frames."""
+        at = slice(None, None, -(-len(self.place) // MOST_FRAMES))
+        return replace(
+            self,
+            images=self.images[:, at],
+            misfit=self.misfit[at],
+            wrench=self.wrench[at],
+            place=self.place[at],
+        )
+
+    def condensed(self, variance: float) -> MeasuredWrenches:
+        """The same over only as many fields as the frames tell apart.
+
+        Args:
+            variance: Of the fields' coefficients, about [–].
+        """
+        size = np.array([PRIORS["force" if c < 3 else "torque"][0] for c in self.parts])
+        seen = (self.images / size).reshape(len(self.images), -1)
+        _, lengths, directions = np.linalg.svd(seen, full_matrices=False)
+        kept = np.sqrt(variance) * lengths > NEGLECTED
+        fewer = lengths[kept, None] * directions[kept]
+        images = fewer.reshape(-1, *self.images.shape[1:]) * size
+        return replace(self, images=images)
+
+    def log_density(self, variance: float, noise: WrenchNoise) -> float:
+        """Logarithm of the density of the measurements.
+
+        Args:
+            variance: Prior variance of the fields' coefficients [–].
+            noise: Noise of the measurements.
+        """
+        k, m = len(self.images), self.misfit.size
+        frames, n_places = np.arange(len(self.place)), int(self.place.max()) + 1
+        lower = np.linalg.cholesky(self._own(noise))
+        columns = np.zeros((k + 7 * n_places + 1, *self.misfit.shape))
+        columns[:k] = np.sqrt(variance) * self.images
+        of_place = columns[k:-1].reshape(n_places, 7, *self.misfit.shape)
+        of_place[self.place, :, frames] = self._shared(noise).transpose(0, 2, 1)
+        columns[-1] = self.misfit
+        white = np.linalg.solve(lower, np.moveaxis(columns, 0, 2))
+        gram = np.tensordot(white, white, axes=([0, 1], [0, 1]))
+        inner = gram[:-1, :-1] + np.eye(len(gram) - 1)
+        factor = np.linalg.cholesky(inner)
+        half = scipy.linalg.solve_triangular(factor, gram[:-1, -1], lower=True)
+        size = float(np.log(np.diag(factor)).sum())
+        size += float(np.log(np.einsum("nii->ni", lower)).sum())
+        square = float(gram[-1, -1] - half @ half)
+        return -0.5 * (square + m * math.log(2.0 * math.pi)) - size
+
+    def estimate(
+        self, variance: float, known: float | None = None
+    ) -> tuple[float, WrenchNoise]:
+        """The most likely prior variance and noise.
+
+        Where the relative error of places runs to `MOST_SHARE` it keeps the median of
+        its prior, and a `TtusWarning` says so.
+
+        Args:
+            variance: Median of the prior variance [–].
+            known: The prior variance, where it is not estimated [–].
+        """
+        held = {} if known is None else {VARIANCE: known}
+        found, noise = self._likeliest(variance, held)
+        if noise.place_share >= AT_LIMIT * MOST_SHARE:
+            usual = PRIORS["place_share"][0]
+            warnings.warn(
+                "doubt: the recordings do not tell errors of whole places, which seem "
+                f"larger than {100 * MOST_SHARE:.0f} %, from what the field does not "
+                f"know; {100 * usual:.0f} % of the wrench are taken for them",
+                TtusWarning,
+                stacklevel=3,
+            )
+            return self._likeliest(variance, held | {"place_share": usual})
+        return found, noise
+
+    def _likeliest(
+        self, variance: float, held: Mapping[str, float]
+    ) -> tuple[float, WrenchNoise]:
+        """The same, with some parts of the noise held."""
+        few = self.thinned().condensed(held.get(VARIANCE, variance))
+        names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
+        names = [name for name in (VARIANCE, *names) if name not in held]
+        all_priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}
+        priors = np.array([all_priors[name] for name in names])
+        medians, spreads = np.log(priors[:, 0]), priors[:, 1]
+
+        def values(steps: Array) -> tuple[float, WrenchNoise]:
+            at = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
+            found = dict(held) | dict(zip(names, map(float, at), strict=True))
+            own = found.pop(VARIANCE)
+            noise = WrenchNoise(**found)
+            share = min(noise.place_share, MOST_SHARE)
+            return own, replace(noise, place_share=share)
+
+        def log_density(steps: Array) -> float:
+            return few.log_density(*values(steps))
+
+        return values(posterior_mode(log_density, len(priors), MOST).steps)
+
+    def errors(
+        self, variance: float, noise: WrenchNoise, mixed: sp.csr_array, at: IntArray
+    ) -> ErrorModel:
+        """The error model of weighted rows.
+
+        Args:
+            variance: Prior variance [–].
+            noise: Noise of the measurements.
+            mixed: As in `ErrorModel`.
+            at: The same.
+        """
+        own = np.asarray(np.linalg.cholesky(self._own(noise)))
+        return ErrorModel(variance, own, self._shared(noise), self.place, at, mixed)
+
+    def _own(self, noise: WrenchNoise) -> Array:
+        return noise.own(self.wrench)[:, self.parts][:, :, self.parts]
+
+    def _shared(self, noise: WrenchNoise) -> Array:
+        return noise.shared(self.wrench)[:, self.parts]

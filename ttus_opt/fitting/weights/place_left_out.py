@@ -1,0 +1,186 @@
+"""How well weights predict what was measured at places left out.
+
+With the rows' misfit d = t - s u to the prior's mean times a scale s, the prediction of
+the rows of one place from all others has a closed form (`weight_criteria`); s is that
+of generalised least squares. A place counts as one observation of a term's error,
+whatever its number of frames, so that over P places
+
+    log p = -½ Σ P log (mean square of the errors of a term)
+
+stands for the likelihood of the weights: that of errors whose size is not known. Weak
+priors keep weights that the places hardly tell near usual ones. See docs/method.md,
+"Tuning".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.fitting.uncertainty.posterior import WeightedData
+from ttus_opt.fitting.weights.tuning_rows import BasisRows
+from ttus_opt.fitting.weights.weight_criteria import left_out_errors
+from ttus_opt.problem.terms.posterior_mode import posterior_mode
+
+#: Prior variance of a force row over that of its noise: median, and standard deviation
+#: of its logarithm. Tissue varies by 40 %, which is 1 N of 3 N, and a frame is accurate
+#: to 0.15 N; frames of one press repeat each other's errors, so that each counts less
+SIGNAL = (3.0, 2.0)
+
+#: Weight of a further term over the first's, likewise [–]
+RATIO = (1.0, 1.5)
+
+#: Prior standard deviation of a coefficient such as friction, around 0 [–]
+COEFFICIENT = 0.5
+
+#: Largest distance from the medians, in prior standard deviations [–]
+FARTHEST = 6.0
+
+#: Most evaluations, and steps of the first term's weight at which the search may start
+CALLS, STARTS = 60, (-2.0, -1.0, 1.0, 2.0, 3.0)
+
+#: Step of the second differences, in prior standard deviations [–]
+STEP = 0.3
+
+#: Range of boundary scales, over the scene's own, and their largest relative standard
+#: error; otherwise the scene's is kept [–]
+SCALES, SCALE_ERROR = (0.5, 2.0), 0.2
+
+#: Rows of one frame and term [–]
+COMPONENTS = 3
+
+#: Least mean square of a term's errors, over that of its measurements: rounding [–]
+LEAST_SQUARE = 1e-12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What all other places predict with some weights.
+
+    Attributes:
+        errors: Measured minus predicted, shape (m,).
+        scale: s [–].
+        scale_error: Its standard error; NaN where it is not determined [–].
+    """
+
+    errors: Array = field(repr=False)
+    scale: float
+    scale_error: float
+
+
+@dataclass(frozen=True)
+class PlaceLeftOut:
+    """Measured rows, of which one place is left out after the other.
+
+    Attributes:
+        rows: The rows over a basis.
+        n_terms: Number of terms [–].
+        variance: Mean prior variance of the first term's rows.
+        largest: Largest signal to noise that the basis is made for [–].
+        highest: Largest value of their coefficient; 0 without one.
+        free_scale: Whether the scale of the prior's mean is estimated.
+    """
+
+    rows: BasisRows
+    n_terms: int
+    variance: float
+    largest: float
+    highest: float = 0.0
+    free_scale: bool = False
+
+    def predicted(self, weights: Array, coefficient: float = 0.0) -> Prediction:
+        """The errors with some weights by term.
+
+        Args:
+            weights: λ by term, shape (terms,) [–].
+            coefficient: Of the rows.
+        """
+        own = self.rows.at(coefficient)
+        root = np.sqrt(np.maximum(weights, 1e-300)[own.term] * own.every)
+        data = WeightedData.of(own.images * root, root)
+        both = root[:, None] * np.stack([own.target, own.base], axis=1)
+        rest = data.solve(both)
+        off = left_out_errors(data.half, rest, own.place)
+        t, u = (off / root[:, None]).T
+        if not self.free_scale:
+            return Prediction(t - u, 1.0, 0.0)
+        (tt, tu), (_, uu) = both.T @ rest
+        if uu <= 0.0:
+            return Prediction(t - u, 1.0, np.nan)
+        scale = float(tu / uu)
+        square = max(float(tt - 2.0 * scale * tu + scale**2 * uu), 0.0) / len(t)
+        # frames of one place repeat each other's errors
+        alike = max(len(t) / (COMPONENTS * self.n_terms * self.places), 1.0)
+        error = float(np.sqrt(square * alike / uu))
+        low, high = SCALES
+        if error > SCALE_ERROR * abs(scale) or not low <= scale <= high:
+            return Prediction(t - u, 1.0, np.nan)
+        return Prediction(t - scale * u, scale, error)
+
+    @cached_property
+    def _place(self) -> IntArray:
+        """Numbers of the places from 0."""
+        return np.unique(self.rows.place, return_inverse=True)[1]
+
+    @property
+    def places(self) -> int:
+        """Number of places [–]."""
+        return int(self._place.max()) + 1
+
+    def log_density(self, weights: Array, coefficient: float = 0.0) -> float:
+        """The log p above; arguments as for `predicted`."""
+        term, target = self.rows.term, self.rows.target
+        errors, count = self.predicted(weights, coefficient).errors, np.bincount(term)
+        square = np.bincount(term, errors**2) / count
+        least = LEAST_SQUARE * np.bincount(term, target**2) / count
+        square = np.maximum(np.maximum(square, least), 1e-300)
+        return -0.5 * self.places * float(np.log(square).sum())
+
+    def values(self, steps: Array) -> tuple[Array, float]:
+        """Weights by term and coefficient at steps from the priors' medians."""
+        steps = np.clip(steps, -FARTHEST, FARTHEST)
+        n = self.n_terms
+        signal = min(SIGNAL[0] * math.exp(SIGNAL[1] * steps[0]), self.largest)
+        ratio = np.concatenate([[1.0], RATIO[0] * np.exp(RATIO[1] * steps[1:n])])
+        weights = np.minimum(signal * ratio, self.largest) / self.variance
+        own = COEFFICIENT * float(steps[n]) if len(steps) > n else 0.0
+        return weights, min(max(own, 0.0), self.highest)
+
+    def best(self, starts: Sequence[Array] = ()) -> tuple[Array, Array]:
+        """Most likely steps and their posterior standard deviations, shape (n,) each.
+
+        Args:
+            starts: Weights from which the search may start too, shape (terms,) each.
+        """
+        n = self.n_terms + (self.highest > 0.0)
+
+        def log_density(steps: Array) -> float:
+            return self.log_density(*self.values(steps))
+
+        begins = [np.eye(n)[0] * step for step in STARTS]
+        begins += [self._steps(weights, n) for weights in starts]
+        mode = posterior_mode(log_density, n, CALLS, begins)
+        found = np.clip(mode.steps, -FARTHEST, FARTHEST)
+
+        def cost(steps: Array) -> float:
+            return 0.5 * float(steps @ steps) - log_density(steps)
+
+        middle, spread = cost(found), np.empty(n)
+        for i, step in enumerate(STEP * np.eye(n)):
+            bend = (cost(found + step) - 2.0 * middle + cost(found - step)) / STEP**2
+            # the prior alone has curvature 1: much less is rounding, or no minimum
+            spread[i] = 1.0 / math.sqrt(max(bend, 0.25))
+        return found, spread
+
+    def _steps(self, weights: Array, n: int) -> Array:
+        """The steps of given weights."""
+        out = np.zeros(n)
+        own = np.maximum(weights, 1e-12 / self.variance)
+        out[0] = math.log(own[0] * self.variance / SIGNAL[0]) / SIGNAL[1]
+        out[1 : self.n_terms] = np.log(own[1:] / own[0] / RATIO[0]) / RATIO[1]
+        return np.clip(out, -FARTHEST, FARTHEST)

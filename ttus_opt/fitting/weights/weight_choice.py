@@ -1,0 +1,361 @@
+"""The weights of a fit: chosen from its recordings where possible, else its own.
+
+The values of the option ``weights`` are the same for a fit, a session, the demo and the
+experiment: "auto" chooses, "own" keeps the weights of the formulation. Without a
+formulation, `default_model` takes a depth map, which chooses its own hyperparameters.
+Of others, `tune` finds the weights that predict places left out best. Recordings of too
+few frames or of one place cannot: a `TtusWarning` gives the reason, and the
+formulation's own weights are used.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
+from ttus_opt.core.blas_threads import one_blas_thread
+from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
+from ttus_opt.fitting.uncertainty.presses import pressed_places, presses
+from ttus_opt.fitting.weights.tuning import tune
+from ttus_opt.fitting.weights.tuning_result import Tuning
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import UnusableForcesError
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.part_noise import TURN
+
+Word = Literal["auto", "own"]
+
+AUTO: Literal["auto"] = "auto"
+OWN: Literal["own"] = "own"
+
+WORDS: tuple[Word, ...] = (AUTO, OWN)
+
+#: Fewest frames in contact for three or four hyperparameters [–]
+LEAST_FRAMES = 12
+
+#: The default model without and with drag, and its samplings: pressure on tissue that
+#: is deep relative to the probe depends on the probe's size, on a thin layer not
+DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
+SAMPLINGS = ("contact-size", "trilinear")
+
+
+@dataclass(frozen=True)
+class WeightChoice:
+    """The problem to fit: ``fit(choice.scene, choice.formulation)``.
+
+    Attributes:
+        scene: With the chosen boundary scale.
+        formulation: With the chosen weights, or its own.
+        tuning: The tuning behind them; None for the formulation's own weights.
+        reason: Why its own weights are used; empty where they were tuned or requested.
+        reasons: A model that chooses its own hyperparameters, in words.
+    """
+
+    scene: Scene = field(repr=False)
+    formulation: Formulation
+    tuning: Tuning | None = field(default=None, repr=False)
+    reason: str = ""
+    reasons: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The choice and its uncertainty, for JSON."""
+        weights = {t.name: t.weight for t in self.formulation.terms if t.measures}
+        if self.tuning is None:
+            return {
+                "by": "marginal likelihood" if self.reasons else "formulation",
+                "weights": weights,
+                "model": list(self.reasons),
+                "reason": self.reason,
+                "held_out": [],
+            }
+        return {
+            "by": "places left out",
+            "reason": "",
+            "weights": weights,
+            "weight_factors": dict(self.tuning.weight_factors),
+            "hyperparameters": {h.name: asdict(h) for h in self.tuning.hyperparameters},
+            "not_determined": list(self.tuning.not_determined),
+            "noise_N": self.tuning.noise,
+            "left_out_force_error_N": self.tuning.left_out_force_error,
+            "held_out": [self.tuning.check.as_dict()],
+            "tuned_on": list(self.tuning.shape),
+            "seconds": self.tuning.seconds,
+        }
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The same in words."""
+        if self.tuning is None:
+            return self.reasons
+        factors = self.tuning.weight_factors
+        weights = ", ".join(
+            f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
+            for name, weight in self.tuning.weights.items()
+        )
+        lines = [
+            f"weights chosen from the recordings: {weights}, for an error of a force "
+            f"component of {self.tuning.noise:.2f} N at places left out"
+        ]
+        unknown = self.tuning.not_determined
+        names = ", ".join(name for name in unknown if name != BOUNDARY_SCALE)
+        if names:
+            lines.append(f"hardly determined by the recordings: {names}")
+        if BOUNDARY_SCALE in unknown:
+            lines.append(
+                f"{BOUNDARY_SCALE} kept as the Laplace field alone fits the forces; "
+                "places left out leave it open"
+            )
+        ends = [h for h in self.tuning.hyperparameters if h.at_bound]
+        lines += [f"{h.name} ended at its bound, {h.value:.3g}" for h in ends]
+        return (*lines, str(self.tuning.check))
+
+
+def has_weights(formulation: str | Path | Formulation) -> bool:
+    """Whether it is given by name and has weights with default values.
+
+    Others have their weights already, have none, or choose them themselves.
+    """
+    if isinstance(formulation, Formulation):
+        return False
+    usual = (shelf.option_defaults(formulation) or {}).items()
+    values = [value for name, value in usual if is_weight(name)]
+    return bool(values) and None not in values
+
+
+def has_choice(formulation: str | Path) -> bool:
+    """Whether `choice_of` chooses: it has weights, or is a depth map."""
+    return formulation in DEPTH_MAPS or has_weights(formulation)
+
+
+def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
+    """Return a known word.
+
+    Raises:
+        InputError: It is not among ``words``.
+    """
+    if word not in words:
+        choices = f"{', '.join(words[:-1])} or {words[-1]}"
+        raise InputError(f"weights={word!r} is not known: take {choices}")
+    return word
+
+
+def word_for(
+    word: str | None,
+    formulation: str | Path | Formulation | None,
+    options: Mapping[str, Any],
+) -> str:
+    """The given word; by default "auto" where that is possible, else "own".
+
+    Args:
+        word: One of `WORDS`, or None.
+        formulation: The given formulation, or None.
+        options: The given options of the formulation.
+
+    Raises:
+        InputError: Another word, "auto" with a weight, or an unknown formulation.
+    """
+    if word is not None:
+        if checked_word(word) == AUTO:
+            refuse_weights(options)
+        return word
+    can = formulation is None or (
+        not isinstance(formulation, Formulation) and has_choice(formulation)
+    )
+    return AUTO if can and not any(map(is_weight, options)) else OWN
+
+
+def is_weight(option: str) -> bool:
+    """Whether an option of a formulation is the weight of a term."""
+    return option.endswith("_weight")
+
+
+def refuse_weights(options: Mapping[str, Any]) -> None:
+    """Check that no weight is given beside ``weights="auto"``.
+
+    Raises:
+        InputError: There is one.
+    """
+    given = next(filter(is_weight, options), None)
+    if given is not None:
+        raise InputError(f'weights="auto" chooses {given}: give one or the other')
+
+
+def choice_of(
+    word: str,
+    scene: Scene,
+    formulation: str | Path | Formulation | None = None,
+    options: Mapping[str, Any] | None = None,
+    *,
+    sampling: str | None = None,
+    strict: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> WeightChoice:
+    """The problem to fit.
+
+    Args:
+        word: One of `WORDS`.
+        scene: Patient, probe and measurements.
+        formulation: The formulation; None for the default model (`default_model`), or
+            with own weights for the default formulation.
+        options: Options of the formulation.
+        sampling: Of the default model; None for the more likely one.
+        strict: Whether a formulation that cannot be tuned is an error instead of a
+            warning.
+        progress: Called with a message for every step.
+
+    Raises:
+        InputError: As in `word_for`, or an unknown formulation or option, or one that
+            cannot be tuned.
+    """
+    options = options or {}
+    word_for(word, formulation, options)
+    if word == OWN:
+        usual = shelf.DEFAULT if formulation is None else formulation
+        return WeightChoice(scene, shelf.load(usual, scene, **options))
+    if formulation is None:
+        return default_model(scene, options, sampling, progress=progress)
+    own = shelf.load(formulation, scene, **options)
+    if any(isinstance(term, DepthMapTerm) for term in own.terms):
+        return WeightChoice(scene, own, reasons=described(own))
+    reason = too_little(scene)
+    if reason:
+        return _own(scene, own, reason)
+    try:
+        found = tune(scene, formulation, compare=False, progress=progress, **options)
+    except InputError as error:
+        if strict:
+            raise
+        return _own(scene, own, str(error))
+    return WeightChoice(found.scene, found.formulation, found)
+
+
+def default_model(
+    scene: Scene,
+    options: Mapping[str, Any] | None = None,
+    sampling: str | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> WeightChoice:
+    """The model of a fit with no choice of the user's: a depth map.
+
+    With drag where the recordings show it, in the more likely sampling. Where no depth
+    map explains the forces, the default formulation with its own weights, and a warning
+    with the reason.
+
+    Args:
+        scene: Patient, probe and measurements.
+        options: Options of the depth map, without weights.
+        sampling: How contact samples the field; None for the more likely of
+            `SAMPLINGS`.
+        progress: Called with a message for every step.
+
+    Raises:
+        InputError: Options that the depth map does not have.
+    """
+    tried = []
+    for each in SAMPLINGS if sampling is None else (sampling,):
+        place = scene if scene.sampling == each else resampled(scene, each)
+        name = DEPTH_MAPS[estimate_drag(place).is_shown]
+        if progress is not None:
+            progress(f"{name}, {each} sampling")
+        try:
+            with one_blas_thread():  # for matrices of a few hundred rows
+                declared = shelf.load(name, place, **(options or {}))
+        except UnusableForcesError as error:
+            return _own(scene, shelf.load(shelf.DEFAULT, scene), str(error))
+        tried.append((depth_map_of(declared).log_evidence or 0.0, place, declared))
+    _, place, declared = max(tried, key=lambda one: one[0])
+    evidence = ", ".join(f"{p.sampling} {e:.1f}" for e, p, _ in tried)
+    reasons = *described(declared), f"log evidence by sampling: {evidence}"
+    return WeightChoice(place, declared, reasons=reasons)
+
+
+def depth_map_of(model: Formulation) -> DepthMapTerm:
+    """The term of a depth map."""
+    return next(term for term in model.terms if isinstance(term, DepthMapTerm))
+
+
+def described(model: Formulation) -> tuple[str, ...]:
+    """A depth map and its errors, in words."""
+    prior = depth_map_of(model)
+    force = next((t for t in model.terms if isinstance(t, ForceTerm) and t.noise), None)
+    lines = [
+        f"{model.name}, by marginal likelihood: φ = {prior.profile} N/cm², varies by "
+        f"{100 * prior.deviation:.0f} % over {1e3 * prior.surface_length:.0f} mm along "
+        f"the skin and {1e3 * prior.depth_length:.0f} mm in depth"
+    ]
+    if force is not None:
+        assert force.noise is not None
+        lines.append(
+            f"error of a normal force {force.noise.level:.2g} N, of its direction "
+            f"{np.degrees(TURN):.0f}°"
+        )
+    return tuple(lines)
+
+
+def resampled(scene: Scene, sampling: str) -> Scene:
+    """The scene in another sampling; a fitted boundary scale is fitted again.
+
+    Raises:
+        InputError: An unknown sampling.
+    """
+    fitted = BOUNDARY_SCALE in scene.parameters
+    return Scene.assemble(
+        scene.voxmap,
+        scene.shell,
+        scene.trajectory,
+        inner="fit" if fitted else scene.inner,
+        outer=scene.outer / scene.inner if fitted else scene.outer,
+        sampling=sampling,
+    )
+
+
+def _own(scene: Scene, own: Formulation, reason: str) -> WeightChoice:
+    """A formulation with its own weights, and a warning with the reason."""
+    weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
+    warnings.warn(
+        f"weights were not chosen from the recordings: {reason}; the weights of "
+        f"{own.name} are used ({', '.join(weights)})",
+        TtusWarning,
+        stacklevel=3,
+    )
+    return WeightChoice(scene, own, reason=reason)
+
+
+def too_little(scene: Scene) -> str:
+    """Why the recordings cannot determine weights; empty where they may."""
+    touching = scene.rows.contact_points > 0
+    if not touching.any():
+        return "the probe touches the patient in no frame"
+    if touching.sum() < LEAST_FRAMES:
+        return (
+            f"frames in contact: {touching.sum()}, {LEAST_FRAMES} are needed: record "
+            "longer"
+        )
+    if BOUNDARY_SCALE in scene.not_identified:
+        return scene.not_identified[BOUNDARY_SCALE]
+    count = len(np.unique(presses(scene)[touching]))
+    spread = contact_spread(scene)
+    if count == 1 and spread < scene.shell.rms_radius:
+        return (
+            f"one press within {1e3 * spread:.0f} mm, less than the probe's own size, "
+            "says nothing about other places: press at several"
+        )
+    if spread < SPOT:
+        return f"all presses within {1e3 * spread:.1f} mm: press at several places"
+    if len(np.unique(pressed_places(scene)[touching])) == 1:
+        return (
+            "all frames are of one place, which nothing predicts: lift the probe and "
+            "press at several"
+        )
+    return ""

@@ -1,0 +1,317 @@
+"""Geometric multigrid for the symmetric block A of Laplace's equation.
+
+On the free voxels of a cylindrical grid, A is r times the negative stencil of
+`laplace`: symmetric positive definite. A solve is iterative refinement (`refinement`):
+residuals and x in double precision, each correction by conjugate gradients in single
+precision (`pcg`), preconditioned by a V-cycle (`cycle`) with red-black zebra line
+relaxation (`line_smoother`) on levels that keep the surface closed (`coarsening`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError, NumericalError
+from ttus_opt.core.threads import in_parts, parts_of
+from ttus_opt.laplace.multigrid import refinement
+from ttus_opt.laplace.multigrid.coarsening import Added, Grounds, conductances
+from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
+from ttus_opt.laplace.multigrid.pcg import Vectors
+from ttus_opt.laplace.multigrid.v_cycle import VCycle
+from ttus_opt.laplace.multigrid.workspace import LARGE
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+#: Factor of the residual after one correction: the limit of single precision [–]
+REDUCTION = 1e-4
+#: Right-hand sides between its inverse and this are not rescaled.
+MODERATE = 1e100
+#: Consecutive corrections that may fail to halve the residual [–]
+PATIENCE = 3
+
+
+@dataclass(frozen=True)
+class MultigridResult:
+    """Answer of one solve.
+
+    Attributes:
+        x: Solution, zero at fixed voxels, shape (V,).
+        iterations: V-cycles spent on it [–].
+        relative_residual: ‖b - A x‖ / ‖b‖, in double precision [–].
+    """
+
+    x: Array = field(repr=False)
+    iterations: int
+    relative_residual: float
+
+
+class Multigrid:
+    """Solver of A x = b on the free voxels of a grid.
+
+    (A x)_v = r_i · Σ c (x_v - x_neighbour) over the six neighbours, with the weights
+    c of `laplace` and x = 0 at fixed voxels; b and x are full vectors (V,), zero at
+    fixed voxels. Setting up costs about as much as one solve.
+
+    An instance may be used by several threads at once: each call works in arrays of
+    its own, and compiled code releases the interpreter's lock. A solve on a large grid
+    uses all cores (`workspace`). Equal calls give equal bits.
+
+    Attributes:
+        grid: The grid.
+        free: Unknown voxels, shape (V,).
+        hierarchy: The levels.
+        norm_bound: Bound of the operator's norm (Gershgorin) [m].
+    """
+
+    def __init__(
+        self,
+        grid: CylindricalGrid,
+        free: NDArray[np.bool_],
+        *,
+        pooled: NDArray[np.bool_] | None = None,
+        screening: Array | None = None,
+        grounds: Grounds | None = None,
+    ) -> None:
+        """Build the levels.
+
+        Args:
+            grid: The grid.
+            free: Unknown voxels, shape ``grid.shape``; none in the first and last
+                layer and slice.
+            pooled: Free voxels pooled with the next one outwards, same shape; for
+                `AggregatedMultigrid`, which treats residuals accordingly.
+            screening: Added to the diagonal of each layer, not negative, shape (n_r,)
+                [m]; None for nothing.
+            grounds: Corrections of links that the boundary cuts; None for nothing.
+
+        Raises:
+            InputError: The mask has another shape, or frees a voxel on the rim.
+        """
+        free = np.ascontiguousarray(free)
+        if free.shape != grid.shape or free.dtype != np.bool_:
+            raise InputError(
+                f"free must be a boolean array of shape {grid.shape}, got "
+                f"{free.dtype} {free.shape}"
+            )
+        if free[[0, -1]].any() or free[:, :, [0, -1]].any():
+            raise InputError(
+                "free voxels in the first or last layer or slice, which have no "
+                "neighbour beyond: mark them False"
+            )
+        self.grid = grid
+        self.free = grid.flatten(free)
+        r, t, z = conductances(grid)
+        self.screening, self.grounds = screening, grounds
+        own = np.zeros_like(r) if screening is None else screening
+        self.norm_bound = float(
+            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
+        )
+        if grounds is not None:
+            self.norm_bound += float(grounds.changes.sum(axis=1).max(initial=0.0))
+        self._pooled = pooled
+        self._added = Added.in_layers(screening, grid.shape, grounds)
+        self.hierarchy = Hierarchy.build(grid, free, pooled, self._added)
+        #: Spokes, slices and pitch
+        self._sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
+        self._operator = refinement.Operator.of(
+            self.free, (r, t, z), self._sizes, own, grounds
+        )
+        self._idle: deque[Vectors] = deque()
+        self._parts = parts_of(self.free.size, LARGE)
+
+    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
+        """Pickle as what it was built from."""
+        built = (self.grid, self.grid.unflatten(self.free))
+        make = partial(Multigrid, screening=self.screening, grounds=self.grounds)
+        return make, built
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the levels and of the scratch arrays kept for the next solve."""
+        return (
+            self.hierarchy.memory_bytes
+            + self.free.nbytes
+            + sum(work.memory_bytes for work in list(self._idle))
+        )
+
+    def apply(self, x: Array) -> Array:
+        """A x.
+
+        Args:
+            x: Values, shape (V,); those at fixed voxels count as zero.
+
+        Returns:
+            A x, zero at fixed voxels, shape (V,).
+
+        Raises:
+            InputError: x has another shape or is not finite.
+        """
+        return self._operate(self._vector(x, "x")[0])
+
+    def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
+        """A preconditioner of one V-cycle, with arrays of its own and without copies.
+
+        Args:
+            near: Flat indices of the voxels where it must be accurate, shape (k,): it
+                may cover only a box around them. None for all voxels.
+        """
+        pooled = None if self._pooled is None else self.grid.flatten(self._pooled)
+        whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
+        return VCycle.near(near, *whole)
+
+    def solve(
+        self,
+        rhs: Array,
+        *,
+        rtol: float = 1e-12,
+        x0: Array | None = None,
+        max_iterations: int = 500,
+    ) -> MultigridResult:
+        """Solve A x = b.
+
+        It ends when ‖b - A x‖ ≤ rtol ‖b‖, or when the residual is down to rounding:
+        ‖b - A x‖ ≤ ε (‖A‖ ‖x‖ + ‖b‖) with ε = 2.2e-16 and a bound for ‖A‖. The
+        result states the residual that was reached.
+
+        Args:
+            rhs: b, shape (V,); values at fixed voxels are left out.
+            rtol: Relative residual asked for; 0 for what rounding allows [–].
+            x0: Where to start, shape (V,); by default zero.
+            max_iterations: Most V-cycles [–].
+
+        Returns:
+            Solution, V-cycles and relative residual.
+
+        Raises:
+            InputError: A vector has another shape or is not finite, rtol is negative,
+                or x0 is out of all proportion.
+            NumericalError: The residual was not reached.
+        """
+        if not 0.0 <= rtol < 1.0:
+            raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
+        b, largest = self._vector(rhs, "the right-hand side")
+        start = None if x0 is None else self._vector(x0, "x0")
+        if largest == 0.0:
+            return MultigridResult(b, 0, 0.0)
+        unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
+        if start is None and 1.0 / MODERATE < largest < MODERATE:
+            return self._refine(b, None, rtol, max_iterations, 1.0 / unit)
+        b /= unit  # squares neither overflow nor vanish
+        x = None
+        if start is not None:
+            x, farthest = start
+            x /= unit
+            if not farthest / unit < 1e150:
+                raise InputError(
+                    f"x0 is {farthest / unit:.1e} times the right-hand side: start "
+                    "nearer or from zero"
+                )
+        result = self._refine(b, x, rtol, max_iterations)
+        return replace(result, x=result.x * unit)
+
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
+        """Solve Aᵀ x = b: the same, as A is symmetric."""
+        return self.solve(rhs, rtol=rtol)
+
+    def _refine(
+        self, b: Array, x: Array | None, rtol: float, limit: int, scale: float = 1.0
+    ) -> MultigridResult:
+        """Iterative refinement for a right-hand side whose squares are numbers.
+
+        Args:
+            b: Right-hand side, zero at fixed voxels, shape (V,).
+            x: Where to start, shape (V,); None for zero. Overwritten.
+            rtol: As in `solve`.
+            limit: Most V-cycles [–].
+            scale: What brings b near 1, for single precision; from zero only [–].
+        """
+        work = self._borrow()
+        now = size = self._residual(work, None, b, scale)
+        norm_x = 0.0
+        if x is None:
+            x = np.zeros_like(b)
+        else:
+            norm_x = math.sqrt(float(np.sum(x * x)))
+            scale = 1.0 / max(self.norm_bound * norm_x, size)
+            now = self._residual(work, x, b, scale)
+        iterations, failures = 0, 0
+        while True:
+            floor = np.finfo(float).eps * (self.norm_bound * norm_x + size)
+            target = max(rtol * size, floor)
+            if now <= target:
+                break
+            if failures == PATIENCE or iterations >= limit:
+                raise NumericalError(
+                    f"multigrid reached a relative residual of {now / size:.1e} after "
+                    f"{iterations} cycles, {rtol:.1e} was requested: allow more "
+                    "cycles or a larger rtol"
+                )
+            goal = max(REDUCTION, 0.5 * target / now)
+            iterations += work.correct(goal, limit - iterations)
+            norm_x = math.sqrt(self._add(x, work, 1.0 / scale))
+            before, scale = now, 1.0 / now
+            now = self._residual(work, x, b, scale)
+            failures = failures + 1 if now > 0.5 * before else 0
+        self._idle.append(work)
+        return MultigridResult(x, iterations, now / size)
+
+    def _vector(self, values: Array, name: str) -> tuple[Array, float]:
+        """A copy with zeros at fixed voxels, and its largest absolute value.
+
+        Raises:
+            InputError: It is not such a vector.
+        """
+        vector = np.asarray(values, dtype=float)
+        if vector.shape != self.free.shape:
+            raise InputError(
+                f"{name} must have shape {self.free.shape}, got {vector.shape}"
+            )
+        kept = np.where(self.free, vector, 0.0)
+        largest = largest_size(kept)
+        if not math.isfinite(largest):
+            raise InputError(f"{name} must be finite at free voxels, got NaN or inf")
+        return kept, largest
+
+    def _borrow(self) -> Vectors:
+        """Scratch arrays no other thread has."""
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return self._vectors()
+
+    def _operate(self, x: Array) -> Array:
+        """A x for a vector that is zero at fixed voxels."""
+        out = np.zeros_like(x)
+        in_parts(
+            lambda part: refinement.operate(out, x, self._operator, part), self._parts
+        )
+        return out
+
+    def _vectors(self) -> Vectors:
+        """New scratch arrays."""
+        return Vectors(self.hierarchy)
+
+    def _residual(
+        self, work: Vectors, x: Array | None, b: Array, scale: float
+    ) -> float:
+        """‖b - A x‖, x zero if None; leaves it scaled in ``work.b``."""
+        given = b if x is None else x
+        args = work.b, given, b, self._operator, scale
+        square = refinement.residual(*args, is_zero=x is None, parts=self._parts)
+        return math.sqrt(square)
+
+    def _add(self, x: Array, work: Vectors, scale: float) -> float:
+        """Correct x by scale · ``work.answer``; returns ‖x‖²."""
+        return refinement.add(x, work.answer, scale, self._sizes, parts=self._parts)
+
+
+def largest_size(values: Array) -> float:
+    """Largest absolute value; NaN if there is one."""
+    return max(float(values.max()), -float(values.min()))

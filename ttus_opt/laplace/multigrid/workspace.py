@@ -1,0 +1,173 @@
+"""Vectors of one solve and the V-cycle on them, on one core or on several.
+
+On a large level each core takes some of the radial lines, or some of the layers, and
+waits for the others before the next sweep. What is computed, and in which order sums
+are taken, does not depend on the number of cores: equal calls give equal bits. Small
+levels are done by one core, in one call of compiled code (`cycle`): to wait for each
+other would take longer than the work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.core.compiled import compiled
+from ttus_opt.core.threads import in_parts, parts_of
+from ttus_opt.laplace.multigrid.cycle import COARSE_SWEEPS, v_cycle
+from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
+from ttus_opt.laplace.multigrid.kernels import (
+    LevelIndex,
+    Part,
+    fill_ghost_rows,
+    flow,
+    level_index,
+)
+from ttus_opt.laplace.multigrid.line_smoother import sweep
+from ttus_opt.laplace.multigrid.red_black import BLACK, RED, Single
+from ttus_opt.laplace.multigrid.transfer import prolong, restrict, scratch_size
+
+#: Least number of nodes of a level that several cores share [–]
+LARGE = 2_000_000
+
+
+class Workspace:
+    """Vectors that one solve writes to.
+
+    Attributes:
+        values: All of them.
+        b: The finest level's right-hand side, shape (2, n_r, width).
+        x: Its correction, same shape.
+        index: Where the finest level's vectors begin.
+    """
+
+    def __init__(
+        self, hierarchy: Hierarchy, more: int = 0, large: int | None = None
+    ) -> None:
+        """Allocate the vectors.
+
+        Args:
+            hierarchy: The levels.
+            more: Further vectors of one colour of the finest level [–].
+            large: Least nodes of a level that cores share; None for `LARGE`.
+        """
+        layout = hierarchy.levels[0].layout
+        self._hierarchy = hierarchy
+        #: How many cores share each level
+        large = LARGE if large is None else large
+        sizes = [level.inverse.size for level in hierarchy.levels[:-1]]
+        self._parts = [*(parts_of(size, large) for size in sizes), 1]
+        scratch = scratch_size(layout.width, layout.pitch)
+        vectors = hierarchy.work_size + more * layout.colour_size
+        self.values: Single = np.zeros(
+            vectors + (max(self._parts) - 1) * scratch, np.float32
+        )
+        self._levels = [LevelIndex(*row.tolist()) for row in hierarchy.table]
+        self.index = self._levels[0]
+        self.b = self._vector(self.index.b, layout.stored_shape)
+        self.x = self._vector(self.index.x, layout.stored_shape)
+        #: Tables of levels for each core, with scratch space of its own
+        self._tables = [hierarchy.table]
+        for n in range(max(self._parts) - 1):
+            own = hierarchy.table.copy()
+            own[:, LevelIndex._fields.index("scratch")] = vectors + n * scratch
+            self._tables.append(own)
+
+    def _vector(self, start: int, shape: tuple[int, ...]) -> Single:
+        """The part of ``values`` that begins somewhere."""
+        return self.values[start : start + math.prod(shape)].reshape(shape)
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the vectors."""
+        return self.values.nbytes
+
+    def v_cycle(self, *, sweeps: int = 1, has_red: bool = True) -> None:
+        """Set ``x`` to one V-cycle's answer for ``b``; see `cycle.v_cycle`."""
+        self._v_cycle(0, sweeps, has_red)
+
+    def _v_cycle(self, n: int, sweeps: int, has_red: bool) -> None:
+        """A V-cycle from level n on: as `cycle.v_cycle`, large levels shared."""
+        h, at = self._hierarchy, self._levels[n]
+        if self._parts[n] == 1:
+            args = h.table[n:], h.fields, self.values, h.places, h.inverse
+            v_cycle(*args, sweeps, has_red)
+            return
+        size = at.n_r * at.width
+        if at.n_theta % 2:
+            self.values[at.x : at.x + 2 * size] = 0.0
+        red = at.b if has_red else at.zeros
+        given = at.zeros
+        for k in range(sweeps):
+            self._sweep(n, BLACK, at.x, given, at.b + size)
+            self._sweep(n, RED, at.x, at.x + size, red)
+            self._flow(n, at.residual, at.x, -1.0 if k else 0.0)
+            given = at.x
+        self._share(n, self._transfer(n, _restrict))
+        self._v_cycle(n + 1, COARSE_SWEEPS, True)
+        self._share(n, self._transfer(n, _prolong))
+        _fill_ghosts(h.table[n], self.values, at.x, BLACK)
+        for _ in range(sweeps):
+            self._sweep(n, RED, at.x, at.x + size, red)
+            self._sweep(n, BLACK, at.x, at.x, at.b + size)
+
+    def _share(self, n: int, work: Callable[[Part], object]) -> None:
+        """Do some work on level n, in parts if the level is large."""
+        in_parts(work, self._parts[n])
+
+    def _transfer(self, n: int, kernel: Callable[..., None]) -> Callable[[Part], None]:
+        """A transfer between levels n and n + 1, a part at a time."""
+        fields, values = self._hierarchy.fields, self.values
+
+        def work(part: Part) -> None:
+            table = self._tables[part[0]]
+            kernel(table[n], table[n + 1], fields, values, part)
+
+        return work
+
+    def _sweep(self, n: int, colour: int, x: int, opposite: int, load: int) -> None:
+        """See `line_smoother.sweep`."""
+        h, values = self._hierarchy, self.values
+        row, vectors = h.table[n], (colour, x, opposite, load)
+        self._share(n, lambda part: sweep(row, h.fields, values, *vectors, part))
+        if self._parts[n] > 1:
+            _fill_ghosts(row, values, x, colour)
+
+    def _flow(self, n: int, out: int, opposite: int, kept: float) -> None:
+        """See `kernels.flow`."""
+        h, values = self._hierarchy, self.values
+        row, given = h.table[n], (out, opposite, kept)
+        self._share(n, lambda part: flow(row, h.fields, values, *given, part))
+
+
+@compiled(nogil=True)
+def _restrict(
+    row: NDArray[np.int64],
+    below: NDArray[np.int64],
+    fields: Single,
+    work: Single,
+    part: Part,
+) -> None:
+    """`transfer.restrict` (compiled)."""
+    restrict(level_index(row), level_index(below), fields, work, part)
+
+
+@compiled(nogil=True)
+def _prolong(
+    row: NDArray[np.int64],
+    below: NDArray[np.int64],
+    fields: Single,
+    work: Single,
+    part: Part,
+) -> None:
+    """`transfer.prolong` (compiled)."""
+    prolong(level_index(row), level_index(below), fields, work, part)
+
+
+@compiled(nogil=True)
+def _fill_ghosts(row: NDArray[np.int64], work: Single, x: int, colour: int) -> None:
+    """`kernels.fill_ghost_rows` (compiled)."""
+    fill_ghost_rows(level_index(row), work, x, colour)

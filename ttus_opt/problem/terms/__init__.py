@@ -1,0 +1,21 @@
+"""Terms of an objective, one file each.
+
+Classes are imported on first use, such as `ttus_opt.problem.terms.LaplaceTerm`;
+``dir(ttus_opt.problem.terms)`` lists them.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from ttus_opt.core import shelf
+
+
+def __getattr__(name: str) -> type:
+    """Find a class in the files of this folder."""
+    return shelf.member(sys.modules[__name__], name)
+
+
+def __dir__() -> list[str]:
+    """Names of all classes."""
+    return sorted(shelf.members(sys.modules[__name__]))

@@ -1,0 +1,117 @@
+"""Validation of the rows that terms and constraints declare.
+
+Sparse matrices of any format become ``csr_array`` of floats, lists of numbers arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
+
+Blocks = dict[str, sp.csr_array]
+
+
+def unit_rows(columns: IntArray, n: int) -> sp.csr_array:
+    """Rows of the identity, one per given column, shape (k, n).
+
+    >>> unit_rows(np.array([2, 0]), 3).toarray()
+    array([[0., 0., 1.],
+           [1., 0., 0.]])
+    """
+    k = len(columns)
+    return sp.csr_array((np.ones(k), columns, np.arange(k + 1)), shape=(k, n))
+
+
+def uniform_blocks(owner: str, blocks: Any, n_rows: int) -> Blocks:
+    """Matrices by variable as ``csr_array`` of floats.
+
+    Args:
+        owner: The member that declares them, for messages.
+        blocks: The declared matrices.
+        n_rows: Number of rows of each.
+
+    Raises:
+        InputError: Not sparse real matrices of this number of rows, or not finite.
+    """
+    if not (isinstance(blocks, Mapping) and blocks):
+        raise InputError(
+            f"{owner}: blocks must be sparse matrices by variable, such as "
+            f'{{"p": M}}, got {_described(blocks)}'
+        )
+    return {name: _matrix(owner, name, M, n_rows) for name, M in blocks.items()}
+
+
+def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array:
+    what = f"{owner}: its matrix over {variable}"
+    if not sp.issparse(matrix):
+        raise InputError(
+            f"{what} must be sparse, got {_described(matrix)}: wrap it in "
+            "scipy.sparse.csr_array"
+        )
+    given: Any = matrix
+    if given.dtype.kind not in "fiub" or given.ndim != 2:
+        raise InputError(f"{what} must be real and 2-D, got {_described(given)}")
+    if not (isinstance(given, sp.csr_array) and given.dtype == np.float64):
+        given = sp.csr_array(given.astype(np.float64))
+    rows: sp.csr_array = given
+    if rows.shape[0] != n_rows:
+        raise InputError(
+            f"{owner}: {rows.shape[0]} rows over {variable}, but {n_rows} entries in "
+            "its vector: give one entry per row"
+        )
+    wrong = ~np.isfinite(rows.data)
+    if wrong.any():
+        at = int(np.flatnonzero(wrong)[0])
+        row = int(np.searchsorted(rows.indptr, at, side="right")) - 1
+        raise InputError(
+            f"{owner}: its rows over {variable} hold {rows.data[at]} (row {row}, "
+            f"{int(wrong.sum())} in all): check the data they are made from"
+        )
+    return rows
+
+
+def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array:
+    """A vector of floats with one entry per row.
+
+    Args:
+        owner: The member that declares it, for messages.
+        name: Its name in messages: target, lower limit, upper limit.
+        values: The declared values.
+        finite: Whether infinite entries are refused; NaN always is.
+
+    Raises:
+        InputError: Not a vector of real numbers, or refused entries.
+    """
+    try:
+        vector = np.asarray(values)
+    except ValueError:  # a ragged list
+        vector = np.asarray(None)
+    if vector.ndim != 1 or vector.dtype.kind not in "fiub":
+        raise InputError(
+            f"{owner}: its {name} must be a vector of real numbers, one per row, got "
+            f"{_described(values)}"
+        )
+    if vector.dtype != np.float64:
+        vector = vector.astype(np.float64)
+    wrong = ~np.isfinite(vector) if finite else np.isnan(vector)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise InputError(
+            f"{owner}: its {name} holds {vector[row]} (row {row}, "
+            f"{int(wrong.sum())} in all): leave those rows out"
+        )
+    return vector
+
+
+def _described(value: Any) -> str:
+    """A short description of a value."""
+    if hasattr(value, "dtype"):
+        sort = "a sparse matrix" if sp.issparse(value) else "an array"
+        return f"{sort} of {value.dtype} of shape {value.shape}"
+    return "None" if value is None else f"a {type(value).__name__}"

@@ -1,0 +1,449 @@
+"""Estimate of a depth map's profile and hyperparameters by marginal likelihood.
+
+With the field p = c (d/d₀)ᵃ (1 + g), the measured normal forces uᵀf are Gaussian,
+
+    uᵀf ~ N(c G, c² G-weighted covariance of g + Σ),   G = uᵀN (d/d₀)ᵃ,
+
+where u is the direction of contact (`part_noise`). Their log density, the evidence, is
+maximised over the exponent a, the relative deviation σ of g, its correlation lengths
+along the surface and along the depth, the noise s² = σ_0² + (ρ c G)² of a frame and a
+tracker's error δ of depth, which lasts a second; c follows by least squares. Weak
+log-normal priors keep poorly determined values near those measured on soft tissue.
+
+Frames of a press a few millimetres apart share what the model has wrong there. Without
+that covariance in Σ, their errors would be attributed to tissue that varies over a few
+millimetres. It is in the evidence only: what is wrong at a place is so at the next
+visit, and the fit is to learn it. A tracker's error is not, and has its covariance in
+the fit. The noise grows with the force of the mean, not with the measured one: forces
+that happen to be large would count less, and every estimate would be too soft.
+
+Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
+(2006), section 5.4.1. See docs/method.md, Depth map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+import scipy.sparse as sp
+from scipy.spatial.distance import cdist
+
+from ttus_opt.contact.places import runs
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.terms.depth_map_limits import check_depth_map, depth_map_limits
+from ttus_opt.problem.terms.depth_profile import (
+    EXPONENTS,
+    DepthProfile,
+    powers_of,
+    slopes_of,
+    voxel_depths,
+)
+from ttus_opt.problem.terms.matern import matern
+from ttus_opt.problem.terms.part_noise import (
+    RELATIVE,
+    SENSOR,
+    TURN,
+    PartNoise,
+    contact_directions,
+    lasting,
+    normal_rows,
+)
+from ttus_opt.problem.terms.posterior_mode import posterior_mode
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+#: Median and logarithmic standard deviation of the priors. The length along the surface
+#: is in units of the probe's root-mean-square radius: what varies over less, a probe
+#: hardly tells, and who examines finer structures takes a finer probe
+PRIOR = {
+    "exponent": (1.3, 0.35),
+    "surface_length": (2.6, 0.35),
+    "deviation": (0.4, 0.7),
+    "depth_length": (0.01, 0.5),
+    "noise": (SENSOR, 1.0),
+    "relative_noise": (RELATIVE, 1.0),
+    "length_ratio": (1.0, 0.5),
+    "shared_error": (0.03, 0.7),
+    "depth_error": (1e-4, 1.0),
+}
+
+#: Initial values, which lead to separate maxima of the posterior: lengths along the
+#: depth of stiff inclusions and of a thin layer [m]; structures around the patient,
+#: such as ribs, and along it, of a length in the unit of the prior [–]
+STARTS = (
+    {"depth_length": 0.02},
+    {"depth_length": 0.002},
+    {"surface_length": 0.75, "length_ratio": 5.0},
+    {"surface_length": 0.75, "length_ratio": 0.2},
+)
+
+#: Most evaluations of the evidence
+CALLS = 400
+
+#: Most frames in the evidence, whose cost grows with their number cubed [–]
+MOST_FRAMES = 300
+
+#: Most nodes on the surface between which the variation is interpolated [–]
+MOST_NODES = 300
+
+#: At least one force must be as large [N]
+LEAST_FORCE = 0.1
+
+#: Distance over which frames of a press share an error [m]
+SHARED_DISTANCE = 0.005
+
+#: Smallest noise over the forces, so that the covariance can be factorised [–]
+LEAST_NOISE = 1e-4
+
+#: Depths between which the correlation along the depth is interpolated, and its
+#: smallest eigenvalue over the largest [–]
+DEPTHS, LEAST_EIGENVALUE = 40, 1e-3
+
+
+class UnusableForcesError(InputError):
+    """Forces that no depth profile explains."""
+
+
+@dataclass(frozen=True)
+class DepthMapEstimate:
+    """The most likely profile and hyperparameters.
+
+    Attributes:
+        profile: φ.
+        deviation: σ [–].
+        surface_length: ℓ [m].
+        depth_length: Length along the depth [m].
+        noise: Root mean square over the frames of the error of a normal force [N].
+        log_evidence: Log evidence plus log prior, up to a constant [–].
+        sensor_noise: σ_0 of a normal force [N].
+        relative_noise: ρ [–].
+        shared_error: η, relative error that neighbouring frames of a press share [–].
+        depth_error: δ, error of the depth of a pose, which lasts a second [m].
+        length_ratio: Length around the patient over length along it, of which ℓ is the
+            geometric mean [–].
+    """
+
+    profile: DepthProfile
+    deviation: float
+    surface_length: float
+    depth_length: float
+    noise: float
+    log_evidence: float
+    sensor_noise: float = 0.0
+    relative_noise: float = 0.0
+    length_ratio: float = 1.0
+    shared_error: float = 0.0
+    depth_error: float = 0.0
+
+    def part_noise(self, scene: Scene, turn: float = TURN) -> PartNoise:
+        """Relative errors of the parts of a scene's wrenches, by the direction's."""
+        depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+        normal = normal_rows(contact_directions(scene)) @ scene.N
+        force = normal @ self.profile(depth)
+        slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
+        own = np.hypot(self.sensor_noise, self.relative_noise * force)
+        drift = self.depth_error * (normal @ slope)
+        return PartNoise.of(scene, own, force, drift, turn)
+
+
+def estimate_depth_map(
+    scene: Scene,
+    rows: sp.csr_array | None = None,
+    *,
+    force: Array | None = None,
+    errors: Callable[[IntArray], Array] | None = None,
+    **given: float | None,
+) -> DepthMapEstimate:
+    """Estimate profile, deviation, lengths and noise.
+
+    Args:
+        scene: A scene with measured forces.
+        rows: Force rows, (3T, V); by default the scene's N (with drag: N − μ F).
+        force: Forces to take instead of the scene's, shape (3T,) [N].
+        errors: Covariance of the forces' errors by wrong poses for k frames, given
+            their numbers, (3k, 3k) [N²]; by default none.
+        given: Values that are not estimated, lengths in m, by their names in `PRIOR`;
+            None where there is none.
+
+    Raises:
+        InputError: A value outside its range (`depth_map_limits`).
+        UnusableForcesError: No force was measured in contact, or the forces pull.
+    """
+    check_depth_map(scene.voxmap.grid, **given)
+    rows = scene.N if rows is None else rows
+    problem = _Problem.of(scene, rows, force, errors)
+    held = {name: value for name, value in given.items() if value is not None}
+    names = [name for name in PRIOR if name not in held]
+    medians = np.log([PRIOR[name][0] for name in names])
+    widths = np.array([PRIOR[name][1] for name in names])
+
+    limits = depth_map_limits(scene.voxmap.grid)
+
+    def chosen(steps: Array) -> _Chosen:
+        values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
+        if "surface_length" in values:
+            values["surface_length"] *= scene.shell.rms_radius
+        for name in limits.keys() & values.keys():
+            values[name] = np.clip(values[name], *limits[name])
+        return _Chosen(**held, **{name: float(v) for name, v in values.items()})
+
+    starts = list(np.zeros((len(STARTS), len(names))))
+    for start, values in zip(starts, STARTS, strict=True):
+        for name in values.keys() & set(names):
+            at = names.index(name)
+            start[at] = (np.log(values[name]) - medians[at]) / widths[at]
+    mode = posterior_mode(
+        lambda steps: problem.evidence(chosen(steps)), len(names), CALLS, starts
+    )
+    found = chosen(mode.steps)
+    c, mean = problem.mean(found.exponent)
+    return DepthMapEstimate(
+        DepthProfile((found.exponent,), (c,)),
+        found.deviation,
+        found.surface_length,
+        found.depth_length,
+        float(np.sqrt(problem.variances(found, mean).mean())),
+        mode.log_posterior,
+        found.noise,
+        found.relative_noise,
+        found.length_ratio,
+        found.shared_error,
+        found.depth_error,
+    )
+
+
+def least_squares_profile(
+    scene: Scene, *, exponents: tuple[float, ...] = EXPONENTS
+) -> DepthProfile:
+    """The profile that alone explains the measured forces best, for equal noise.
+
+    It takes milliseconds; what the evidence changes is in docs/method.md, Depth map.
+
+    Args:
+        scene: A scene with measured forces.
+        exponents: Exponents of the profile.
+
+    Raises:
+        UnusableForcesError: No force was measured in contact, or the forces pull.
+    """
+    chosen = (3 * _frames(scene, scene.f)[:, None] + np.arange(3)).ravel()
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    design = scene.N[chosen] @ powers_of(depth, exponents)
+    coefficients, _ = scipy.optimize.nnls(design, scene.f[chosen])
+    if not coefficients.any():
+        raise UnusableForcesError(PULLING)
+    return DepthProfile(exponents, tuple(float(c) for c in coefficients))
+
+
+PULLING = (
+    "the measured forces pull the probe in instead of pushing it out: give the force "
+    "ON the probe in patient axes"
+)
+
+
+def _frames(scene: Scene, force: Array) -> IntArray:
+    """Frames in contact.
+
+    Raises:
+        UnusableForcesError: There is none, or none with a force that counts.
+    """
+    size = np.linalg.norm(force.reshape(-1, 3), axis=1)
+    frames = np.flatnonzero(scene.rows.contact_points > 0)
+    if not len(frames):
+        raise UnusableForcesError(
+            "a depth profile needs forces measured in contact, but the probe never "
+            "touches the patient: check the trajectory's frame, or fit "
+            "laplace_only"
+        )
+    if size[frames].max() <= LEAST_FORCE:
+        raise UnusableForcesError(
+            "a depth profile needs forces measured in contact, but where the probe "
+            f"touches they reach {size[frames].max():.2g} N only: check the "
+            "sensor and the trajectory's frame, or fit laplace_only"
+        )
+    return frames
+
+
+class _Chosen(NamedTuple):
+    """Hyperparameters, in the order of `PRIOR`."""
+
+    exponent: float
+    surface_length: float
+    deviation: float
+    depth_length: float
+    noise: float
+    relative_noise: float
+    length_ratio: float = 1.0
+    shared_error: float = 0.03
+    depth_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Measured normal forces and the voxels that they touch.
+
+    Attributes:
+        rows: Rows of normal forces over the touched voxels, shape (m, n).
+        force: Measured normal forces, shape (m,) [N].
+        depth: Depths of the touched voxels, shape (n,) [m].
+        spoke: Index of every voxel's spoke among the k touched ones, shape (n,).
+        nodes: Interpolation on these spokes from fewer nodes, shape (k, nodes).
+        around: Distances of the nodes around the patient, (nodes, nodes) [m].
+        along: The same along it [m].
+        alike: Correlation of the errors that frames share, shape (m, m) [–].
+        late: Correlation of a tracker's errors, shape (m, m) [–].
+        further: Covariance of further errors, shape (m, m) or () [N²].
+    """
+
+    rows: sp.csr_array = field(repr=False)
+    force: Array = field(repr=False)
+    depth: Array = field(repr=False)
+    spoke: IntArray = field(repr=False)
+    nodes: sp.csr_array = field(repr=False)
+    around: Array = field(repr=False)
+    along: Array = field(repr=False)
+    alike: Array = field(repr=False)
+    late: Array = field(repr=False)
+    further: Array = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        rows: sp.csr_array,
+        force: Array | None = None,
+        errors: Callable[[IntArray], Array] | None = None,
+    ) -> _Problem:
+        """Frames in contact, thinned evenly.
+
+        Raises:
+            UnusableForcesError: No force was measured in contact, or the forces pull.
+        """
+        force = scene.f if force is None else force
+        frames = _frames(scene, force)
+        frames = frames[:: -(-len(frames) // MOST_FRAMES)]
+        normal = normal_rows(contact_directions(scene)[frames])
+        chosen = (3 * frames[:, None] + np.arange(3)).ravel()
+        own = sp.csr_array(normal @ rows[chosen])
+        touched = np.unique(own.indices).astype(np.int64)
+        grid, trajectory = scene.voxmap.grid, scene.trajectory
+        n_spokes = grid.shape[1] * grid.shape[2]
+        spokes, spoke = np.unique(touched % n_spokes, return_inverse=True)
+        nodes, weights = _coarser(spokes, grid)
+        j, k = np.unravel_index(nodes, grid.shape[1:])
+        theta, z = grid.theta[j], grid.z[k]
+        radius = scene.voxmap.surface.radius_at(theta, z)
+        place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
+        press = runs(scene.rows.contact_points > 0, trajectory.segment)[frames]
+        at = trajectory.position[frames]
+        alike = matern(cdist(at, at), SHARED_DISTANCE) * (press[:, None] == press)
+        time, own_of = trajectory.time[frames], trajectory.segment[frames]
+        late = lasting(time[:, None], time) * (own_of[:, None] == own_of)
+        further = np.zeros(())
+        if errors is not None:
+            further = np.asarray(normal @ (normal @ errors(frames)).T)
+        problem = cls(
+            sp.csr_array(own[:, touched]),
+            normal @ force[chosen],
+            np.maximum(voxel_depths(scene.voxmap)[touched], 0.0),
+            spoke,
+            weights,
+            cdist(place, place),
+            np.abs(z[:, None] - z),
+            alike,
+            late,
+            further,
+        )
+        if problem.mean(PRIOR["exponent"][0])[0] <= 0.0:
+            raise UnusableForcesError(PULLING)
+        return problem
+
+    def mean(self, exponent: float) -> tuple[float, Array]:
+        """Its coefficient c by least squares, and its forces c G, shape (m,)."""
+        G = self.rows @ powers_of(self.depth, (exponent,))[:, 0]
+        c = float(G @ self.force) / float(G @ G)
+        return c, c * G
+
+    def variances(self, chosen: _Chosen, mean: Array) -> Array:
+        """Noise variance of every normal force, shape (m,) [N²]."""
+        least = LEAST_NOISE**2 * float(np.mean(self.force**2))
+        own = chosen.noise**2 + (chosen.relative_noise * mean) ** 2
+        return np.asarray(np.maximum(own, least))
+
+    def covariance(self, chosen: _Chosen) -> Array:
+        """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
+        power = powers_of(self.depth, (chosen.exponent,))[:, 0]
+        root = np.sqrt(chosen.length_ratio)
+        between = np.hypot(self.around / root, self.along * root)
+        among = matern(between, chosen.surface_length)
+        out = np.zeros((len(self.force),) * 2)
+        for mode in self._modes(chosen.depth_length).T:
+            data = self.rows.data * (power * mode)[self.rows.indices]
+            own = (data, self.spoke[self.rows.indices], self.rows.indptr)
+            by_spoke = sp.csr_array(own, (len(self.force), self.nodes.shape[0]))
+            by_node = sp.csr_array(by_spoke @ self.nodes)
+            out += by_node @ (by_node @ among).T
+        return out
+
+    def evidence(self, chosen: _Chosen) -> float:
+        """Log density of the normal forces, up to a constant."""
+        c, mean = self.mean(chosen.exponent)
+        cov = (c * chosen.deviation) ** 2 * self.covariance(chosen) + self.further
+        cov += chosen.shared_error**2 * self.alike * mean[:, None] * mean
+        slope = c * (self.rows @ slopes_of(self.depth, (chosen.exponent,))[:, 0])
+        cov += chosen.depth_error**2 * self.late * slope[:, None] * slope
+        cov[np.diag_indices_from(cov)] += self.variances(chosen, mean)
+        factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
+        white = scipy.linalg.solve_triangular(factor, self.force - mean, lower=True)
+        return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+
+    def _modes(self, length: float) -> Array:
+        """Columns B with B Bᵀ the correlation of the voxels' depths, (n, modes)."""
+        at = np.linspace(0.0, max(float(self.depth.max()), length / 100.0), DEPTHS)
+        values, vectors = np.linalg.eigh(matern(np.abs(at[:, None] - at), length))
+        kept = values > LEAST_EIGENVALUE * values.max()
+        roots = vectors[:, kept] * np.sqrt(values[kept])
+        return np.stack([np.interp(self.depth, at, root) for root in roots.T], axis=1)
+
+
+def _coarser(spokes: IntArray, grid: CylindricalGrid) -> tuple[IntArray, sp.csr_array]:
+    """Nodes of a grid of spokes, so coarse that few are needed, and bilinear weights.
+
+    Args:
+        spokes: Numbers of k spokes.
+        grid: The voxels.
+
+    Returns:
+        Numbers of the nodes among the spokes, and weights of shape (k, nodes).
+    """
+    n_theta, n_z = grid.shape[1:]
+    j, k = np.unravel_index(spokes, (n_theta, n_z))
+    step = 1
+    while True:
+        first = (j // step * step, k // step * step)
+        ends = n_theta if grid.wall is None else n_theta - 1, n_z - 1
+        last = tuple(np.minimum(a + step, e) for a, e in zip(first, ends, strict=True))
+        shares = [
+            (at - a) / np.maximum(b - a, 1)
+            for at, a, b in zip((j, k), first, last, strict=True)
+        ]
+        corners, weights = [], []
+        for a, u in ((first[0], 1.0 - shares[0]), (last[0] % n_theta, shares[0])):
+            for b, v in ((first[1], 1.0 - shares[1]), (last[1], shares[1])):
+                corners.append(np.ravel_multi_index((a, b), (n_theta, n_z)))
+                weights.append(u * v)
+        used = np.concatenate(weights) > 0.0
+        nodes, column = np.unique(np.concatenate(corners)[used], return_inverse=True)
+        if len(nodes) <= MOST_NODES:
+            break
+        step += 1
+    row = np.tile(np.arange(len(spokes)), 4)[used]
+    data = np.concatenate(weights)[used]
+    shape = (len(spokes), len(nodes))
+    return nodes, sp.csr_array(sp.coo_array((data, (row, column)), shape))

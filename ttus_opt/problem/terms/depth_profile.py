@@ -1,0 +1,87 @@
+"""Growth of a field with the depth below the surface, φ(d) = Σ_j c_j (d/d₀)^a_j."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: d₀, the depth at which the powers are 1 [m]
+REFERENCE_DEPTH = 0.01
+
+#: Powers of a stiff layer (1), a round tip on a half-space (1.5), stiffening tissue
+#: (2, 3)
+EXPONENTS = (1.0, 1.5, 2.0, 3.0)
+
+#: Least depth of a derivative [m]
+LEAST_SLOPED = 5e-4
+
+
+@dataclass(frozen=True)
+class DepthProfile:
+    """A sum of powers with nonnegative coefficients, continued as an odd function.
+
+    Attributes:
+        exponents: a_j [–].
+        coefficients: c_j [unit of p].
+    """
+
+    exponents: tuple[float, ...]
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Validate exponents and coefficients: a sum of powers that is not zero."""
+        powers, parts = self.exponents, self.coefficients
+        if len(powers) != len(parts) or not powers:
+            raise InputError(
+                f"a depth profile takes one coefficient per exponent, got {len(parts)} "
+                f"for {len(powers)}"
+            )
+        if not all(math.isfinite(a) and a > 0.0 for a in powers):
+            raise InputError(f"depth exponents must be positive, got {powers}")
+        if not all(math.isfinite(c) and c >= 0.0 for c in parts) or not any(parts):
+            raise InputError(
+                "depth coefficients must not be negative, and one positive, got "
+                f"{parts}"
+            )
+
+    def __str__(self) -> str:
+        parts = zip(self.coefficients, self.exponents, strict=True)
+        return " + ".join(f"{c:.3g} (d/10 mm)^{a:g}" for c, a in parts if c)
+
+    def __call__(self, depth: Array) -> Array:
+        """φ at depths below the surface; −φ(|d|) above it.
+
+        Args:
+            depth: Any shape [m].
+
+        Returns:
+            The same shape [unit of p].
+        """
+        size = powers_of(np.abs(depth), self.exponents) @ np.array(self.coefficients)
+        return np.asarray(np.copysign(size, depth))
+
+
+def slopes_of(depth: Array, exponents: tuple[float, ...]) -> Array:
+    """Derivatives of `powers_of` [1/m], of nonnegative depths.
+
+    Below half a millimetre, where those of small powers have no bound, secants.
+    """
+    per_depth = np.array(exponents) / np.maximum(depth, LEAST_SLOPED)[..., None]
+    return np.asarray(per_depth * powers_of(depth, exponents))
+
+
+def powers_of(depth: Array, exponents: tuple[float, ...]) -> Array:
+    """(d/d₀)^a for every depth and exponent, one more axis at the end."""
+    return np.asarray((depth[..., None] / REFERENCE_DEPTH) ** np.array(exponents))
+
+
+def voxel_depths(voxmap: Voxmap) -> Array:
+    """Depth of every voxel below the surface along its spoke, (V,) [m]."""
+    depth = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
+    return np.asarray(depth.ravel())

@@ -1,0 +1,131 @@
+"""A first estimate of drag from the shape of the Laplace field alone.
+
+With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
+linear in (s, s μ). Least squares in these two unknowns gives μ, the boundary scale with
+drag, and whether drag acts on the contact patch, at the probe's reference point, or at
+every point of the probe.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.contact.places import touched_places
+from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.problem.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
+from ttus_opt.problem.terms.drag import GlobalCoulomb
+
+#: Gain above which drag is shown: a χ² of one degree of freedom exceeds it in one of a
+#: hundred cases [–]
+LEAST_GAIN = 6.6
+
+#: Relative misfit that is rounding [–]
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class DragEstimate:
+    """Drag estimated from the shape of the Laplace field.
+
+    Attributes:
+        friction_coefficient: μ, non-negative [–].
+        boundary_scale: Factor on the scene's boundary values [–].
+        acts_at: ``contact``, ``reference`` or ``points``.
+        misfit: Root mean square of force residuals and, if torques were measured, of
+            torque residuals over ℓ [N].
+        drag: Drag there, without a coefficient; its rows are known.
+        gain: Twice the logarithm of the likelihood ratio with and without drag, with
+            one independent residual per component of the force and place [–].
+    """
+
+    friction_coefficient: float
+    boundary_scale: float
+    acts_at: str
+    misfit: float
+    drag: GlobalCoulomb = field(repr=False, compare=False)
+    gain: float = 0.0
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the recordings show drag."""
+        return self.gain > LEAST_GAIN
+
+
+def estimate_drag(
+    scene: Scene,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+    places: tuple[str, ...] = ("points", "contact", "reference"),
+) -> DragEstimate:
+    """Estimate drag by least squares.
+
+    Args:
+        scene: A scene with measured wrenches.
+        acts_at: ``contact``, ``reference``, ``points``, or "auto" for the best fit.
+        deadband: Sliding speed below which drag decreases in proportion [m/s].
+        places: The choices of "auto".
+
+    Returns:
+        The estimate; μ is 0 without sliding, and with drag that could be an elastic
+        force (`ttus_opt.problem.terms.distinct_drag`).
+
+    Raises:
+        InputError: ``acts_at`` is neither "auto" nor one of the places.
+    """
+    if acts_at != "auto" and acts_at not in places:
+        raise InputError(
+            f"acts_at must be one of auto, {', '.join(sorted(places))}, got {acts_at!r}"
+        )
+    places = places if acts_at == "auto" else (acts_at,)
+    p = scene.laplace.solve(scene.b)
+    measured, pressed = scene.f, scene.N @ p
+    scale = 1.0 / scene.torque_length
+    if not scene.measures_force_only:
+        measured = np.concatenate([measured, scale * scene.tau])
+        pressed = np.concatenate([pressed, scale * (scene.W @ p)])
+    touching, own = scene.rows.contact_points > 0, scene.trajectory
+    at, found = touched_places(touching, own.segment, own.position), []
+    for place in places:
+        drag = GlobalCoulomb(scene, place, deadband)
+        dragged = drag.rows.force @ p
+        if not scene.measures_force_only:
+            dragged = np.concatenate([dragged, scale * (drag.rows.torque @ p)])
+        columns = np.stack([pressed, -dragged], axis=1)
+        (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
+        if s > 0.0 > s_mu:  # drag that pushes is none: judged without it
+            s, s_mu = _scale(pressed, measured), 0.0
+        misfit = _mean_size(measured - columns @ [s, s_mu])
+        mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
+        pressing = bool(pressed.any())
+        free = pressed * (_scale(pressed, measured) if pressing else 0.0)
+        without = _mean_size(measured - free)
+        n_places = len(np.unique(at[at >= 0]))
+        gain = 0.0
+        if without > misfit:
+            least = max(misfit, ROUNDING * without)
+            gain = 6.0 * n_places * math.log(without / least)
+        found.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
+    best = min(found, key=lambda one: one.misfit)
+    if not best.friction_coefficient:
+        return best
+    if distinct_drag(scene, best.drag.rows.force) >= LEAST_DISTINCT:
+        return best
+    s = _scale(pressed, measured)
+    misfit = _mean_size(measured - s * pressed)
+    return DragEstimate(0.0, s, best.acts_at, misfit, best.drag)
+
+
+def _scale(pressed: Array, measured: Array) -> float:
+    """Factor on the Laplace field's wrenches without drag."""
+    return float(pressed @ measured / (pressed @ pressed))
+
+
+def _mean_size(rest: Array) -> float:
+    """Root mean square of residuals."""
+    return float(np.sqrt((rest @ rest) / max(len(rest), 1)))

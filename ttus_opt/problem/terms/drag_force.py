@@ -1,0 +1,54 @@
+"""Measured forces with drag, λ_f ‖N p − drag − f‖².
+
+See docs/method.md, Friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.base import AffineRows, Fitted
+from ttus_opt.problem.terms.drag import DragModel
+from ttus_opt.problem.terms.force import ForceTerm
+
+
+@dataclass(frozen=True)
+class DragForceTerm(ForceTerm):
+    """Squares of the force residuals with drag, of every frame [N²].
+
+    Attributes:
+        drag: The drag model.
+    """
+
+    drag: DragModel = field(kw_only=True, repr=False)
+
+    name = "force"
+
+    @property
+    def formula(self) -> str:  # type: ignore[override]
+        """The formula with the drag subtracted."""
+        return f"‖N p − {self.drag.formula} − f‖²"
+
+    def rows(self) -> AffineRows:
+        """N and the rows of drag by variable, and f."""
+        return self._measured(self.drag.force_blocks())
+
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
+        """The drag coefficients."""
+        return self.drag.parameters(values)
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """The drag coefficients that are variables."""
+        return self.drag.fitted(values)
+
+    def not_identifiable(self) -> dict[str, str]:
+        """The drag coefficients that no pose determines."""
+        return self.drag.not_identifiable()
+
+    def with_neutral(self, names: Collection[str]) -> Self:
+        """The same term with these drag coefficients at 0."""
+        drag = self.drag.with_neutral(names)
+        return self if drag is self.drag else replace(self, drag=drag)

@@ -1,0 +1,1 @@
+"""Verdicts: KKT residuals, bounds of the gap, certificates."""

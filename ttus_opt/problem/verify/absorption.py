@@ -1,0 +1,339 @@
+"""Bound of the gap where squares do not determine x: other multipliers absorb r.
+
+Penalties φ ≥ 0 other than squares (absolute values, groups, Huber's) have multipliers g
+in the set G of all subgradients. The gradient r of the Lagrangian is distributed,
+
+    (Σ_k M_kᵀM_k + θ P) d ≈ r,    s_k = M_k d,    r = Σ_k M_kᵀs_k + θ P d + ρ,
+
+and with w_k g′_k = w_k g_k − s_k the remaining gradient is θ P d + ρ. A g′ outside G
+lies in t G for some t > 1, and t φ(r) + t φ*(g′/t) ≥ g′ᵀr by Fenchel's inequality for
+g′/t. At the optimum Σ w φ ≤ f* ≤ f(x), hence with r_k = M_k x − t_k
+
+    f(x) − f* ≤ complementarity + Σ_k w_k (φ(r_k) + t_k φ*(g′_k/t_k) − g′_kᵀr_k)
+                + max_k (t_k − 1) f(x) + ½ θ² dᵀP d + ρᵀ(x − x*).
+
+The summands are signed: clipping g to G moves an amount from the second summand to r,
+and both cancel here. The last is at most the product of ρ's norm in the inverse of the
+matrix above and that of x − x* in the matrix itself; the latter is bounded because
+neither x nor x* has an objective above f(x). θ = 0 is tried first, then a positive one.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import NumericalError
+from ttus_opt.laplace.network import NeighbourRows, by_network
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.verify.distance import CLOSE, RTOL, field_of
+
+_Map = Callable[[Array], Array]
+
+#: Most steps of conjugate gradients without squares (θ = 0), and with them
+STEPS, STEPS_BESIDE = 40, 200
+
+#: Part of the requested gap to which the last summand is reduced [–]
+CLOSE_ENOUGH = 1e-2
+
+#: Largest bound at θ = 0, over the requested gap, for which θ > 0 is tried [–]
+HOPEFUL = 1e3
+
+#: Most variables for which the matrix is factorised
+SMALL = 3000
+
+#: Factor on a norm that is measured with the preconditioner [–]
+GENEROUS = 3.0
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """Result of `absorbed`.
+
+    Attributes:
+        gap: All summands of the bound except complementarity.
+        taken: Σ Mᵀs, the part of r that multipliers have absorbed, shape (n,).
+        is_close: Whether the last summand is negligible.
+    """
+
+    gap: float
+    taken: Array = field(repr=False)
+    is_close: bool
+
+
+def absorbed(
+    program: Program,
+    x: Array,
+    multipliers: Mapping[str, Array],
+    residual: Array,
+    fixed: Mask,
+    goal: float,
+) -> Absorbed | None:
+    """The bound of the module's docstring.
+
+    Args:
+        program: The program.
+        x: A candidate, shape (n,).
+        multipliers: g of the terms that are neither squares nor linear, by name.
+        residual: r, the gradient of the Lagrangian, shape (n,).
+        fixed: Variables that equalities hold, shape (n,).
+        goal: The requested gap; the last summand need not be far below it.
+
+    Returns:
+        The bound; None without such a penalty, with one that has no `gauge`, or with a
+        linear one, whose value is not bounded below.
+    """
+    terms = [t for t in program.terms if t.weight > 0.0 and not t.penalty.quadratic]
+    if not terms or any(isinstance(t.penalty, Linear) for t in program.terms):
+        return None
+    r = np.where(fixed, 0.0, residual)
+    rows, enough = _Rows(program, x, multipliers, terms), CLOSE_ENOUGH * goal
+    try:
+        found = rows.bound(r, _Matrix(program, terms, fixed, 0.0), STEPS, enough)
+        hopeless = found.is_close and not found.gap < HOPEFUL * goal
+        if found.gap > goal and not hopeless:
+            beside = _Matrix(program, terms, fixed, rows.theta)
+            new = rows.bound(r, beside, STEPS_BESIDE, enough)
+            found = min(found, new, key=lambda one: one.gap)
+    except NumericalError:  # of the multigrid: no bound without its solves
+        return None
+    return found if np.isfinite(found.gap) else None
+
+
+class _Rows:
+    """Residuals and multipliers of the penalties, and their bound."""
+
+    def __init__(
+        self,
+        program: Program,
+        x: Array,
+        multipliers: Mapping[str, Array],
+        terms: list[ProgramTerm],
+    ) -> None:
+        self._program, self._terms = program, terms
+        self._objective = program.objective(x)
+        self._residuals = [t.residual(x) for t in terms]
+        self._g = [multipliers[t.name] for t in terms]
+        self._values = [
+            t.penalty.value(r) for t, r in zip(terms, self._residuals, strict=True)
+        ]
+
+    @property
+    def theta(self) -> float:
+        """Θ that balances the curvatures of squares and rows at these residuals."""
+        terms = zip(self._terms, self._values, strict=True)
+        mean = max(value / len(t.target) / t.weight for t, value in terms)
+        return float(mean) or 1.0
+
+    def bound(self, r: Array, matrix: _Matrix, most: int, enough: float) -> Absorbed:
+        """Conjugate gradients until the last summand is negligible."""
+        apart, best = self._apart(matrix.theta), math.inf
+        taken, close = np.zeros_like(r), False
+        for step in matrix.steps(r, most):
+            left = math.sqrt(step.rho) * GENEROUS * apart if step.rho else 0.0
+            own = self._fenchel(step.shares)
+            if matrix.theta:
+                own += 0.5 * matrix.theta * float(step.d @ matrix.squares(step.d))
+            total = max(own, 0.0) + left
+            if total < best:
+                best, taken = total, matrix.adjoint(step.shares)
+            close = left <= max(enough, CLOSE * own)
+            if close or not np.isfinite(total):
+                break
+        return Absorbed(best, taken, close)
+
+    def _fenchel(self, shares: list[Array]) -> float:
+        """The summands of the bound that depend on multipliers."""
+        missing, excess = 0.0, 0.0
+        for k, (term, s) in enumerate(zip(self._terms, shares, strict=True)):
+            penalty, g = term.penalty, self._g[k] - s / term.weight
+            t = max(penalty.gauge(g), 1.0)
+            if not math.isfinite(t):
+                return math.inf
+            own = self._values[k] + t * penalty.conjugate(g / t)
+            missing += term.weight * (own - float(g @ self._residuals[k]))
+            excess = max(excess, t - 1.0)
+        return missing + excess * self._objective
+
+    def _apart(self, theta: float) -> float:
+        """A bound of the norm of x − x* in Σ MᵀM + θ P."""
+        f = self._objective
+        square = 8.0 * theta * f  # ½ eᵀP e ≤ (√f + √f)²
+        for term, r in zip(self._terms, self._residuals, strict=True):
+            farthest = term.penalty.farthest(f / term.weight)
+            square += (float(np.linalg.norm(r)) + farthest) ** 2
+        return math.sqrt(square)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """An iterate of conjugate gradients.
+
+    Attributes:
+        d: Shape (n,).
+        shares: M_k d by term.
+        rho: Squared norm of the residual in the preconditioner.
+    """
+
+    d: Array
+    shares: list[Array]
+    rho: float
+
+
+class _Matrix:
+    """Σ MᵀM + θ P over the free variables."""
+
+    def __init__(
+        self, program: Program, terms: list[ProgramTerm], fixed: Mask, theta: float
+    ) -> None:
+        self._program, self._terms, self._fixed = program, terms, fixed
+        self.theta = theta
+        diagonal = _diagonal(program, terms, theta)
+        self._inverse = np.where(
+            fixed | (diagonal <= 0.0), 0.0, 1.0 / np.where(diagonal > 0, diagonal, 1.0)
+        )
+        self._precondition = self._preconditioner()
+
+    def squares(self, d: Array) -> Array:
+        """Θ P d, shape (n,)."""
+        return self.theta * self._program.curvature_times(d)
+
+    def adjoint(self, shares: list[Array]) -> Array:
+        """Σ Mᵀs, shape (n,)."""
+        out = np.zeros(len(self._fixed))
+        for term, s in zip(self._terms, shares, strict=True):
+            out += term.matrix.T @ s
+        return out
+
+    def steps(self, r: Array, most: int) -> Iterator[_Step]:
+        """Conjugate gradients from zero."""
+        d, shares = np.zeros_like(r), [np.zeros(len(t.target)) for t in self._terms]
+        z = self._precondition(r)
+        rho, direction = float(r @ z), z
+        for _ in range(most):
+            if not (np.isfinite(rho) and rho >= 0.0):
+                return
+            yield _Step(d, shares, rho)
+            images = [t.matrix @ direction for t in self._terms]
+            image = self.adjoint(images)
+            if self.theta:
+                image += self.squares(direction)
+            image[self._fixed] = 0.0
+            curvature = float(direction @ image)
+            if not curvature > 0.0:
+                return
+            alpha = rho / curvature
+            d, rest = d + alpha * direction, r - alpha * image
+            shares = [s + alpha * v for s, v in zip(shares, images, strict=True)]
+            z = self._precondition(rest)
+            before, rho = rho, float(rest @ z)
+            # Polak and Ribière's rule, as preconditioners may be slightly nonlinear
+            direction = z + (float(z @ (rest - r)) / before) * direction
+            r = rest
+
+    def _preconditioner(self) -> _Map:
+        """An approximate inverse: a factor, L, a network, or the diagonal."""
+        if len(self._fixed) <= SMALL:
+            return self._factorised()
+        fields = [
+            (part, solve)
+            for name, part in self._program.variables.items()
+            if (solve := self._of_field(name, part)) is not None
+        ]
+
+        inverse, fixed = self._inverse, self._fixed  # no reference cycle with self
+
+        def precondition(v: Array) -> Array:
+            z = inverse * v
+            for part, solve in fields:
+                z[part] = np.where(fixed[part], 0.0, solve(v[part]))
+            return z
+
+        return precondition
+
+    def _of_field(self, name: str, part: slice) -> _Map | None:
+        """A solver for one field; None for the diagonal."""
+        laplace = self._program.laplace
+        fixed = self._fixed[part]
+        if laplace is None or len(fixed) != len(laplace.free):
+            return None
+        for term in self._terms:
+            own = field_of(term, name, slice(0, len(fixed)), fixed, laplace)
+            if own is not None:
+                return partial(_by_laplace, own.inverse, 2.0 * term.weight)
+        for term in self._terms:
+            solve = _network(term, self._program, part, fixed)
+            if solve is not None:
+                return solve
+        return None
+
+    def _factorised(self) -> _Map:
+        """By a factor, shifted by rounding; for few variables."""
+        free = np.flatnonzero(~self._fixed)
+        roots = [(1.0, t) for t in self._terms]
+        roots += [(self.theta * 2.0 * t.weight, t) for t in _squares(self._program)]
+        n = len(self._fixed)
+        H = sp.csr_array((n, n))
+        for root, term in roots:
+            if root:
+                H = H + root * (term.matrix.T @ term.matrix)
+        own = sp.csc_array(sp.csr_array(H)[free][:, free])
+        tiny = n * np.finfo(float).eps * float(own.diagonal().max(initial=0.0))
+        factors = splu(own + sp.csc_array(sp.eye_array(len(free)) * (tiny or 1.0)))
+
+        def solve(v: Array) -> Array:
+            z = np.zeros_like(v)
+            z[free] = factors.solve(v[free])
+            return z
+
+        return solve
+
+
+def _by_laplace(
+    inverse: Callable[[Array, float], Array], twice: float, v: Array
+) -> Array:
+    """(MᵀM)⁻¹ v, from the inverse of 2 w MᵀM."""
+    return twice * inverse(v, RTOL)
+
+
+def _squares(program: Program) -> list[ProgramTerm]:
+    return [t for t in program.terms if t.is_squares and t.weight > 0.0]
+
+
+def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array:
+    """The diagonal of Σ MᵀM + θ P, shape (n,)."""
+    out = np.sum([t.column_squares() for t in terms], axis=0)
+    if theta:
+        for t in _squares(program):
+            out += 2.0 * theta * t.weight * t.column_squares()
+    return np.asarray(out)
+
+
+#: Networks by identity of their rows and fixed voxels; dropped with the rows
+_networks: dict[tuple[int, int], _Map | None] = {}
+
+
+def _network(
+    term: ProgramTerm, program: Program, part: slice, fixed: Mask
+) -> _Map | None:
+    """The network of differences of neighbours, cached while the rows exist."""
+    key = id(term.matrix), hash(fixed.tobytes())
+    if key not in _networks:
+        laplace, matrix = program.laplace, term.matrix[:, part]
+        grid = laplace.grid
+        rows = NeighbourRows.of(matrix, grid)
+        links = rows.links(np.ones(matrix.shape[0]), grid.n_voxels)
+        diagonal = term.column_squares()[part]
+        _networks[key] = by_network(laplace, links, diagonal, fixed)
+        weakref.finalize(term.matrix, _networks.pop, key, None)
+    return _networks[key]

@@ -1,0 +1,163 @@
+"""Certificates of infeasibility and unboundedness.
+
+A solver's claim of either counts only with a certificate that holds for the program
+(Boyd and Vandenberghe, Convex Optimization, section 5.8):
+
+    infeasible  multipliers y, z with Aᵀy + z = 0 and Σ limit·multiplier < 0 (Farkas)
+    unbounded   a ray d that changes no penalty but linear ones, stays within all
+                limits, and along which the linear objective decreases
+
+Sums that must vanish are judged by their own summands: whatever is left over would
+decide the sign at a point far enough away. What is left of Aᵀy + z over a variable with
+limits counts at the worst of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.verify.kkt import Duals
+
+#: A decrease below this part of its summands proves nothing [–]
+ROUNDING = 1e-9
+
+#: Sums below this part of their summands vanish but for rounding [–]
+VANISHES = 16.0 * float(np.finfo(float).eps)
+
+
+def contradicts(program: Program, duals: Duals) -> bool:
+    """Whether multipliers prove that the constraints cannot hold together.
+
+    Args:
+        program: The program.
+        duals: Multipliers, signs as in `ttus_opt.problem.verify.kkt`.
+    """
+    lower, upper = program.box
+    z = duals.bounds
+    parts = [] if z is None else [(z, lower, upper, z, np.abs(z))]
+    for constraint in program.constraints:
+        y = duals.rows.get(constraint.name)
+        if y is not None:
+            A, low, high = constraint.matrix, constraint.lower, constraint.upper
+            parts.append((y, low, high, A.T @ y, abs(A).T @ np.abs(y)))
+    left, sizes, products = np.zeros(len(lower)), np.zeros(len(lower)), [np.zeros(0)]
+    for dual, low, high, image, size in parts:
+        limit = np.where(dual > 0.0, high, low)
+        products.append(dual[dual != 0.0] * limit[dual != 0.0])
+        left, sizes = left + image, sizes + size
+    # left · x is at most the sum of the products wherever all limits hold
+    counts = np.abs(left) > VANISHES * sizes
+    least = np.where(left > 0.0, lower, upper)[counts]
+    products.append(-left[counts] * least)
+    support = np.concatenate(products)
+    if not np.isfinite(support).all():  # of an absent limit
+        return False
+    scale = float(np.abs(support).max(initial=0.0))
+    return bool(sizes.any() and support.sum() < -ROUNDING * scale)
+
+
+def decreases_forever(program: Program, ray: Array) -> bool:
+    """Whether the objective is unbounded below along a feasible ray.
+
+    Args:
+        program: The program.
+        ray: d, shape (n,).
+    """
+    size = float(np.abs(ray).max(initial=0.0))
+    if not (np.isfinite(size) and size > 0.0):
+        return False
+    lower, upper = (np.isfinite(limit) for limit in program.box)
+    d = ray / size
+    out = (lower & (d < 0.0)) | (upper & (d > 0.0))
+    if np.abs(d[out]).max(initial=0.0) > ROUNDING:
+        return False
+    d = np.where(out, 0.0, d)  # all else is judged without the rounding of bounds
+    slope, scale = 0.0, 0.0
+    for term in program.terms:
+        change, least = term.matrix @ d, VANISHES * (abs(term.matrix) @ np.abs(d))
+        if isinstance(term.penalty, Linear):
+            slope += term.weight * float(change.sum())
+            scale += abs(term.weight) * float(least.sum()) / VANISHES
+        elif term.weight and (np.abs(change) > least).any():
+            return False
+    for cone in program.cones:
+        s, least = cone.matrix @ d, VANISHES * (abs(cone.matrix) @ np.abs(d))
+        if np.abs(s - cone.projected(s)).max(initial=0.0) > least.max(initial=0.0):
+            return False
+    for c in program.constraints:
+        change, least = c.matrix @ d, VANISHES * (abs(c.matrix) @ np.abs(d))
+        down, up = np.isfinite(c.lower), np.isfinite(c.upper)
+        if (change < -least)[down].any() or (change > least)[up].any():
+            return False
+    return slope < -ROUNDING * scale
+
+
+def falling_ray(program: Program, *, time_limit: float | None = None) -> Array | None:
+    """A ray along which the objective is unbounded below; None if not found.
+
+    Args:
+        program: The program; penalties that are not linear count as growing along any
+            ray that changes them.
+        time_limit: For the linear program [s].
+
+    Returns:
+        d, shape (n,), verified by `decreases_forever`.
+    """
+    linear = [t for t in program.terms if isinstance(t.penalty, Linear) and t.weight]
+    if not linear:  # sums of squares, lengths and sizes are never negative
+        return None
+    n = program.n_variables
+    slope = np.sum(
+        [t.weight * (t.matrix.T @ np.ones(len(t.target))) for t in linear], 0
+    )
+    still = [t.matrix for t in program.terms if not isinstance(t.penalty, Linear)]
+    down = [sp.csr_array((0, n))]
+    for c in program.constraints:
+        down += [c.matrix[np.isfinite(c.upper)], -c.matrix[np.isfinite(c.lower)]]
+    low, high = program.box
+    box = np.where(np.isfinite(low), 0.0, -1.0), np.where(np.isfinite(high), 0.0, 1.0)
+    above, equal = sp.vstack(down), sp.vstack([sp.csr_array((0, n)), *still])
+    none, zero = np.zeros(above.shape[0]), np.zeros(equal.shape[0])
+    answer = linear_program(slope, (above, none), (equal, zero), box, time_limit)
+    if answer.x is None or not decreases_forever(program, answer.x):
+        return None
+    return np.asarray(answer.x)
+
+
+def linear_program(
+    cost: Array,
+    above: tuple[Any, Array],
+    equal: tuple[Any, Array],
+    box: tuple[Array, Array],
+    time_limit: float | None,
+) -> Any:
+    """Minimise a linear cost by HiGHS.
+
+    Args:
+        cost: Shape (n,).
+        above: Sparse rows, shape (m, n), and their upper limits, shape (m,).
+        equal: Sparse rows and their values, likewise.
+        box: Lower and upper bounds, shape (n,) each.
+        time_limit: None for no limit [s].
+
+    Returns:
+        SciPy's result.
+    """
+    from scipy.optimize import linprog
+
+    return linprog(  # type: ignore[call-overload]  # sparse rows are allowed
+        cost,
+        sp.csc_array(above[0]),
+        above[1],
+        sp.csc_array(equal[0]),
+        equal[1],
+        np.stack(box, axis=1),
+        method="highs",
+        options={} if time_limit is None else {"time_limit": time_limit},
+    )

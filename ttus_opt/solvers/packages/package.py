@@ -1,0 +1,126 @@
+"""Solvers of other packages: names, options and a common base.
+
+Several packages share one front end (qpsolvers, cvxpy), a subclass of `PackageSolver`.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
+from ttus_opt.solvers.packages.interruptible import interruptible
+from ttus_opt.solvers.verified import Verified
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package's solver.
+
+    Attributes:
+        name: Name to choose it by.
+        summary: One line about it.
+        module: Import name of the package.
+        tolerances: Its options that take the relative tolerance.
+        absolute: Options that take a hundredth of it, as absolute tolerances: entries
+            here are often far below one.
+        time_limit: Its option for a number of seconds; "" for none.
+        fixed: Further options with their values.
+        least: Least tolerance that it takes [–].
+        within: The option that holds all others; "" where they stand alone.
+        margin: First tolerance over the requested one: one more iteration is often
+            cheaper than a second solve [–].
+        pip_name: How to install it; "" for its import name.
+        cost: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out [s].
+    """
+
+    name: str
+    summary: str
+    module: str
+    tolerances: tuple[str, ...]
+    absolute: tuple[str, ...] = ()
+    time_limit: str = ""
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    least: float = 0.0
+    within: str = ""
+    margin: float = 0.1
+    pip_name: str = ""
+    cost: Callable[[Program], float] | None = None
+
+    def options(self, eps: float, seconds: float | None) -> dict[str, Any]:
+        """The package's options for a tolerance and a time limit.
+
+        Args:
+            eps: Relative tolerance [–].
+            seconds: Time limit; None for none [s].
+        """
+        eps = max(eps, self.least)
+        own: dict[str, Any] = dict.fromkeys(self.tolerances, eps)
+        own |= dict.fromkeys(self.absolute, eps * 1e-2) | dict(self.fixed)
+        if self.time_limit and seconds is not None:
+            own[self.time_limit] = float(seconds)
+        return {self.within: own} if self.within else own
+
+
+class PackageSolver(Solver):
+    """A solver reached through a front end."""
+
+    #: Loads a program
+    loaded: Callable[[Package, Program, Request], Prepared]
+
+    def __init__(self, package: Package) -> None:
+        self.package = package
+        self.name, self.summary = package.name, package.summary
+        self.module = package.module
+
+    @property
+    def estimates(self) -> bool:
+        """Whether the package has an estimate."""
+        return self.package.cost is not None
+
+    def cost(self, program: Program) -> float:
+        """The package's estimate."""
+        return self.package.cost(program) if self.package.cost else math.inf
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Bring the program into the front end's form."""
+        self.require(program)
+        return type(self).loaded(self.package, program, request)
+
+
+class PackageLoaded(Verified):
+    """A program in a front end's form; nothing is kept between solves."""
+
+    def __init__(self, package: Package, program: Program, request: Request) -> None:
+        self._package, self.margin = package, package.margin
+        super().__init__(program, request)
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        """The package's answer; none where it raises."""
+        with warnings.catch_warnings():
+            # they concern the package's defaults and status; the answer is checked here
+            warnings.simplefilter("ignore")
+            try:
+                options = self._package.options(eps, seconds)
+                answer = interruptible(lambda: self._solved(options))
+            except self._errors() as error:
+                message = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=message)
+        return self._read(answer)
+
+    @abc.abstractmethod
+    def _solved(self, options: Mapping[str, Any]) -> Any:
+        """Solve once with the package's options; the front end's result."""
+
+    @abc.abstractmethod
+    def _read(self, answer: Any) -> Candidate:
+        """The front end's result as a candidate."""
+
+    @abc.abstractmethod
+    def _errors(self) -> tuple[type[Exception], ...]:
+        """Exceptions of the front end where a package fails."""
