@@ -1,7 +1,7 @@
 """Draws the documentation's pictures into docs/pictures; `make docs` calls it.
 
-The demo's own, two of the method (the voxmap and the sampling below the surface), and
-one each of recordings and of a depth image.
+The demo's own, two of the method (the voxmap and the sampling below the surface), one
+each of recordings and of a depth image, and the rooms of the package.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import grimp
 import numpy as np
 
 import ttus_opt as tt
@@ -163,6 +164,56 @@ def depth_picture(path: Path) -> None:
         plots.save_picture(figure, path)
 
 
+def rooms_picture(path: Path) -> None:
+    """The rooms of the package, a line per floor, and what imports what.
+
+    An arrow that follows from others is left out.
+    """
+    graph = grimp.build_graph("ttus_opt", exclude_type_checking_imports=True)
+    rooms = graph.find_children("ttus_opt") - {"ttus_opt.__main__"}
+    below = {
+        room.rpartition(".")[2]: {
+            other.rpartition(".")[2]
+            for other in rooms - {room}
+            if graph.direct_import_exists(
+                importer=room, imported=other, as_packages=True
+            )
+        }
+        for room in rooms
+    }
+
+    def floor(room: str) -> int:
+        return 1 + max(map(floor, below[room]), default=-1)
+
+    def reached(room: str) -> set[str]:
+        return below[room].union(*map(reached, below[room]))
+
+    floors: dict[int, list[str]] = {}
+    for room in sorted(below):
+        floors.setdefault(floor(room), []).append(room)
+    at = {
+        room: (4.0 * (x - (len(here) - 1) / 2) + 0.9 * (-1) ** y, float(y))
+        for y, here in floors.items()
+        for x, room in enumerate(here)
+    }
+    with look():
+        figure = new_figure(7.0, 6.5)
+        axes = figure.subplots()
+        for room, others in below.items():
+            for other in others.difference(*map(reached, others)):
+                axes.annotate(
+                    "", at[other], at[room],
+                    arrowprops={"arrowstyle": "->", "color": "0.6", "lw": 0.8},
+                )  # fmt: skip
+        for room, (x, y) in at.items():
+            frame = {"boxstyle": "round", "fc": "w", "ec": "0.3"}
+            axes.text(x, y, room, ha="center", va="center", bbox=frame)
+        axes.set_xlim(-7.0, 7.0)
+        axes.set_ylim(-0.6, max(floors) + 0.6)
+        axes.axis("off")
+        plots.save_picture(figure, path)
+
+
 def main() -> None:
     """Draw them all."""
     FOLDER.mkdir(exist_ok=True)
@@ -170,6 +221,7 @@ def main() -> None:
     voxmap_picture(FOLDER / "voxmap.svg")
     sampling_picture(FOLDER / "sampling.svg")
     poses_picture(FOLDER / "poses.png")
+    rooms_picture(FOLDER / "rooms.svg")
     next_press_picture(FOLDER / "next_press.png")
     demo.run(FOLDER)
     for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("*.md")):
