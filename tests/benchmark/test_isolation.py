@@ -69,7 +69,7 @@ def test_who_does_not_stop_is_ended(
 ) -> None:
     monkeypatch.setattr(isolation, "LATE_SECONDS", 0.5)
     deed = """import time
-from ttus_opt.solvers import closed_form
+from ttus_opt.solvers.packages import closed_form
 closed_form._Factorised.solve = lambda self: time.sleep(60)"""
     spec = replace(trapped(tmp_path, deed, "closed_form"), time_limit=1.0)
     (row,) = run_isolated(spec, tmp_path)
