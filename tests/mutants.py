@@ -86,28 +86,46 @@ class Target:
 
 TARGETS = (
     Target("report/metrics.py", ("report/test_metrics.py",)),
-    Target("problem/kkt.py", ("problem/test_kkt.py", "problem/test_absorption.py")),
     Target(
-        "problem/violation.py", ("problem/test_violation.py", "problem/test_kkt.py")
+        "problem/verify/kkt.py",
+        ("problem/verify/test_kkt.py", "problem/verify/test_absorption.py"),
     ),
-    Target("fitting/batch.py", ("fitting/test_batch.py", "fitting/test_tuning.py")),
+    Target(
+        "problem/verify/violation.py",
+        ("problem/verify/test_violation.py", "problem/verify/test_kkt.py"),
+    ),
+    Target(
+        "fitting/batch.py", ("fitting/test_batch.py", "fitting/weights/test_tuning.py")
+    ),
     Target("fitting/verdict.py", ("fitting/test_verdict.py", "fitting/test_batch.py")),
     Target(
-        "problem/gradient_blocks.py",
-        ("problem/test_gradient_blocks.py", "problem/test_kkt.py"),
+        "problem/verify/gradient_blocks.py",
+        ("problem/verify/test_gradient_blocks.py", "problem/verify/test_kkt.py"),
     ),
-    Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
-    Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
-    Target("fitting/field_refinement.py", ("fitting/test_field_refinement.py",)),
-    Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),
+    Target("fitting/recursion/recursive.py", ("fitting/recursion/test_recursive.py",)),
     Target(
-        "fitting/pivots.py",
-        ("fitting/test_pivots.py", "fitting/test_low_rank_kernel.py"),
+        "fitting/recursion/dual_recursion.py",
+        ("fitting/recursion/test_dual_recursion.py",),
     ),
-    Target("fitting/parabola.py", ("fitting/test_parabola.py",)),
     Target(
-        "fitting/packed_triangle.py",
-        ("fitting/test_packed_triangle.py",),
+        "fitting/recursion/field_refinement.py",
+        ("fitting/recursion/test_field_refinement.py",),
+    ),
+    Target(
+        "fitting/recursion/low_rank_kernel.py",
+        ("fitting/recursion/test_low_rank_kernel.py",),
+    ),
+    Target(
+        "fitting/recursion/pivots.py",
+        (
+            "fitting/recursion/test_pivots.py",
+            "fitting/recursion/test_low_rank_kernel.py",
+        ),
+    ),
+    Target("fitting/parameters/parabola.py", ("fitting/parameters/test_parabola.py",)),
+    Target(
+        "fitting/recursion/packed_triangle.py",
+        ("fitting/recursion/test_packed_triangle.py",),
         is_compiled=False,
     ),
     Target("solvers/verified.py", ("solvers/test_verified.py",)),
@@ -191,33 +209,52 @@ TARGETS = (
         ),
     ),
     Target("solvers/primal/elimination.py", ("solvers/primal/test_elimination.py",)),
-    Target("laplace/boundary_scale.py", ("laplace/test_boundary_scale.py",)),
+    Target("contact/boundary_scale.py", ("contact/test_boundary_scale.py",)),
     Target("laplace/system.py", ("laplace/test_system.py", "laplace/test_stencil.py")),
     Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
-    Target("terms/matern.py", ("terms/test_matern.py",)),
-    Target("terms/depth_map_estimate.py", ("terms/test_depth_map_estimate.py",)),
-    Target("terms/distinct_drag.py", ("terms/test_distinct_drag.py",)),
-    Target("fitting/wrench_noise.py", ("fitting/test_wrench_noise.py",)),
-    Target("fitting/sanity.py", ("fitting/test_sanity.py",)),
-    Target("fitting/agreement.py", ("fitting/test_agreement.py",)),
-    Target("fitting/posterior.py", ("fitting/test_posterior.py",)),
-    Target("fitting/posterior_draws.py", ("fitting/test_posterior_draws.py",)),
-    Target("fitting/place_left_out.py", ("fitting/test_place_left_out.py",)),
-    Target("fitting/presses.py", ("fitting/test_presses.py",)),
-    Target("fitting/tuning_rows.py", ("fitting/test_tuning_rows.py",)),
+    Target("problem/terms/matern.py", ("problem/terms/test_matern.py",)),
     Target(
-        "fitting/measured_rows.py",
-        ("fitting/test_measured_rows.py", "fitting/test_dual_recursion.py"),
+        "problem/terms/depth_map_estimate.py",
+        ("problem/terms/test_depth_map_estimate.py",),
     ),
-    Target("fitting/weight_grid.py", ("fitting/test_weight_grid.py",)),
-    Target("terms/depth_map.py", ("terms/test_depth_map.py",)),
+    Target("problem/terms/distinct_drag.py", ("problem/terms/test_distinct_drag.py",)),
     Target(
-        "terms/depth_profile.py",
-        ("terms/test_depth_profile.py", "terms/test_depth_map_estimate.py"),
+        "fitting/uncertainty/wrench_noise.py",
+        ("fitting/uncertainty/test_wrench_noise.py",),
+    ),
+    Target("fitting/checks/sanity.py", ("fitting/checks/test_sanity.py",)),
+    Target("fitting/checks/agreement.py", ("fitting/checks/test_agreement.py",)),
+    Target(
+        "fitting/uncertainty/posterior.py", ("fitting/uncertainty/test_posterior.py",)
     ),
     Target(
-        "terms/drag_estimate.py",
-        ("terms/test_drag_estimate.py", "terms/test_distinct_drag.py"),
+        "fitting/uncertainty/posterior_draws.py",
+        ("fitting/uncertainty/test_posterior_draws.py",),
+    ),
+    Target(
+        "fitting/weights/place_left_out.py", ("fitting/weights/test_place_left_out.py",)
+    ),
+    Target("fitting/uncertainty/presses.py", ("fitting/uncertainty/test_presses.py",)),
+    Target("fitting/weights/tuning_rows.py", ("fitting/weights/test_tuning_rows.py",)),
+    Target(
+        "fitting/recursion/measured_rows.py",
+        (
+            "fitting/recursion/test_measured_rows.py",
+            "fitting/recursion/test_dual_recursion.py",
+        ),
+    ),
+    Target("fitting/path/weight_grid.py", ("fitting/path/test_weight_grid.py",)),
+    Target("problem/terms/depth_map.py", ("problem/terms/test_depth_map.py",)),
+    Target(
+        "problem/terms/depth_profile.py",
+        (
+            "problem/terms/test_depth_profile.py",
+            "problem/terms/test_depth_map_estimate.py",
+        ),
+    ),
+    Target(
+        "problem/terms/drag_estimate.py",
+        ("problem/terms/test_drag_estimate.py", "problem/terms/test_distinct_drag.py"),
     ),
     Target("contact/slip.py", ("contact/test_point_drag.py",)),
     Target("haptic/point_drag.py", ("haptic/test_drag.py", "haptic/test_wrench.py")),
@@ -234,20 +271,22 @@ TARGETS = (
                 "voxmap_point_shell",
             ),
             "contact": ("point_drag", "pose_rows", "shell_blocks"),
-            "fitting": (
-                *("breakdown", "contact_spread", "pose_error_step"),
-                *("pose_refinement", "skin_doubt"),
-            ),
+            "fitting": ("breakdown",),
+            "fitting/poses": ("pose_error_step", "pose_refinement"),
+            "fitting/uncertainty": ("contact_spread", "skin_doubt"),
             "probe": ("tracker_noise",),
             "haptic": ("motion", "tables"),
-            "terms": ("torque", "total_variation"),
+            "problem/terms": ("torque", "total_variation"),
         }.items()
         for stem in stems
     ),
     *(
         Target(
-            f"terms/penalties/{stem}.py",
-            (f"terms/penalties/test_{stem}.py", "terms/penalties/test_base.py"),
+            f"problem/terms/penalties/{stem}.py",
+            (
+                f"problem/terms/penalties/test_{stem}.py",
+                "problem/terms/penalties/test_base.py",
+            ),
         )
         for stem in ("absolute", "groups", "huber", "linear", "squares")
     ),
@@ -266,8 +305,8 @@ TARGETS = (
         ("session/test_registration.py", "session/test_readings.py"),
     ),
     Target("cli/command.py", ("cli/test_command.py",)),
-    Target("compiled.py", ("test_compiled.py",)),
-    Target("threads.py", ("test_threads.py",)),
+    Target("core/compiled.py", ("core/test_compiled.py",)),
+    Target("core/threads.py", ("core/test_threads.py",)),
 )
 
 

@@ -8,6 +8,7 @@ import importlib.metadata
 import pytest
 
 import ttus_opt as tt
+from tests import mutants
 
 #: A path and a name that users' files import
 KEPT = {
@@ -16,6 +17,7 @@ KEPT = {
     "ttus_opt.report.plots": "overview",
     "ttus_opt.problem.formulation": "Formulation",
     "ttus_opt.contact.scene": "Scene",
+    "ttus_opt.scene": "ScenePlan",
     "ttus_opt.solvers.registry": "solvers",
     "ttus_opt.problem.terms.laplace": "LaplaceTerm",
 }
@@ -53,6 +55,17 @@ def test_the_version_is_that_of_the_package() -> None:
 @pytest.mark.parametrize("module", KEPT)
 def test_a_kept_path_gives_what_it_gave(module: str) -> None:
     assert hasattr(importlib.import_module(module), KEPT[module])
+
+
+def test_mutants_are_made_of_files_that_are_there() -> None:
+    listed = mutants.EQUIVALENT.read_text(encoding="utf-8").splitlines()[1:]
+    code = {line.split(" | ")[0] for line in listed if line}
+    for target in mutants.TARGETS:
+        code.add(target.module)
+        for test in target.tests:
+            assert (mutants.ROOT / "tests" / test).is_file(), test
+    for module in code:
+        assert (mutants.ROOT / "ttus_opt" / module).is_file(), module
 
 
 def test_an_unknown_name_is_named() -> None:

@@ -15,6 +15,7 @@ import pytest
 from tests.cli.conftest import PROBE, Run, fit_words, refused
 from tests.conftest import presses, torso
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
@@ -48,6 +49,25 @@ def test_axis_from_takes_the_frame_of_a_file(
     )
     assert answer.status == 0, answer.err
     assert "180 x 20 radii" in answer.out
+
+
+def test_surface_tells_how_sure_it_is_of_what_it_filled(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    cloud = np.load(files / "scan.npy")
+    np.save(tmp_path / "front.npy", cloud[cloud[:, 0] > 0.0])
+    words = (
+        f"surface {tmp_path / 'front.npy'} -o {tmp_path / 's.nc'} --no-support "
+        f"--n-theta 60 --n-z 20 --axis-from {files / 'surface.nc'}"
+    )
+    told = json.loads(run(words + " --json").out)
+    found = Surface.load(tmp_path / "s.nc")
+    seen, std = found.observed, found.radius_std
+    for name, own in (("observed", std[seen]), ("filled", std[~seen])):
+        assert told[f"std_{name}_m"] == pytest.approx(np.median(own))
+    assert told["std_largest_m"] == pytest.approx(std.max())
+    said = f"{1e3 * np.median(std[~seen]):.0f} mm where filled (medians)"
+    assert said in run(words).out
 
 
 def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> None:
@@ -308,6 +328,31 @@ def test_render_gives_what_evaluate_compares(
     )
     assert refused.status == 2 and not (tmp_path / "r.csv").exists()
     assert "presliding_length of a field must not be negative" in refused.err
+    without = run(
+        f"render {words} --trajectory {files / 'press.csv'} -o {tmp_path / 'r.csv'} "
+        "--presliding-length 1e-3"
+    )
+    assert without.status == 0 and "has no friction" in without.err
+
+
+def test_render_takes_another_presliding_length(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    held, output = tmp_path / "held.nc", tmp_path / "rendered.csv"
+    potential = PotentialField.load(field)
+    law = {"friction_coefficient": 0.3, "presliding_length": 1e-2}
+    replace(potential, parameters=law).save(held)
+    answer = run(
+        f"render --field {held} --probe {PROBE} --points 300 -o {output} "
+        f"--trajectory {files / 'press.csv'} --presliding-length 1e-3"
+    )
+    assert answer.status == 0, answer.err
+    own = replace(potential, parameters={**law, "presliding_length": 1e-3})
+    shell = PointShell.from_spec(PROBE, n_points=300)
+    expected = wrenches_along(own, shell, read_trajectory(files / "press.csv"))
+    found = read_trajectory(output)
+    assert found.force is not None
+    np.testing.assert_allclose(found.force, expected.force, atol=1e-6)
 
 
 @pytest.mark.slow

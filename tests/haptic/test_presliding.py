@@ -12,7 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.drags import LAWS, SHELL, SURFACE, pushing
 from ttus_opt.core.errors import InputError
+from ttus_opt.haptic.drag import PRESLIDING, VISCOUS
 from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.haptic.presliding import BRISTLE, STRENGTH, bend
+from ttus_opt.haptic.presliding import LENGTH as LENGTH_OF
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -171,6 +174,18 @@ def test_an_update_leaves_the_force_of_a_held_probe() -> None:
             force = renderer.render(np.eye(3), place(0.003), STILL).force
             assert np.linalg.norm(force - before) < 0.0051  # 5 N/s, 1 ms
             before = force
+
+
+@pytest.mark.parametrize("length", [LENGTH / 4, 4 * LENGTH])
+def test_another_length_does_not_raise_the_stored_energy(length: float) -> None:
+    """M ℓ |b|²/2, of a probe that does not move."""
+    numbers, bristle = np.zeros(VISCOUS), np.zeros(BRISTLE)
+    numbers[PRESLIDING], bristle[1] = length, 0.8
+    bristle[STRENGTH], bristle[LENGTH_OF] = 2.0, LENGTH
+    patch = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bend(bristle, (0.0,) * 6, np.eye(3), patch, 2.0, numbers)
+    stored = length * float(bristle[:3] @ bristle[:3])
+    assert stored == pytest.approx(min(length, LENGTH) * 0.8**2)
 
 
 @pytest.mark.parametrize(

@@ -273,3 +273,7 @@ def test_cliffs_at_the_ends_are_not_seen() -> None:
     expected = seen.copy()
     expected[2, -3:] = expected[6, :2] = False
     np.testing.assert_array_equal(found.observed, expected)
+    body = np.full((8, 200), 0.15)
+    body[3, :15] = 0.12  # 7.5 cm from the end: the body's own
+    found = without_end_cliffs(Contour(body, body, np.ones_like(body, bool)), 0.005)
+    assert found.observed.all()

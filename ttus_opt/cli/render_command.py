@@ -45,7 +45,8 @@ def render(
     import numpy as np
 
     from ttus_opt.contact.cut_off import cut_off
-    from ttus_opt.contact.friction import PRESLIDING
+    from ttus_opt.contact.friction import FRICTION, PRESLIDING
+    from ttus_opt.core.errors import warn
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
@@ -58,6 +59,8 @@ def render(
         if presliding_length is not None:
             given = {PRESLIDING: presliding_length}
             potential = replace(potential, parameters={**potential.parameters, **given})
+            if presliding_length > 0.0 and not potential.parameters.get(FRICTION):
+                warn(f"{field} has no friction: its presliding length has no effect")
         warn_of_another_probe(potential.provenance, probe, recordings)
         shell, patient = probe.read(), potential.voxmap.surface
         poses = recordings.read(as_written, shell, patient)

@@ -1,4 +1,4 @@
-"""All solvers, found by looking into this folder, and the choice among them.
+"""All solvers, found by looking into this folder and `packages`; the choice of one.
 
 ``solver="auto"`` takes the solver with the least estimated cost (`Solver.cost`).
 
