@@ -39,9 +39,9 @@ def build(
     rows = scene.N - first.coefficient * drag.rows.force
     found = estimate_depth_map(scene, rows, depth_length=depth_length)
     noise = found.part_noise(scene)
-    likely = noise.level**-2
-    weight = likely if force_weight is None else force_weight
-    turning = likely if torque_weight is None else torque_weight
+    usual = noise.level**-2
+    weight = usual if force_weight is None else force_weight
+    turning = usual if torque_weight is None else torque_weight
     prior = DepthMapTerm.of(scene, found)
 
     def given(mu: float) -> Formulation:
@@ -52,5 +52,6 @@ def build(
         )
         return Formulation(terms=[prior, force, torque])
 
-    search = Search("friction_coefficient", 0.0, largest_friction, given)
-    return given(first.coefficient).with_search(search)
+    likely = first.coefficient
+    search = Search("friction_coefficient", 0.0, largest_friction, given, likely=likely)
+    return given(likely).with_search(search)

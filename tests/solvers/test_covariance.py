@@ -98,6 +98,30 @@ def test_the_square_root_leaves_out_what_is_rounding(rank: int) -> None:
     np.testing.assert_allclose(root @ root.T, matrix, atol=1e-13 * matrix.max())
 
 
+@pytest.mark.parametrize(("weight", "factors"), [(1.0, 1), (1e9, 2)])
+def test_accurate_measurements_take_a_factor_that_neglects_less(
+    weight: float, factors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = small_scene("trilinear", (12, 24, 12), 60)
+    profile, lengths = DepthProfile((1.0,), (2.0,)), (0.4, 0.2, 0.05)
+    prior = DepthMapTerm(own, 1.0, profile, *lengths)
+    program = Formulation(terms=[prior, ForceTerm(own, weight)]).compile()
+    ranks = []
+    monkeypatch.setattr(covariance, "MOST_STEPS", 12)
+    monkeypatch.setattr(
+        covariance,
+        "square_root",
+        lambda *given: ranks.append(square_root(*given)) or ranks[-1],
+    )
+    x = covariance.Covariance().prepare(program, Request()).solve().x
+    sizes = [root.shape[1] for root in ranks]
+    assert len(sizes) == factors and sorted(set(sizes)) == sizes
+    monkeypatch.setattr(covariance, "NEGLECTED", (0.0,))
+    exact = covariance.Covariance().prepare(program, Request()).solve().x
+    assert x is not None and exact is not None
+    assert np.abs(x - exact).max() < 1e-8 * np.abs(exact).max()
+
+
 def test_it_says_what_it_does_not_take() -> None:
     signed = Formulation(terms=declared().terms, constraints=[Sign(scene())])
     with pytest.raises(InputError, match="no bounds of the field"):

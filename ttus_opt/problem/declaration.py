@@ -40,6 +40,8 @@ class Search:
             searched next, at the value found.
         neutral: Value where the data do not determine the parameter; None for 0, or the
             limit nearest to it.
+        likely: An estimate; the search of the whole range is omitted where the minimum
+            is found beside it.
     """
 
     parameter: str
@@ -47,6 +49,7 @@ class Search:
     high: float
     build: Callable[[float], Formulation] = field(repr=False)
     neutral: float | None = None
+    likely: float | None = None
 
     def __post_init__(self) -> None:
         """Validate finite limits in order, with the neutral value between them."""

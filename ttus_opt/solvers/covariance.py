@@ -40,9 +40,10 @@ LARGEST = 12_000
 #: Eigenvalues below this part of the largest are rounding [–]
 ROUNDING = 1e-14
 
-#: Part of the largest prior variance below which the factor of S leaves out the rest:
-#: conjugate gradients make up for it
-NEGLECTED = 1e-6
+#: Parts of the largest prior variance below which the factor of S leaves out the rest:
+#: conjugate gradients make up for it, or a second factor where measurements are so
+#: accurate that they do not
+NEGLECTED = (1e-3, 1e-6)
 
 #: Relative residual of the dual, and most steps of conjugate gradients
 ACCURACY, MOST_STEPS = 1e-14, 60
@@ -130,9 +131,13 @@ class _Loaded(Prepared):
             return
         self._tag = tag
         self._columns = tag.covariance.columns(voxels)
-        self._root = square_root(self._columns.among, NEGLECTED)
+        self._take_root(NEGLECTED[0])
         own = (prior.matrix.T @ prior.target)[: len(prior.target)]
         self._mean = tag.covariance.times(own)
+
+    def _take_root(self, neglected: float) -> None:
+        self._neglected = neglected
+        self._root = square_root(self._columns.among, neglected)
 
     def _factorise(self) -> None:
         """Nearly S: I + B Bᵀ, or I + BᵀB where that is smaller."""
@@ -151,14 +156,18 @@ class _Loaded(Prepared):
         size, square = float(np.linalg.norm(r)), float(r @ z)
         for _ in range(MOST_STEPS):
             if np.linalg.norm(r) <= ACCURACY * size:
-                break
+                return y
             Sd = d + self._touching @ (self._columns.among @ (self._touching.T @ d))
             step = square / float(d @ Sd)
             y, r = y + step * d, r - step * Sd
             z = self._nearly(r)
             before, square = square, float(r @ z)
             d = z + square / before * d
-        return y
+        if self._neglected == NEGLECTED[-1]:
+            return y
+        self._take_root(NEGLECTED[-1])
+        self._factorise()
+        return self._inverse(right_side)
 
     def _nearly(self, right_side: Array) -> Array:
         """The inverse of the factorised approximation of S."""

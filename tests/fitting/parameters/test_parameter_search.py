@@ -219,3 +219,26 @@ def test_a_limit_that_is_not_neutral_is_no_value() -> None:
     solution = fit(SILENT, made.with_search(replace(made.search, neutral=1.0)))
     assert solution.parameters["value"] == 1.0
     assert solution.not_identified == {"value": "at its lower limit 0.5"}
+
+
+@pytest.mark.parametrize("bad", [(2.0, 3.0), (0.75, 0.77), (0.75, 0.85)])
+def test_an_estimate_saves_the_search_where_the_minimum_is_beside_it(
+    bad: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a fit beside it is not solved, the whole range is searched."""
+    unsolved_where(monkeypatch, bad, 0.0)
+    searched, least = [], parameter_search._least
+    monkeypatch.setattr(
+        parameter_search,
+        "_least",
+        lambda *given: searched.append(least(*given)) or searched[-1],
+    )
+    whole = declared(depth=100.0)
+    assert whole.search is not None
+    likely = whole.with_search(replace(whole.search, likely=0.78))
+    solution = fit(SILENT, likely)
+    assert len(searched) == (bad[0] < 1.0)
+    assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-4)
+    assert solution.standard_errors == pytest.approx(
+        fit(SILENT, whole).standard_errors, rel=1e-3
+    )

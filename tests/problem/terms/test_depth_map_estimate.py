@@ -383,3 +383,25 @@ def test_forces_that_pull_and_none_at_all_are_refused() -> None:
         apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
     with pytest.raises(InputError, match="never touches"):
         estimate_depth_map(apart)
+
+
+def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = drawn(0, 40)
+    problem = _Problem.of(scene, scene.N)
+    lengths, formed = [], depth_map_estimate.matern
+
+    def counted(distance: np.ndarray, length: float) -> np.ndarray:
+        lengths.append(length)
+        return formed(distance, length)
+
+    monkeypatch.setattr(depth_map_estimate, "matern", counted)
+    for changes in ({}, {"deviation": 0.5}, {"noise": 0.2}, {"shared_error": 0.1}):
+        again = CHOSEN._replace(**changes)
+        fresh = _Problem.of(scene, scene.N).evidence(again)
+        lengths.clear()
+        assert problem.evidence(again) == fresh
+        assert len(lengths) == (0 if changes else 2)  # along the skin, in depth
+    problem.evidence(CHOSEN._replace(surface_length=0.04))
+    assert lengths == [0.04]

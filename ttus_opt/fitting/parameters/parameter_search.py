@@ -2,8 +2,9 @@
 
 J(v) is the minimum of the objective for given values v of the searched parameters. It
 is first minimised over one parameter after the other (Brent's bounded search, fits of
-low accuracy). A parabola through accurate fits around that point then gives the values
-(its vertex) and the standard errors (its curvature, see `identification`).
+low accuracy), unless an estimate is known. A parabola through accurate fits around that
+point then gives the values (its vertex) and the standard errors (its curvature, see
+`identification`). Where there is none beside an estimate, the whole range is searched.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,8 +85,14 @@ def search_parameters(
             values, chain = _minimum(search, loose, known)
             values, estimates = _estimates(search, chain, values, tight, known)
         except _NoMinimumError as trouble:
-            return SearchResult(trouble.nearest, {}, str(trouble))
+            if search.likely is None:
+                return SearchResult(trouble.nearest, {}, str(trouble))
+            estimates = {search.parameter: Estimate(math.nan, math.nan, str(trouble))}
         doubted = {n: e.doubt for n, e in estimates.items() if e.doubt}
+        known_errors = all(math.isfinite(e.standard_error) for e in estimates.values())
+        if search.likely is not None and (doubted or not known_errors):
+            search = replace(search, likely=None)
+            continue
         if not doubted:
             break
         # one at a time: with it fixed the others may be identified
@@ -122,8 +129,10 @@ def _minimum(
     values, chain = [], []
     level: Search | None = search
     while level is not None:
-        neutral = level.parameter in known
-        value = level.neutral_value if neutral else _least(level, solve)
+        if level.parameter in known:
+            value = level.neutral_value
+        else:
+            value = _least(level, solve) if level.likely is None else level.likely
         values.append(value)
         chain.append(level)
         level = level.build(value).search

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,9 @@ SHARED_DISTANCE = 0.005
 
 #: Smallest noise over the forces, so that the covariance can be factorised [–]
 LEAST_NOISE = 1e-4
+
+#: Covariances kept while differences change one value after the other [–]
+KEPT = 4
 
 #: Depths between which the correlation along the depth is interpolated, and its
 #: smallest eigenvalue over the largest [–]
@@ -378,18 +382,43 @@ class _Problem:
 
     def covariance(self, chosen: _Chosen) -> Array:
         """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
-        power = powers_of(self.depth, (chosen.exponent,))[:, 0]
-        root = np.sqrt(chosen.length_ratio)
-        between = np.hypot(self.around / root, self.along * root)
-        among = matern(between, chosen.surface_length)
-        out = np.zeros((len(self.force),) * 2)
-        for mode in self._modes(chosen.depth_length).T:
-            data = self.rows.data * (power * mode)[self.rows.indices]
-            own = (data, self.spoke[self.rows.indices], self.rows.indptr)
-            by_spoke = sp.csr_array(own, (len(self.force), self.nodes.shape[0]))
-            by_node = sp.csr_array(by_spoke @ self.nodes)
-            out += by_node @ (by_node @ among).T
-        return out
+        return self._covariance(
+            chosen.exponent,
+            chosen.depth_length,
+            chosen.surface_length,
+            chosen.length_ratio,
+        )
+
+    @cached_property
+    def _covariance(self) -> Callable[[float, float, float, float], Array]:
+        """The same, kept while a search changes the other values."""
+        m, nodes = len(self.force), self.nodes
+
+        @lru_cache(maxsize=KEPT)
+        def by_node(exponent: float, depth_length: float) -> list[sp.csr_array]:
+            power = powers_of(self.depth, (exponent,))
+            of_entry = (power * self._modes(depth_length))[self.rows.indices]
+            data = (self.rows.data[:, None] * of_entry).T
+            n, size = data.shape
+            spoke = np.tile(self.spoke[self.rows.indices], n)
+            starts = (size * np.arange(n)[:, None] + self.rows.indptr[:-1]).ravel()
+            own = data.ravel(), spoke, np.append(starts, n * size)
+            every = sp.csr_array(sp.csr_array(own, (n * m, nodes.shape[0])) @ nodes)
+            return [every[k * m : (k + 1) * m] for k in range(n)]
+
+        @lru_cache(maxsize=KEPT)
+        def covariance(
+            exponent: float, depth_length: float, surface_length: float, ratio: float
+        ) -> Array:
+            root = np.sqrt(ratio)
+            between = np.hypot(self.around / root, self.along * root)
+            among = matern(between, surface_length)
+            out = np.zeros((m, m))
+            for mode in by_node(exponent, depth_length):
+                out += mode @ (mode @ among).T
+            return out
+
+        return covariance
 
     def evidence(self, chosen: _Chosen) -> float:
         """Log density of the normal forces, up to a constant."""

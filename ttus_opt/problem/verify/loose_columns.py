@@ -23,6 +23,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramCones, ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.structure import known_covariance
 
 _Member = ProgramConstraint | ProgramCones
 
@@ -46,7 +47,11 @@ def loose_variables(program: Program, fixed: Mask) -> Mask:
     lower, upper = program.box
     loose = ~fixed & np.isinf(lower) & np.isinf(upper)
     for term in program.terms:
-        if term.weight and not isinstance(term.penalty, Linear):
+        if not term.weight or isinstance(term.penalty, Linear):
+            continue
+        if known_covariance(term.tags):  # a regular matrix
+            loose[: len(term.target)] = False
+        elif loose.any():
             loose &= term.column_squares() == 0.0
     return np.asarray(loose)
 
