@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
+from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.friction import (
     DEADBAND,
     Sliding,
@@ -66,10 +67,12 @@ def test_patches_all_around_a_torso_equal_a_loop_over_points() -> None:
     trajectory = presses(surface, 15, np.random.default_rng(2), depth=0.02)
     sliding, touching = Sliding.of(voxmap, shell, trajectory), 0
     turning = trajectory.angular_velocity()
+    poses = trajectory.rotation, trajectory.position
+    factors = size_factors(voxmap, shell, *poses)
     for t, moved in enumerate(trajectory.velocity()):
         R, at = trajectory.rotation[t], trajectory.position[t]
         normal, lever = np.zeros(3), np.zeros(3)
-        total = 0.0
+        total = square = 0.0
         for point, n, area in zip(
             shell.points, shell.normals, shell.areas, strict=True
         ):
@@ -80,12 +83,15 @@ def test_patches_all_around_a_torso_equal_a_loop_over_points() -> None:
                 total += area * depth
                 normal += area * depth * (R @ n)
                 lever += area * depth * (R @ (point - shell.reference))
+                square += area * depth * float(point @ point)
         if total == 0.0:
             assert not sliding.normal[t].any() and not sliding.velocity[t].any()
             continue
         touching += 1
         normal, lever = normal / np.linalg.norm(normal), lever / total
         arm = R @ shell.reference + lever
+        length = np.sqrt(0.005**2 + 12.0 * (square / total - arm @ arm))
+        assert factors[t] == pytest.approx(0.01 / length, rel=1e-6)
         moved = moved + np.cross(turning[t], arm)
         for found, expected in (
             (sliding.normal, normal),

@@ -1,4 +1,4 @@
-"""Length of the contact patch, and its effect on the stiffness.
+"""The contact patch of a pose: its normal, its centre, its length.
 
 The stiffness per area of an elastic half-space decreases with the size of the indenter,
 k ∝ 1/a; that of a thin layer does not. With w_m = a_m d_m, area times depth, and
@@ -15,11 +15,24 @@ docs/method.md, Contact size.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
+from ttus_opt.contact.row_kernels import (
+    ShellArrays,
+    beside,
+    rotated,
+    shell_arrays,
+    within,
+)
 from ttus_opt.core.arrays import Array
-from ttus_opt.probe.cylindrical import cylindrical
+from ttus_opt.core.compiled import compiled
+from ttus_opt.probe.cylindrical import turn_angle
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
+from ttus_opt.voxmap.grid import GridLimits, depth_at
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Length of a patch at which `contact-size` equals `trilinear` [m]
@@ -28,14 +41,25 @@ REFERENCE_LENGTH = 0.01
 #: ℓ₀, half the reference length, so that the factor is at most 2 [m]
 LEAST_LENGTH = 0.005
 
-#: Poses processed at once, which bounds the memory
-AT_ONCE = 64
+
+class Patches(NamedTuple):
+    """The patches of T poses; all is zero without contact.
+
+    Attributes:
+        normal: Mean unit normal, into the probe, patient axes, shape (T, 3) [–].
+        centre: c from the shell's reference point, patient axes, shape (T, 3) [m].
+        spread: Mean square distance from c, shape (T,) [m²].
+    """
+
+    normal: Array
+    centre: Array
+    spread: Array
 
 
-def size_factors(
+def patches_of(
     voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
-) -> Array:
-    """10 mm/ℓ of every pose, shape (T,) [–]; 2 without contact.
+) -> Patches:
+    """The patches of poses.
 
     Args:
         voxmap: Grid and surface.
@@ -43,26 +67,85 @@ def size_factors(
         rotation: Probe to patient, shape (T, 3, 3) [–].
         position: Origin of the probe frame, patient frame, shape (T, 3) [m].
     """
-    out = np.empty(len(position))
-    for start in range(0, len(position), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
-        out[part] = _factors(voxmap, shell, rotation[part], position[part])
-    return out
+    surface = voxmap.surface
+    return Patches(
+        *_patches(
+            np.ascontiguousarray(rotation),
+            np.ascontiguousarray(position),
+            shell_arrays(shell),
+            voxmap.grid.kernel_limits,
+            (np.ascontiguousarray(surface.radius), surface.kernel_layout),
+        )
+    )
 
 
-def _factors(
+def size_factors(
     voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
 ) -> Array:
-    grid = voxmap.grid
-    places = np.einsum("tij,mj->tmi", rotation, shell.points) + position[:, None]
-    shape = places.shape[:2]
-    r, theta, z = (v.reshape(shape) for v in cylindrical(places.reshape(-1, 3)))
-    depth = (voxmap.surface.radius_at(theta, z) - r) * grid.end_share(z)
-    inside = (r <= grid.r_outer) & grid.in_sector(theta)
-    weight = np.where(inside, np.maximum(depth, 0.0), 0.0) * shell.areas
-    total = weight.sum(axis=1)
-    shares = weight / np.where(total > 0.0, total, 1.0)[:, None]
-    centre = shares @ shell.points  # in the probe frame, where lengths are the same
-    spread = shares @ (shell.points**2).sum(axis=1) - (centre**2).sum(axis=1)
-    square = LEAST_LENGTH**2 + 12.0 * np.maximum(spread, 0.0)
-    return np.asarray(REFERENCE_LENGTH / np.sqrt(square))
+    """10 mm/ℓ of every pose, shape (T,) [–]; 2 without contact.
+
+    Arguments as of `patches_of`.
+    """
+    spread = patches_of(voxmap, shell, rotation, position).spread
+    return np.asarray(REFERENCE_LENGTH / np.sqrt(LEAST_LENGTH**2 + 12.0 * spread))
+
+
+@compiled()
+def _patches(
+    rotation: Array,
+    position: Array,
+    shell: ShellArrays,
+    limits: GridLimits,
+    surface: tuple[Array, RadiusLayout],
+) -> tuple[Array, Array, Array]:
+    """Mean normal, centre and spread of every pose's contact (compiled).
+
+    Args:
+        rotation: Shape (T, 3, 3) [–].
+        position: Shape (T, 3) [m].
+        shell: `shell_arrays`.
+        limits: `CylindricalGrid.kernel_limits`.
+        surface: Radius of the nodes [m] and `Surface.kernel_layout`.
+
+    Returns:
+        Arrays of `Patches`.
+    """
+    points, normals, weights, reference = shell
+    radius, layout = surface
+    (n_theta, n_z), flat = radius.shape, radius.reshape(-1)
+    n_poses = len(position)
+    normal, centre = np.zeros((n_poses, 3)), np.zeros((n_poses, 3))
+    spread = np.zeros(n_poses)
+    for t in range(n_poses):
+        R, at, total, square = rotation[t], position[t], 0.0, 0.0
+        n, c = np.zeros(3), np.zeros(3)  # in the probe frame
+        for m in range(len(points)):
+            x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
+            x, y, z = x + at[0], y + at[1], z + at[2]
+            r_squared = x * x + y * y
+            if not within(r_squared, z, limits) or beside(x, y, limits):
+                continue
+            cell = radius_cell(turn_angle(x, y), z, n_theta, n_z, layout)
+            R_here = radius_between(cell[0], cell[1], cell[2], cell[3], flat)
+            depth = depth_at(R_here, math.sqrt(r_squared), z, limits)
+            if depth <= 0.0:
+                continue
+            share = weights[m] * depth
+            total += share
+            for a in range(3):
+                n[a] += share * normals[m, a]
+                arm = points[m, a] - reference[a]
+                c[a] += share * arm
+                square += share * arm * arm
+        if total == 0.0:
+            continue
+        mean = (c[0] * c[0] + c[1] * c[1] + c[2] * c[2]) / total
+        spread[t] = max(square - mean, 0.0) / total
+        length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        if length == 0.0:
+            continue
+        nx, ny, nz = rotated(R, n[0] / length, n[1] / length, n[2] / length)
+        normal[t, 0], normal[t, 1], normal[t, 2] = nx, ny, nz
+        cx, cy, cz = rotated(R, c[0] / total, c[1] / total, c[2] / total)
+        centre[t, 0], centre[t, 1], centre[t, 2] = cx, cy, cz
+    return normal, centre, spread

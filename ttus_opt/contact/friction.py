@@ -35,23 +35,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.contact.rows import (
-    ContactRows,
-    beside,
-    checked_poses,
-    rotated,
-    shell_arrays,
-    turn_angle,
-    within,
-)
+from ttus_opt.contact.contact_size import Patches, patches_of
+from ttus_opt.contact.rows import ContactRows, checked_poses
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
-from ttus_opt.voxmap.grid import GridLimits, depth_at
 from ttus_opt.voxmap.voxmap import Voxmap
 
 ActsAt = Literal["contact", "reference", "points"]
@@ -96,6 +86,7 @@ class Sliding:
         trajectory: Trajectory,
         acts_at: str = "contact",
         axis: Array | None = None,
+        patches: Patches | None = None,
     ) -> Sliding:
         """Find the patch of every pose and its sliding velocity.
 
@@ -106,6 +97,7 @@ class Sliding:
             acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
             axis: The pressing axis in the probe frame, shape (3,); by default
                 `pressing_axis`.
+            patches: Those of the trajectory, where they are known.
 
         Raises:
             InputError: Unknown ``acts_at``, or unusable poses.
@@ -115,14 +107,8 @@ class Sliding:
                 f"acts_at must be one of {', '.join(get_args(ActsAt))}, got {acts_at!r}"
             )
         rotation, position = checked_poses(trajectory.rotation, trajectory.position)
-        surface = voxmap.surface
-        normal, centre = _patches(
-            rotation,
-            position,
-            shell_arrays(shell),
-            voxmap.grid.kernel_limits,
-            (np.ascontiguousarray(surface.radius), surface.kernel_layout),
-        )
+        known = patches or patches_of(voxmap, shell, rotation, position)
+        normal, centre = known.normal, known.centre
         touching = (normal != 0.0).any(axis=1)
         reference = np.einsum("tij,j->ti", rotation, shell.reference)
         as_tool = acts_at == "reference"
@@ -285,57 +271,3 @@ def _blocks(blocks: Array) -> sp.csr_array:
         (blocks, np.arange(n), np.arange(n + 1)), shape=(a * n, b * n)
     )
     return sp.csr_array(matrix)
-
-
-@compiled()
-def _patches(
-    rotation: Array,
-    position: Array,
-    shell: tuple[Array, Array, Array, Array],
-    limits: GridLimits,
-    surface: tuple[Array, RadiusLayout],
-) -> tuple[Array, Array]:
-    """Mean normal and centre of every pose's contact (compiled).
-
-    Args:
-        rotation: Shape (T, 3, 3) [–].
-        position: Shape (T, 3) [m].
-        shell: `shell_arrays`.
-        limits: `CylindricalGrid.kernel_limits`.
-        surface: Radius of the nodes [m] and `Surface.kernel_layout`.
-
-    Returns:
-        n̂ and c from the shell's reference point, zero without contact, (T, 3) each.
-    """
-    points, normals, weights, reference = shell
-    radius, layout = surface
-    (n_theta, n_z), flat = radius.shape, radius.reshape(-1)
-    n_poses = len(position)
-    normal, centre = np.zeros((n_poses, 3)), np.zeros((n_poses, 3))
-    for t in range(n_poses):
-        R, at, total = rotation[t], position[t], 0.0
-        n, c = np.zeros(3), np.zeros(3)  # in the probe frame
-        for m in range(len(points)):
-            x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
-            x, y, z = x + at[0], y + at[1], z + at[2]
-            square = x * x + y * y
-            if not within(square, z, limits) or beside(x, y, limits):
-                continue
-            cell = radius_cell(turn_angle(x, y), z, n_theta, n_z, layout)
-            R_here = radius_between(cell[0], cell[1], cell[2], cell[3], flat)
-            depth = depth_at(R_here, math.sqrt(square), z, limits)
-            if depth <= 0.0:
-                continue
-            share = weights[m] * depth
-            total += share
-            for a in range(3):
-                n[a] += share * normals[m, a]
-                c[a] += share * (points[m, a] - reference[a])
-        length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-        if total == 0.0 or length == 0.0:
-            continue
-        nx, ny, nz = rotated(R, n[0] / length, n[1] / length, n[2] / length)
-        normal[t, 0], normal[t, 1], normal[t, 2] = nx, ny, nz
-        cx, cy, cz = rotated(R, c[0] / total, c[1] / total, c[2] / total)
-        centre[t, 0], centre[t, 1], centre[t, 2] = cx, cy, cz
-    return normal, centre

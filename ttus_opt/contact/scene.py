@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.contact.boundary_scale import Identified, identified_scale
+from ttus_opt.contact.contact_size import Patches, patches_of
 from ttus_opt.contact.cut_off import cut_off
 from ttus_opt.contact.places import touched_places
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
@@ -202,6 +204,13 @@ class Scene:
         """N and W of other poses of the same probe on the same patient."""
         poses = trajectory.rotation, trajectory.position
         return contact_rows(self.voxmap, self.shell, *poses, sampling=self.sampling)
+
+    @cached_property
+    def patches(self) -> Patches:
+        """Contact patches of the poses."""
+        trajectory = self.trajectory
+        poses = trajectory.rotation, trajectory.position
+        return patches_of(self.voxmap, self.shell, *poses)
 
     @property
     def n_voxels(self) -> int:

@@ -166,6 +166,36 @@ def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
     assert dragged.formulation.name == "depth_map_coulomb"
 
 
+def test_drag_is_looked_for_once_and_where_it_acts_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The motion tells it, whatever the sampling; given options come first."""
+    looked, asked = [], []
+    estimate, load = weight_choice.estimate_drag, weight_choice.shelf.load
+
+    def noted(name: str, scene: Scene, **options: Any) -> Formulation:
+        asked.append((name, scene.sampling, options))
+        return load(name, scene, **options)
+
+    monkeypatch.setattr(
+        weight_choice,
+        "estimate_drag",
+        lambda scene: looked.append(scene) or estimate(scene),
+    )
+    monkeypatch.setattr(weight_choice.shelf, "load", noted)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)
+        weight_choice.default_model(dragged_scene("contact"))
+        weight_choice.default_model(dragged_scene("contact"), {"acts_at": "reference"})
+    assert len(looked) == 2
+    where = estimate(looked[0]).acts_at
+    assert asked == [
+        ("depth_map_coulomb", sampling, {"acts_at": place})
+        for place in (where, "reference")
+        for sampling in ("contact-size", "trilinear")
+    ]
+
+
 def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
     pulling = replace(drawn().trajectory, force=-drawn().f.reshape(-1, 3))
     scene = Scene.assemble(drawn().voxmap, drawn().shell, pulling, inner=1.0)

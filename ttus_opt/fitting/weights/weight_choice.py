@@ -262,15 +262,18 @@ def default_model(
     Raises:
         InputError: Options that the depth map does not have.
     """
-    tried = []
+    tried, given, drag = [], dict(options or {}), None
     for each in SAMPLINGS if sampling is None else (sampling,):
         place = scene if scene.sampling == each else resampled(scene, each)
-        name = DEPTH_MAPS[estimate_drag(place).is_shown]
+        if drag is None:  # a question of the motion, not of the sampling
+            drag = estimate_drag(place)
+            given = {"acts_at": drag.acts_at} | given if drag.is_shown else given
+        name = DEPTH_MAPS[drag.is_shown]
         if progress is not None:
             progress(f"{name}, {each} sampling")
         try:
             with one_blas_thread():  # for matrices of a few hundred rows
-                declared = shelf.load(name, place, **(options or {}))
+                declared = shelf.load(name, place, **given)
         except UnusableForcesError as error:
             return _own(scene, shelf.load(shelf.DEFAULT, scene), str(error))
         tried.append((depth_map_of(declared).log_evidence or 0.0, place, declared))

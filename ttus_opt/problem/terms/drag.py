@@ -69,7 +69,8 @@ class DragModel(abc.ABC):
     def sliding(self) -> Sliding:
         """Patches and sliding velocities of the scene's poses."""
         scene = self.scene
-        return Sliding.of(scene.voxmap, scene.shell, scene.trajectory, self.acts_at)
+        where = scene.voxmap, scene.shell, scene.trajectory
+        return Sliding.of(*where, self.acts_at, patches=scene.patches)
 
     @cached_property
     def rows(self) -> DragRows:
