@@ -115,6 +115,20 @@ def test_errors_end_with_a_recording() -> None:
     assert not found[T // 2 :, : T // 2].any() and found[T // 2 :, T // 2 :].any()
 
 
+def test_a_faster_recording_of_the_same_motion_tells_no_more() -> None:
+    """Below 20 frames a second each counts as one, above they share its weight."""
+    own, force, none = np.full(T, 0.1), np.full(T, 2.0), np.zeros(T)
+    told = []
+    for step in (1.0, 0.05, 0.01, 0.002):
+        poses, _ = timed(step, 1)
+        noise = PartNoise.of(replace(SCENE, trajectory=poses), own, force, none)
+        assert noise.level == pytest.approx(0.1)
+        told.append((noise.normal.diagonal()[0] ** 2, noise.across[0] ** -2.0))
+    few = np.array(told)
+    np.testing.assert_allclose(few[:, 0] / few[0, 0], [1.0, 1.0, 0.2, 0.04], rtol=1e-9)
+    np.testing.assert_allclose(few[:, 1] / few[0, 1], [1.0, 1.0, 0.2, 0.04], rtol=1e-9)
+
+
 def test_eq10_with_errors_of_directions_has_these_rows() -> None:
     """0.05 N and 5 % of the measured normal force, across it 0.3 rad more."""
     assert PartNoise.of_direction(SCENE, None) is None

@@ -2,7 +2,9 @@
 
 Three errors of a measured wrench matter to a field:
 
-- the sensor's, and one in proportion to the force, independent in every frame;
+- the sensor's, and one in proportion to the force, alike in frames within 50 ms: each
+  of n such frames counts as 1/n, so that a faster recording of the same motion does not
+  outweigh the prior;
 - a tracker's error of depth, which lasts about a second: with g the slope of the normal
   force in depth, it changes that force by g δ in all frames of that second alike;
 - pressure that varies below the probe turns the force of a field, while a real force
@@ -11,10 +13,10 @@ Three errors of a measured wrench matter to a field:
 
 With u the direction of contact of a frame, normal residuals uᵀe have the covariance
 
-    Σ_kl = s_k² δ_kl + δ² g_k g_l exp(−|t_k − t_l|/1 s)
+    Σ_kl = n s_k² δ_kl + δ² g_k g_l exp(−|t_k − t_l|/1 s)
 
-among the frames of a recording, and tangential ones and torques over ℓ the standard
-deviation (s² + (0.2 m)²)¹ᐟ² with m the normal force. Normal residuals are made
+among the frames of a recording, and tangential ones and torques over ℓ the variance
+n (s² + (0.2 m)²) with m the normal force. Normal residuals are made
 independent frame by frame: of each, what a few earlier frames predict is subtracted
 [A. V. Vecchia, J. R. Stat. Soc. B 50 (1988)].
 
@@ -33,6 +35,7 @@ import scipy.sparse as sp
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import Whitened
@@ -47,6 +50,10 @@ SENSOR, RELATIVE = 0.05, 0.05
 
 #: Time over which a tracker's error decays [s]
 LASTING = 1.0
+
+#: Time within which a frame's own errors are alike [s]: twenty frames a second, as of
+#: the torsos by which `TURN` was chosen, tell all that more of them would
+ALIKE = 0.05
 
 #: Earlier frames of contact that predict a frame's error: the last ones, whose noise
 #: averages out, and some before
@@ -107,8 +114,9 @@ class PartNoise:
         touching = scene.rows.contact_points > 0
         size = own[touching] ** 2 + drift[touching] ** 2
         level = float(np.sqrt(size.mean())) if touching.any() else 1.0
-        normal = independent(scene, own / level, drift / level)
-        across = np.hypot(own, turn * force) / level
+        alike = np.sqrt(crowding(scene.trajectory))
+        normal = independent(scene, alike * own / level, drift / level)
+        across = alike * np.hypot(own, turn * force) / level
         return cls(normal, across, contact_directions(scene), level)
 
     @property
@@ -136,6 +144,17 @@ def contact_directions(scene: Scene) -> Array:
     force = force.reshape(-1, 3)
     length = np.linalg.norm(force, axis=1, keepdims=True)
     return np.asarray(force / np.where(length > 0.0, length, 1.0))
+
+
+def crowding(trajectory: Trajectory) -> Array:
+    """Frames of a recording within `ALIKE`, at least one, shape (T,) [–]."""
+    out = np.ones(len(trajectory))
+    for each in np.unique(trajectory.segment):
+        own = trajectory.segment == each
+        time = trajectory.time[own]
+        steps = max(time[-1] - time[0], ALIKE) / ALIKE
+        out[own] = max((len(time) - 1) / steps, 1.0)
+    return out
 
 
 def lasting(time: Array, other: Array) -> Array:
