@@ -17,7 +17,6 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.fitting.weights.weight_choice import SAMPLINGS, resampled
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -39,7 +38,6 @@ class Model:
         held: Values that are not estimated, as medians in `PRIOR`.
         median: Of the prior of the length along the surface [m]; None for one in
             radii of the probe.
-        starts: Whether the evidence is climbed from the likeliest of several points.
         late_in_fit: Whether a tracker's error counts in the fit, too.
         turn: Error of a force's direction [rad].
         beside: Factor on errors of tangential forces and torques [–].
@@ -52,7 +50,6 @@ class Model:
 
     held: Mapping[str, float] = field(default_factory=dict)
     median: float | None = None
-    starts: bool = True
     late_in_fit: bool = True
     turn: float = TURN
     beside: float = 1.0
@@ -104,10 +101,8 @@ class Model:
             held["surface_length"] *= radius
         length, width = PRIOR["surface_length"]
         median = length if self.median is None else self.median / radius
-        starts = depth_map_estimate.STARTS if self.starts else ()
         with (
             mock.patch.dict(PRIOR, {"surface_length": (median, width)}),
-            mock.patch.object(depth_map_estimate, "STARTS", starts),
             one_blas_thread(),
         ):
             return estimate_depth_map(scene, rows, **held)
@@ -131,13 +126,13 @@ MODELS = {
     "surface length 2.6 radii": held(surface_length=2.6),
     "same length around and along": held(length_ratio=1.0),
     "no relative error": held(relative_noise=0.0),
+    "relative error of 3 %": held(relative_noise=0.03),
     "no shared error": held(shared_error=0.0),
     "no depth error": held(depth_error=0.0),
     "depth error not in the fit": Model(late_in_fit=False),
     "only noise by evidence": held(
         **{name: median for name, (median, _) in PRIOR.items() if name != "noise"}
     ),
-    "one start": Model(starts=False),
     "direction exact": Model(turn=0.0),
     "tangential, torque × 10": Model(turn=0.0, beside=10.0),
     "neither tangential nor torque": Model(beside=1e4),

@@ -130,11 +130,11 @@ def test_a_faster_recording_of_the_same_motion_tells_no_more() -> None:
 
 
 def test_eq10_with_errors_of_directions_has_these_rows() -> None:
-    """0.05 N and 5 % of the measured normal force, across it 0.3 rad more."""
+    """0.05 N and 3 % of the measured normal force, across it 0.3 rad more."""
     assert PartNoise.of_direction(SCENE, None) is None
     u = contact_directions(SCENE)
     m = np.maximum(np.einsum("ti,ti->t", u, SCENE.f.reshape(-1, 3)), 0.0)
-    own = np.sqrt(0.05**2 + (0.05 * m) ** 2)
+    own = np.sqrt(0.05**2 + (0.03 * m) ** 2)
     noise = PartNoise.of(SCENE, own, m, ZERO, 0.3)
     across = np.sqrt(own**2 + (0.3 * m) ** 2) / noise.level
     np.testing.assert_allclose(noise.across, across)

@@ -61,10 +61,12 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Median and logarithmic standard deviation of the priors. The length along the surface
 #: is in units of the probe's root-mean-square radius: what varies over less, a probe
-#: hardly tells, and who examines finer structures takes a finer probe
+#: hardly tells, and who examines finer structures takes a finer probe. The relative
+#: noise is in addition to `RELATIVE`, which the model has wrong: forces without noise
+#: look as if it were exact, and would teach what they cannot
 PRIOR = {
-    "exponent": (1.3, 0.35),
-    "surface_length": (2.6, 0.35),
+    "exponent": (1.3, 0.2),
+    "surface_length": (2.6, 0.2),
     "deviation": (0.4, 0.7),
     "depth_length": (0.01, 0.5),
     "noise": (SENSOR, 1.0),
@@ -73,16 +75,6 @@ PRIOR = {
     "shared_error": (0.03, 0.7),
     "depth_error": (1e-4, 1.0),
 }
-
-#: Initial values, which lead to separate maxima of the posterior: lengths along the
-#: depth of stiff inclusions and of a thin layer [m]; structures around the patient,
-#: such as ribs, and along it, of a length in the unit of the prior [–]
-STARTS = (
-    {"depth_length": 0.02},
-    {"depth_length": 0.002},
-    {"surface_length": 0.75, "length_ratio": 5.0},
-    {"surface_length": 0.75, "length_ratio": 0.2},
-)
 
 #: Most evaluations of the evidence
 CALLS = 400
@@ -193,17 +185,14 @@ def estimate_depth_map(
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
         if "surface_length" in values:
             values["surface_length"] *= scene.shell.rms_radius
+        if "relative_noise" in values:
+            values["relative_noise"] = np.hypot(RELATIVE, values["relative_noise"])
         for name in limits.keys() & values.keys():
             values[name] = np.clip(values[name], *limits[name])
         return _Chosen(**held, **{name: float(v) for name, v in values.items()})
 
-    starts = list(np.zeros((len(STARTS), len(names))))
-    for start, values in zip(starts, STARTS, strict=True):
-        for name in values.keys() & set(names):
-            at = names.index(name)
-            start[at] = (np.log(values[name]) - medians[at]) / widths[at]
     mode = posterior_mode(
-        lambda steps: problem.evidence(chosen(steps)), len(names), CALLS, starts
+        lambda steps: problem.evidence(chosen(steps)), len(names), CALLS
     )
     found = chosen(mode.steps)
     c, mean = problem.mean(found.exponent)

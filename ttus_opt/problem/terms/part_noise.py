@@ -46,7 +46,7 @@ TURN = 0.2
 
 #: Errors of a normal force where none are estimated [N], and over the force [–]: the
 #: medians of a depth map's priors
-SENSOR, RELATIVE = 0.05, 0.05
+SENSOR, RELATIVE = 0.05, 0.03
 
 #: Time over which a tracker's error decays [s]
 LASTING = 1.0
