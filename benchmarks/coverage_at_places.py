@@ -95,7 +95,7 @@ def judged(
     solution: tt.Solution, scene: tt.Scene, truths: Sequence[tt.Trajectory]
 ) -> Iterator[Judged]:
     """Errors and stated deviations of a fit along recordings with true forces."""
-    stated, shell = tt.doubt(solution, scene), scene.shell
+    stated, shell = tt.uncertainty(solution, scene), scene.shell
     surface, touching = scene.voxmap.surface, scene.rows.contact_points > 0
     fitted = scene.trajectory.select(touching)
     known = depths(surface, shell, fitted)

@@ -21,9 +21,13 @@ import numpy as np
 import ttus_opt as tt
 from ttus_opt.contact.places import runs
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.fitting.uncertainty.doubt import Doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.fitting.uncertainty.next_press import greedy, normal_forces
-from ttus_opt.fitting.uncertainty.skin_doubt import presses_at, skin_nodes, usual_depth
+from ttus_opt.fitting.uncertainty.skin_uncertainty import (
+    presses_at,
+    skin_nodes,
+    usual_depth,
+)
 from ttus_opt.fitting.weights.weight_choice import default_model
 
 #: Presses chosen, draws at random, least true force [N], margin of the region around
@@ -96,7 +100,9 @@ class Presses:
         size, true = (np.linalg.norm(f, axis=1) for f in (force, truth.force))
         return float(np.abs(size - true)[true > LEAST_FORCE].mean())
 
-    def suggested(self, doubt: Doubt, count: int, taken: Sequence[int]) -> list[int]:
+    def suggested(
+        self, uncertainty: Uncertainty, count: int, taken: Sequence[int]
+    ) -> list[int]:
         """The presses among those not taken that tell most about the region."""
         grid = skin_nodes(self.voxmap.surface, SPACING)
         theta, z = (a.ravel() for a in np.meshgrid(*grid, indexing="ij"))
@@ -105,16 +111,16 @@ class Presses:
         within = (theta >= angle.min() - margin) & (theta <= angle.max() + margin)
         within &= (z >= height.min() - MARGIN) & (z <= height.max() + MARGIN)
         nodes = presses_at(
-            doubt.scene, theta[within], z[within], usual_depth(doubt.scene)
+            uncertainty.scene, theta[within], z[within], usual_depth(uncertainty.scene)
         )
         poses = replace(self.truth, force=None, torque=None)
         own = [poses.select(np.array([k])) for k in self.deepest]
         presses = tt.Trajectory.concatenate([nodes, *own])
-        rows, noise = normal_forces(doubt, presses)
+        rows, noise = normal_forces(uncertainty, presses)
         region = np.arange(len(presses)) < len(nodes)
         noise[region] = np.inf  # they are asked about, not pressed
         noise[len(nodes) + np.array(taken, dtype=np.int64)] = np.inf
-        covariance = doubt.covariance(rows, len(presses))[0]
+        covariance = uncertainty.covariance(rows, len(presses))[0]
         chosen, _, _ = greedy(covariance, noise, region, count)
         return [int(k) - len(nodes) for k in chosen]
 
@@ -139,11 +145,11 @@ def report(presses: Presses) -> None:
     print("| five presses | mean error [N] |\n|---|---|", flush=True)
     solution, scene = presses.fitted([])
     print(f"| none | {presses.error(solution, []):.3f} |", flush=True)
-    at_once = presses.suggested(tt.doubt(solution, scene), CHOSEN, [])
+    at_once = presses.suggested(tt.uncertainty(solution, scene), CHOSEN, [])
     print(f"| suggested at once | {error_of(at_once):.3f} |", flush=True)
     stepwise: list[int] = []
     for _ in range(CHOSEN):
-        stepwise += presses.suggested(tt.doubt(solution, scene), 1, stepwise)
+        stepwise += presses.suggested(tt.uncertainty(solution, scene), 1, stepwise)
         solution, scene = presses.fitted(stepwise)
     error = presses.error(solution, stepwise)
     print(f"| suggested one by one, fitted after each | {error:.3f} |", flush=True)

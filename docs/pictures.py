@@ -122,9 +122,9 @@ def next_press_picture(path: Path) -> None:
         recorded,
     )
     choice = default_model(scene)
-    doubt = tt.doubt(tt.fit(choice.scene, choice.formulation), choice.scene)
+    uncertainty = tt.uncertainty(tt.fit(choice.scene, choice.formulation), choice.scene)
     front = np.radians(30.0), np.radians(150.0)
-    found = tt.next_press(doubt, sector=front)
+    found = tt.next_press(uncertainty, sector=front)
     plots.save_picture(plots.next_press_picture(found, recorded), path)
 
 

@@ -138,7 +138,7 @@ TARGETS = (
             "haptic/test_renderer_threads.py",
         ),
     ),
-    Target("haptic/force_doubt.py", ("haptic/test_force_doubt.py",)),
+    Target("haptic/force_uncertainty.py", ("haptic/test_force_uncertainty.py",)),
     Target(
         "haptic/blend.py",
         (
@@ -273,7 +273,7 @@ TARGETS = (
             "contact": ("point_drag", "pose_rows", "shell_blocks"),
             "fitting": ("breakdown",),
             "fitting/poses": ("pose_error_step", "pose_refinement"),
-            "fitting/uncertainty": ("contact_spread", "skin_doubt"),
+            "fitting/uncertainty": ("contact_spread", "skin_uncertainty"),
             "probe": ("tracker_noise",),
             "haptic": ("motion", "tables"),
             "problem/terms": ("torque", "total_variation"),

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.path.solution_path import solution_path as solution_path
     from ttus_opt.fitting.poses.pose_refinement import refine_poses as refine_poses
     from ttus_opt.fitting.recursion.recursive import RecursiveFit as RecursiveFit
-    from ttus_opt.fitting.uncertainty.doubt import doubt as doubt
+    from ttus_opt.fitting.uncertainty.field_uncertainty import (
+        uncertainty as uncertainty,
+    )
     from ttus_opt.fitting.uncertainty.next_press import next_press as next_press
     from ttus_opt.fitting.weights.tuning import tune as tune
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
@@ -76,7 +78,7 @@ _HOME = {
     "TtusError": "core.errors",
     "TtusWarning": "core.errors",
     "Voxmap": "voxmap.voxmap",
-    "doubt": "fitting.uncertainty.doubt",
+    "uncertainty": "fitting.uncertainty.field_uncertainty",
     "evaluate": "report.metrics",
     "extract_surface": "scan.extraction",
     "fit": "fitting.batch",

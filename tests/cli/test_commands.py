@@ -279,18 +279,18 @@ def test_evaluate_says_when_the_fitted_places_are_unknown(
 
 
 @pytest.mark.slow
-def test_fit_keeps_its_doubt_for_evaluate(
+def test_fit_keeps_its_uncertainty_for_evaluate(
     run: Run, files: Path, field: Path, tmp_path: Path
 ) -> None:
-    own, picture = tmp_path / "own.nc", tmp_path / "doubt.png"
-    more = f"--formulation depth_map --doubt-picture {picture}"
+    own, picture = tmp_path / "own.nc", tmp_path / "uncertainty.png"
+    more = f"--formulation depth_map --uncertainty-picture {picture}"
     assert run(fit_words(files, own, more)).status == 0
     assert picture.stat().st_size > 0
     words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
-    answer = run(f"evaluate --field {own} {words} --doubt --json")
+    answer = run(f"evaluate --field {own} {words} --uncertainty --json")
     (one,) = json.loads(answer.out)["by_recording"]
     assert one["name"] == "press.csv" and one["frames"] == 30
-    told = one["doubt"]
+    told = one["uncertainty"]
     assert told["force_std_N"] > 0.0 and 0.0 <= told["force_coverage"] <= 1.0
     drawn = tmp_path / "calibration.png"
     spoken = run(f"evaluate --field {own} {words} --calibration-picture {drawn}")
@@ -299,15 +299,17 @@ def test_fit_keeps_its_doubt_for_evaluate(
     drawn.unlink()
     refused = run(f"evaluate --field {field} {words} --calibration-picture {drawn}")
     assert not drawn.exists()
-    assert refused.status == 2 and "fit --doubt" in refused.errors[-1]
+    assert refused.status == 2 and "fit --uncertainty" in refused.errors[-1]
 
 
 @pytest.mark.slow
-def test_fit_says_when_there_is_no_doubt(run: Run, files: Path, tmp_path: Path) -> None:
+def test_fit_says_when_there_is_no_uncertainty(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
     own = tmp_path / "own.nc"
-    answer = run(fit_words(files, own, "--formulation robust --doubt"))
+    answer = run(fit_words(files, own, "--formulation robust --uncertainty"))
     assert answer.status == 0 and own.exists()
-    assert "written without doubt: no doubt for robust" in answer.err
+    assert "written without uncertainty: no uncertainty for robust" in answer.err
 
 
 def test_render_gives_what_evaluate_compares(

@@ -11,7 +11,7 @@ import pytest
 from ttus_opt.cli.evaluate_command import _draw
 from ttus_opt.cli.recording_lines import RecordingLine
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.doubt_check import Calibration
+from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
 
 FOUND = Calibration(
     *(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3),
@@ -25,31 +25,37 @@ FOUND = Calibration(
 
 def test_all_that_is_known_is_said() -> None:
     line = RecordingLine("a.csv", 100, 0.123, FOUND)
-    lost, doubt, ranks, deeper = line.lines
+    lost, uncertainty, ranks, deeper = line.lines
     assert lost == "a.csv: its presses lose 12 % of their work to hysteresis"
-    assert "0.050 N, 2.0 mN m" in doubt and "95.1 % of force and 93.2 % of" in doubt
+    assert (
+        "0.050 N, 2.0 mN m" in uncertainty
+        and "95.1 % of force and 93.2 % of" in uncertainty
+    )
     assert ranks == (
-        "a.csv: rank correlation of error and doubt 0.41 ± 0.16 for force and "
+        "a.csv: rank correlation of error and uncertainty 0.41 ± 0.16 for force and "
         "0.20 ± 0.03 for torque; between its 7 places 0.68 and -0.30"
     )
     assert deeper.startswith("a.csv: 3 frames")
     told = line.as_dict()
-    assert told["doubt"]["force_coverage"] == 0.951 and "doubt_refused" not in told
+    assert (
+        told["uncertainty"]["force_coverage"] == 0.951
+        and "uncertainty_refused" not in told
+    )
 
 
 def test_what_is_not_known_is_left_out() -> None:
     assert RecordingLine("a.csv", 100, math.nan).lines == []
-    assert "doubt" not in RecordingLine("a.csv", 100, math.nan).as_dict()
+    assert "uncertainty" not in RecordingLine("a.csv", 100, math.nan).as_dict()
     force = Calibration(0.05, math.nan, 0.95, math.nan, 0.4, math.nan, 90)
     lines = RecordingLine("a.csv", 100, math.nan, force).lines
-    assert lines[1] == "a.csv: rank correlation of error and doubt 0.40 for force"
+    assert lines[1] == "a.csv: rank correlation of error and uncertainty 0.40 for force"
     assert not any(word in lines[0] for word in ("mN m", "torque", "nan"))
 
 
 def test_a_refusal_is_said() -> None:
     line = RecordingLine("a.csv", 2, math.nan, None, "fewer than three")
-    assert line.lines == ["a.csv: no doubt: fewer than three"]
-    assert line.as_dict()["doubt"] is None
+    assert line.lines == ["a.csv: no uncertainty: fewer than three"]
+    assert line.as_dict()["uncertainty"] is None
 
 
 def test_a_picture_of_nothing_is_refused_before_any_other_is_written(

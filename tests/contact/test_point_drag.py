@@ -17,7 +17,7 @@ from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.slip import Slip
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.wrench_doubt import rendered, wrench_rows
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.phantom.recording import add_pose_noise
 from ttus_opt.probe.point_shell import PointShell
@@ -75,7 +75,7 @@ def test_over_a_flat_patch_it_is_the_drag_of_the_patch() -> None:
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
-def test_a_field_with_doubt_has_rows_of_the_same_law(acts_at: str) -> None:
+def test_a_field_with_uncertainty_has_rows_of_the_same_law(acts_at: str) -> None:
     """What `wrench_rows` makes of a field is what `evaluate` judges."""
     scene = small_scene("trilinear")
     parameters = GlobalCoulomb(scene, acts_at, coefficient=0.3).parameters({})

@@ -28,7 +28,7 @@ PLAN = experiment.Plan(
     resolution=3.5,
     patients=("lean",),
     weights="auto",
-    doubt=True,
+    uncertainty=True,
 )
 
 
@@ -109,7 +109,9 @@ def test_weights_are_chosen_and_told(done):
 def test_stated_uncertainty_is_checked_on_new_trajectories(done):
     """eq. 10 knows no drag: its noise holds the phantom's, and covers it."""
     folder, result, _ = done
-    stated = {each.setting: each for each in result.patients[0].doubts}["eq10_auto"]
+    stated = {each.setting: each for each in result.patients[0].uncertainties}[
+        "eq10_auto"
+    ]
     assert not stated.refused
     for name in ("press_test", "sweep_test"):
         figures, curve = stated.figures[name], stated.curves[name]

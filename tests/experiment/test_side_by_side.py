@@ -22,7 +22,7 @@ PLAN = experiment.Plan(
     comparators=("kelvin_voigt",),
     jobs=2,
     weights="auto",
-    doubt=True,
+    uncertainty=True,
 )
 
 
@@ -53,8 +53,8 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     monkeypatch.setattr(side_by_side, "boundary_errors", noted("boundary"))
     monkeypatch.setattr(
         side_by_side,
-        "stated_doubt",
-        lambda fits, setting, *_: noted(f"doubt of {setting.name}")(fits),
+        "stated_uncertainty",
+        lambda fits, setting, *_: noted(f"uncertainty of {setting.name}")(fits),
     )
     monkeypatch.setattr(
         side_by_side.rivals, "rival", lambda fits, name, *_: noted(name)(fits)
@@ -72,7 +72,7 @@ def test_every_task_of_every_patient_is_done_once(
     everyone = patients()
     side_by_side.do_ahead(everyone, PLAN, tmp_path, told.append)
     tasks = [s.name for s in PLAN.settings] + ["boundary", "kelvin_voigt"]
-    tasks.append("doubt of eq10_auto")
+    tasks.append("uncertainty of eq10_auto")
     assert sorted(set(done)) == sorted(
         (who.name, task) for who in everyone for task in (*tasks, "examined")
     )

@@ -37,9 +37,9 @@ def test_every_parameter_is_told_how_well(name: str) -> None:
     solution = tt.fit(fitted(), name, **options)
     assert solution.status is tt.Status.SOLVED, solution.advice
     identified = set(solution.parameters) - GIVEN
-    errors, doubts = set(solution.standard_errors), set(solution.not_identified)
-    assert identified == errors | doubts
-    assert not errors & doubts
+    errors, reasons = set(solution.standard_errors), set(solution.not_identified)
+    assert identified == errors | reasons
+    assert not errors & reasons
     assert all(error > 0.0 for error in solution.standard_errors.values())
     assert all(solution.not_identified.values())
     lines = {line.split()[0].rstrip(":") for line in solution.identified}

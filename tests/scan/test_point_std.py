@@ -85,13 +85,15 @@ def test_good_points_among_bad_ones_decide() -> None:
     truth = float(np.hypot(cloud[:, 0], cloud[:, 1]).mean())
     noisy = cloud + (std * rng.standard_normal(len(cloud)))[:, None] * outward
     size = {"axis": Axis.identity(), "support": None, "n_theta": 60, "n_z": 20}
-    errors, doubts = [], []
+    errors, uncertainties = [], []
     for deviations in (None, std):
         found = extract_surface(noisy, point_std=deviations, **size)
         errors.append(np.sqrt(np.mean((found.radius - truth) ** 2)))
-        doubts.append(found.radius_std.mean())
+        uncertainties.append(found.radius_std.mean())
     assert errors[1] < 0.7 * errors[0]
-    assert 0.3 < errors[1] / doubts[1] < 1.2  # a circle has less slope than assumed
+    assert (
+        0.3 < errors[1] / uncertainties[1] < 1.2
+    )  # a circle has less slope than assumed
 
 
 @pytest.mark.parametrize(

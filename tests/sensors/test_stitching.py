@@ -16,7 +16,7 @@ from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics
-from ttus_opt.sensors.stitching import PoseDoubt, read_camera_poses, stitch
+from ttus_opt.sensors.stitching import PoseUncertainty, read_camera_poses, stitch
 from ttus_opt.sensors.unprojection import Unprojection
 
 CAMERAS = (
@@ -83,7 +83,7 @@ def test_a_pose_that_is_off_is_refined() -> None:
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     poses = np.stack([POSES[0], OFF])
     assert body_error(OFF) > 5e-3
-    found = stitch(images("body and bed"), poses, refine=PoseDoubt())
+    found = stitch(images("body and bed"), poses, refine=PoseUncertainty())
     assert body_error(found.poses[1]) < 1.5e-3
     np.testing.assert_array_equal(found.poses[0], POSES[0])
     (refinement,) = found.refinements
@@ -101,8 +101,10 @@ def test_a_surely_measured_pose_stays() -> None:
     poses = np.stack([POSES[0], slightly])
     steps = []
     for shift, turn in ((0.005, 0.5), (0.0005, 0.05)):
-        doubt = PoseDoubt(shift, float(np.deg2rad(turn)))
-        steps.append(stitch(images("body and bed"), poses, refine=doubt).refinements[0])
+        uncertainty = PoseUncertainty(shift, float(np.deg2rad(turn)))
+        steps.append(
+            stitch(images("body and bed"), poses, refine=uncertainty).refinements[0]
+        )
     assert steps[0].turn > 1.02 * steps[1].turn
     assert steps[0].shift > 1.02 * steps[1].shift
 
@@ -111,14 +113,14 @@ def test_a_surely_measured_pose_stays() -> None:
 def test_what_slides_is_refused(what: str) -> None:
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     with pytest.raises(InputError, match="scan 2 slides on the others"):
-        stitch(images(what), POSES, refine=PoseDoubt())
+        stitch(images(what), POSES, refine=PoseUncertainty())
 
 
 def test_what_leaves_its_measured_pose_is_refused() -> None:
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     poses = np.stack([POSES[0], OFF])
     with pytest.raises(InputError, match="deviations of its measured pose"):
-        stitch(images("body and bed"), poses, refine=PoseDoubt(0.0005, 0.001))
+        stitch(images("body and bed"), poses, refine=PoseUncertainty(0.0005, 0.001))
 
 
 def test_what_does_not_overlap_is_refused() -> None:
@@ -127,7 +129,9 @@ def test_what_does_not_overlap_is_refused() -> None:
     away[:3, 3] += [0.0, 0.3, 0.0]
     with pytest.raises(InputError, match="scan 2 overlaps the others by 0 %"):
         stitch(
-            images("body and bed"), np.stack([POSES[0], away]), refine=PoseDoubt(0.1)
+            images("body and bed"),
+            np.stack([POSES[0], away]),
+            refine=PoseUncertainty(0.1),
         )
 
 
@@ -138,15 +142,15 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="0 images"):
         stitch([], [])
     with pytest.raises(InputError, match="more than one scan"):
-        stitch(shots[:1], POSES[:1], refine=PoseDoubt())
+        stitch(shots[:1], POSES[:1], refine=PoseUncertainty())
     with pytest.raises(InputError, match="millimetres"):
         stitch(shots[:1], [np.array(POSES[0]) + 1e3 * np.eye(4, k=3)])
     for shift, turn in ((0.0, 0.1), (5.0, 0.01), (0.005, 1.0), (np.nan, 0.1)):
         with pytest.raises(InputError, match="another unit"):
-            PoseDoubt(shift, turn)
+            PoseUncertainty(shift, turn)
     monkeypatch.setitem(__import__("sys").modules, "small_gicp", None)
     with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
-        stitch(shots, POSES, refine=PoseDoubt())
+        stitch(shots, POSES, refine=PoseUncertainty())
 
 
 def poses_file(file: Path, order: str = "wxyz") -> Path:

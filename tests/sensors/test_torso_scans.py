@@ -33,7 +33,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import Intrinsics
-from ttus_opt.sensors.stitching import PoseDoubt, stitch
+from ttus_opt.sensors.stitching import PoseUncertainty, stitch
 from ttus_opt.sensors.unprojection import Unprojection
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "torso"
@@ -229,7 +229,10 @@ def test_real_points_are_put_back(apart: float, most: float) -> None:
 
     measured_poses = [seen[0].pose, seen[1].pose @ change]
     found = stitch(
-        images, measured_poses, noise=noise_model("stereo:0.05"), refine=PoseDoubt()
+        images,
+        measured_poses,
+        noise=noise_model("stereo:0.05"),
+        refine=PoseUncertainty(),
     )
     before, after = off(*measured_poses), off(*found.poses)
     told = found.refinements[0]

@@ -15,7 +15,7 @@ from ttus_opt.core.errors import InputError, located
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage
-    from ttus_opt.sensors.stitching import PoseDoubt, Stitched
+    from ttus_opt.sensors.stitching import PoseUncertainty, Stitched
 
 #: Suffixes of files that can only be depth images
 IMAGES = (".png", ".tif", ".tiff")
@@ -90,7 +90,7 @@ class DepthOptions:
 
         scans = cloud.scans
         noise = None if self.noise is None else noise_model(self.noise)
-        doubt = self._doubt() if self.refine else None
+        uncertainty = self._uncertainty() if self.refine else None
         if self.poses is not None:
             order: Any = self.pose_quaternion  # checked there
             poses = read_camera_poses(self.poses, len(scans), order=order)
@@ -101,7 +101,7 @@ class DepthOptions:
                 f"{len(scans)} depth images need the poses of their cameras: give "
                 "--poses"
             )
-        return stitch(self._images(cloud), poses, noise=noise, refine=doubt)
+        return stitch(self._images(cloud), poses, noise=noise, refine=uncertainty)
 
     def _images(self, cloud: CloudOptions) -> list[DepthImage]:
         from ttus_opt.sensors.depth import read_depth_image
@@ -127,12 +127,12 @@ class DepthOptions:
             for scan, camera in zip(cloud.scans, cameras, strict=True)
         ]
 
-    def _doubt(self) -> PoseDoubt:
-        from ttus_opt.sensors.stitching import PoseDoubt
+    def _uncertainty(self) -> PoseUncertainty:
+        from ttus_opt.sensors.stitching import PoseUncertainty
 
         shift, degrees = numbers(self.pose_std, 2, "--pose-std")
         with located("--pose-std"):
-            return PoseDoubt(shift, math.radians(degrees))
+            return PoseUncertainty(shift, math.radians(degrees))
 
 
 def stitched_facts(found: Stitched) -> dict[str, Any]:

@@ -31,7 +31,7 @@ def evaluate(
     probe: ProbeOptions,
     recordings: RecordingOptions,
     picture: Path | None = None,
-    doubt: bool = False,
+    uncertainty: bool = False,
     calibration_picture: Path | None = None,
     force: bool = False,
     json: bool = False,
@@ -41,9 +41,9 @@ def evaluate(
     Args:
         field: Field file (.nc).
         picture: Draw measured and rendered force here.
-        doubt: Compare the errors of every recording with the uncertainty that fit
-            --doubt saved in the field file.
-        calibration_picture: Draw that comparison here; implies --doubt.
+        uncertainty: Compare the errors of every recording with the uncertainty that fit
+            --uncertainty saved in the field file.
+        calibration_picture: Draw that comparison here; implies --uncertainty.
 
     Example:
         ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -51,7 +51,7 @@ def evaluate(
     """
     from ttus_opt.cli.recording_lines import recording_lines
     from ttus_opt.contact.cut_off import cut_off
-    from ttus_opt.fitting.uncertainty.saved_doubt import read_doubt
+    from ttus_opt.fitting.uncertainty.saved_uncertainty import read_uncertainty
     from ttus_opt.haptic.field_wrench import over_limits
     from ttus_opt.report import metrics
     from ttus_opt.report.hysteresis import hysteresis_share
@@ -61,7 +61,7 @@ def evaluate(
     check_outputs(
         [], [field, probe.probe, *recordings.files], force=force, pictures=pictures
     )
-    doubt = doubt or calibration_picture is not None
+    uncertainty = uncertainty or calibration_picture is not None
     with Stages(2 if pictures == [None, None] else 3) as begin:
         begin("reading field and recordings")
         as_written = recordings.as_written()
@@ -70,7 +70,7 @@ def evaluate(
         fitted_to = seen(potential.provenance, recordings.trajectory)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, potential.voxmap.surface)
-        stated = read_doubt(field, shell) if doubt else None
+        stated = read_uncertainty(field, shell) if uncertainty else None
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
         cut = cut_off(potential.voxmap, shell, recorded.rotation, recorded.position)

@@ -22,7 +22,7 @@ def experiment(
     comparators: str = "",
     jobs: int = 1,
     dask: str = "",
-    doubt: bool = False,
+    uncertainty: bool = False,
     refine: bool = False,
     json: bool = False,
 ) -> None:
@@ -46,8 +46,8 @@ def experiment(
         comparators: Also compare other models: names separated by commas, or all.
         jobs: Number of patients and settings at a time (extra parallel).
         dask: Address of a dask scheduler, host:port, whose workers can see the folder.
-        doubt: Also check how well the stated uncertainty of fits agrees with their
-            errors, for fits whose weights come from the recordings.
+        uncertainty: Also check how well the stated uncertainty of fits agrees with
+            their errors, for fits whose weights come from the recordings.
         refine: Also fit the default model to poses refined by the forces, as ttus-opt
             refine-poses does.
 
@@ -70,7 +70,7 @@ def experiment(
         weights,
         jobs,
         dask,
-        doubt,
+        uncertainty,
         refine,
     )
     with Stages(n_stages(plan)) as begin:

@@ -98,8 +98,8 @@ def fit(
     torque_length: float | None = None,
     time_limit: float = 600.0,
     picture: Path | None = None,
-    doubt: bool = False,
-    doubt_picture: Path | None = None,
+    uncertainty: bool = False,
+    uncertainty_picture: Path | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -115,10 +115,10 @@ def fit(
         time_limit: Time limit of the command [s]; the solver is given what is left of
             it when the weights are chosen.
         picture: Draw the probe on the skin with the measured forces here.
-        doubt: Save the field's uncertainty in the field file, for ttus-opt evaluate
-            --doubt and for rendering.
-        doubt_picture: Draw here where the patient was measured and where the model only
-            guesses; implies --doubt.
+        uncertainty: Save the field's uncertainty in the field file, for ttus-opt
+            evaluate --uncertainty and for rendering.
+        uncertainty_picture: Draw here where the patient was measured and where the
+            model only guesses; implies --uncertainty.
 
     Example:
         ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -139,7 +139,7 @@ def fit(
     conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
-    pictures = [picture, doubt_picture]
+    pictures = [picture, uncertainty_picture]
     check_outputs(
         [output],
         [surface, probe.probe, *recordings.files],
@@ -178,7 +178,7 @@ def fit(
                 **sources(surface, probe, recordings, context.params),
                 **fitted_contacts(patient, shell, recorded),
             }
-            draws = doubt or doubt_picture is not None
+            draws = uncertainty or uncertainty_picture is not None
             begin("checking the recordings")
             report = check_recordings(
                 choice.scene,
@@ -192,7 +192,7 @@ def fit(
             begin("writing the field" + draws * " and drawing from its posterior")
             _write(
                 replace(found, provenance={**found.provenance, **origin}),
-                *(solution, choice.scene, output, (doubt, doubt_picture)),
+                *(solution, choice.scene, output, (uncertainty, uncertainty_picture)),
             )
     lines: list[str] = []
     if report is not None:
@@ -220,31 +220,33 @@ def _write(
     solution: Solution,
     scene: Scene,
     output: Path,
-    doubted: tuple[bool, Path | None],
+    wanted: tuple[bool, Path | None],
 ) -> None:
-    """Write the field, with its doubt and a picture of it where they are asked for.
+    """Write the field; with its uncertainty and a picture of it where asked for.
 
-    A `TtusWarning` says why where there is no doubt.
+    A `TtusWarning` says why where there is no uncertainty.
     """
-    asked, picture = doubted
+    asked, picture = wanted
     if not asked and picture is None:
         found.save(output)
         return
-    from ttus_opt.fitting.uncertainty.doubt import doubt
-    from ttus_opt.fitting.uncertainty.saved_doubt import save_with_doubt
+    from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
+    from ttus_opt.fitting.uncertainty.saved_uncertainty import save_with_uncertainty
     from ttus_opt.report import plots
 
     try:
-        saved = save_with_doubt(found, doubt(solution, scene), output)
+        saved = save_with_uncertainty(found, uncertainty(solution, scene), output)
     except InputError as error:
         found.save(output)
         warnings.warn(
-            f"{output} was written without doubt: {error}", TtusWarning, stacklevel=2
+            f"{output} was written without uncertainty: {error}",
+            TtusWarning,
+            stacklevel=2,
         )
         return
     if picture is not None:
-        assert saved.doubt is not None
-        figure = plots.doubt_picture(saved.doubt, scene.trajectory)
+        assert saved.uncertainty is not None
+        figure = plots.uncertainty_picture(saved.uncertainty, scene.trajectory)
         plots.save_picture(figure, picture)
 
 

@@ -57,7 +57,7 @@ def next_press(
     """
     from ttus_opt.fitting.batch import fit
     from ttus_opt.fitting.uncertainty import next_press as places
-    from ttus_opt.fitting.uncertainty.doubt import doubt
+    from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
     from ttus_opt.fitting.weights.weight_choice import choice_of, word_for
     from ttus_opt.report import plots
     from ttus_opt.scan.surface import Surface
@@ -86,7 +86,7 @@ def next_press(
             choice.scene, choice.formulation, solver=problem.solver, tolerance=tolerance
         )
         begin("stating its uncertainty")
-        stated = doubt(solution, choice.scene)
+        stated = uncertainty(solution, choice.scene)
         begin("choosing places")
         found = places.next_press(
             stated, count, sector=sector, box=limits, depth=depth, spacing=spacing

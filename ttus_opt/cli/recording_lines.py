@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.uncertainty.doubt_check import Calibration
-    from ttus_opt.fitting.uncertainty.saved_doubt import SavedDoubt
+    from ttus_opt.fitting.uncertainty.saved_uncertainty import SavedUncertainty
+    from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.report.calibration_curve import CalibrationCurve
@@ -26,32 +26,34 @@ class RecordingLine:
         name: Name of the recording.
         frames: Its frames [–].
         hysteresis_share: Work of presses that is not given back; NaN without any.
-        doubt: Stated doubt against errors; None if not requested.
-        refused: Why the requested doubt is missing; "" otherwise.
-        curve: The same comparison as curves; None without doubt.
+        uncertainty: Stated uncertainty against errors; None if not requested.
+        refused: Why the requested uncertainty is missing; "" otherwise.
+        curve: The same comparison as curves; None without uncertainty.
         errors: Errors of its frames.
     """
 
     name: str
     frames: int
     hysteresis_share: float
-    doubt: Calibration | None = None
+    uncertainty: Calibration | None = None
     refused: str = ""
     curve: CalibrationCurve | None = None
     errors: Errors | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; with ``doubt`` only if requested."""
+        """For JSON; with ``uncertainty`` only if requested."""
         facts: dict[str, Any] = {
             "name": self.name,
             "frames": self.frames,
             "hysteresis_share": self.hysteresis_share,
             "errors": None if self.errors is None else self.errors.as_dict(),
         }
-        if self.doubt is not None or self.refused:
-            facts["doubt"] = None if self.doubt is None else self.doubt.as_dict()
+        if self.uncertainty is not None or self.refused:
+            facts["uncertainty"] = (
+                None if self.uncertainty is None else self.uncertainty.as_dict()
+            )
         if self.refused:
-            facts["doubt_refused"] = self.refused
+            facts["uncertainty_refused"] = self.refused
         return facts
 
     @property
@@ -64,16 +66,16 @@ class RecordingLine:
                 "of their work to hysteresis"
             )
         if self.refused:
-            lines.append(f"{self.name}: no doubt: {self.refused}")
-        if self.doubt is not None:
-            lines += self._doubted(self.doubt)
+            lines.append(f"{self.name}: no uncertainty: {self.refused}")
+        if self.uncertainty is not None:
+            lines += self._uncertainty_lines(self.uncertainty)
         return lines
 
-    def _doubted(self, found: Calibration) -> list[str]:
+    def _uncertainty_lines(self, found: Calibration) -> list[str]:
         torque = not math.isnan(found.torque_std_Nm)
         unknown = found.frames_unknown
         line = (
-            f"{self.name}: doubt {found.force_std_N:.3f} N"
+            f"{self.name}: uncertainty {found.force_std_N:.3f} N"
             + (f", {1e3 * found.torque_std_Nm:.1f} mN m" if torque else "")
             + " in the median; the 95 % interval covers "
             + f"{100 * found.force_coverage:.1f} % of force"
@@ -82,13 +84,17 @@ class RecordingLine:
         )
         force = _with_error(found.force_rank_correlation, found.force_rank_error)
         turn = _with_error(found.torque_rank_correlation, found.torque_rank_error)
-        ranks = f"{self.name}: rank correlation of error and doubt {force} for force"
+        ranks = (
+            f"{self.name}: rank correlation of error and uncertainty {force} for force"
+        )
         ranks += f" and {turn} for torque" if torque else ""
         if not math.isnan(found.force_place_rank_correlation):
             ranks += f"; between its {found.places} places "
             ranks += f"{found.force_place_rank_correlation:.2f}"
             ranks += f" and {found.torque_place_rank_correlation:.2f}" if torque else ""
-        deeper = f"{self.name}: {unknown} frames reach deeper than the saved doubt"
+        deeper = (
+            f"{self.name}: {unknown} frames reach deeper than the saved uncertainty"
+        )
         return [line, ranks, deeper] if unknown else [line, ranks]
 
 
@@ -102,7 +108,7 @@ def recording_lines(
     shell: PointShell,
     recorded: Trajectory,
     names: Sequence[str],
-    doubt: SavedDoubt | None,
+    uncertainty: SavedUncertainty | None,
 ) -> list[RecordingLine]:
     """Report on each recording.
 
@@ -111,11 +117,14 @@ def recording_lines(
         shell: The probe.
         recorded: All recordings as one.
         names: Names of the recordings; numbers if a file has several.
-        doubt: Doubt of the field; None if not requested.
+        uncertainty: Uncertainty of the field; None if not requested.
     """
     import numpy as np
 
-    from ttus_opt.fitting.uncertainty.doubt_check import calibration_curve, check_doubt
+    from ttus_opt.fitting.uncertainty.uncertainty_check import (
+        calibration_curve,
+        check_uncertainty,
+    )
     from ttus_opt.report.hysteresis import hysteresis_share
 
     numbers = np.unique(recorded.segment)
@@ -127,10 +136,10 @@ def recording_lines(
         own, part = recorded.select(frames), judged.over(frames)
         lost = hysteresis_share(own, shell, judged.errors.force_threshold_N)
         found, refused, curve = None, "", None
-        if doubt is not None:
+        if uncertainty is not None:
             try:
-                found = check_doubt(doubt, part, own)
-                curve = calibration_curve(doubt, part, own)
+                found = check_uncertainty(uncertainty, part, own)
+                curve = calibration_curve(uncertainty, part, own)
             except InputError as error:
                 refused = str(error)
         line = RecordingLine(name, len(own), lost, found, refused, curve, part.errors)

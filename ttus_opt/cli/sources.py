@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PACKAGES = ("ttus-opt", "numpy", "scipy", "numba")
 
 #: Options that say nothing of the field
-NOT_OF_THE_FIELD = ("output", "json", "force", "picture", "doubt_picture")
+NOT_OF_THE_FIELD = ("output", "json", "force", "picture", "uncertainty_picture")
 
 
 def sources(

@@ -54,7 +54,7 @@ def _curves(result: ExperimentResult) -> tuple[dict[str, CalibrationCurve], str]
     """Curves of each patient's last setting that has some, and the settings' names."""
     curves, names = {}, []
     for each in result.patients:
-        own = [stated for stated in each.doubts if stated.curves]
+        own = [stated for stated in each.uncertainties if stated.curves]
         for recording, curve in (own[-1].curves if own else {}).items():
             curves[f"{each.patient.name}, {recording.split('_')[0]}"] = curve
             names.append(title(own[-1].setting))

@@ -13,7 +13,6 @@ from ttus_opt.core import io
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.doubts import stated_doubt
 from ttus_opt.experiment.fits import PatientFits, write_kept
 from ttus_opt.experiment.patients import Patient, names, patients
 from ttus_opt.experiment.recordings import examine
@@ -30,6 +29,7 @@ from ttus_opt.experiment.settings import (
     Setting,
 )
 from ttus_opt.experiment.side_by_side import do_ahead
+from ttus_opt.experiment.uncertainties import stated_uncertainty
 from ttus_opt.report.metrics import as_rendered, compare
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
@@ -89,7 +89,7 @@ def run(
 
 def n_stages(plan: Plan) -> int:
     """Most calls of ``progress`` by `run`."""
-    each = 3 + len(plan.settings) + len(plan.rivals) + len(plan.doubted)
+    each = 3 + len(plan.settings) + len(plan.rivals) + len(plan.with_uncertainty)
     passes = 2 if plan.jobs > 1 or plan.dask else 1
     return 2 + passes * each * len(plan.patients or patients())
 
@@ -155,12 +155,17 @@ def _on_patient(
     for name in others:
         begin(f"{patient.name}: {name}")
         compared_with.append(rivals.rival(fits, name, folder, digest))
-    doubts = []
-    for setting in plan.doubted:
-        begin(f"{patient.name}: doubt of {setting.name}")
-        doubts.append(stated_doubt(fits, setting, folder, fits.stamp))
+    uncertainties = []
+    for setting in plan.with_uncertainty:
+        begin(f"{patient.name}: uncertainty of {setting.name}")
+        uncertainties.append(stated_uncertainty(fits, setting, folder, fits.stamp))
     return PatientResult(
-        examination, found, boundary, tuple(compared_with), tuple(doubts), _itself(fits)
+        examination,
+        found,
+        boundary,
+        tuple(compared_with),
+        tuple(uncertainties),
+        _itself(fits),
     )
 
 

@@ -94,7 +94,7 @@ def summary(result: ExperimentResult) -> list[Block]:
     rivals = tables.rivals_table(result, best)
     if rivals is not None:
         blocks += [Heading("Other ways, same data"), _about_rivals(result), rivals]
-    blocks += [*_chosen_weights(result), *_doubts(result)]
+    blocks += [*_chosen_weights(result), *_uncertainties(result)]
     return [*blocks, *_aims(result, best)]
 
 
@@ -205,13 +205,15 @@ _ABOUT_WEIGHTS = Text(
 )
 
 
-def _doubts(result: ExperimentResult) -> list[Block]:
+def _uncertainties(result: ExperimentResult) -> list[Block]:
     """How well stated uncertainty agrees with errors; nothing where not asked for."""
-    table = tables.doubt_table(result)
-    return [] if table is None else [Heading("How sure the model is"), _DOUBT, table]
+    table = tables.uncertainty_table(result)
+    return (
+        [] if table is None else [Heading("How sure the model is"), _UNCERTAINTY, table]
+    )
 
 
-_DOUBT = Text(
+_UNCERTAINTY = Text(
     "Median standard deviation that the fit states for rendered force and torque on "
     "new trajectories, and the share of measured components within the 95 % interval "
     "of this and the estimated noise together (90 to 98 % are asked). *Rank*: rank "

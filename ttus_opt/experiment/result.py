@@ -10,7 +10,6 @@ from typing import Any
 from ttus_opt.core.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError
-from ttus_opt.experiment.doubts import StatedDoubt
 from ttus_opt.experiment.fits import Fitted
 from ttus_opt.experiment.patients import Patient
 from ttus_opt.experiment.recordings import Examination
@@ -31,6 +30,7 @@ from ttus_opt.experiment.settings import (
     distinct,
     without_torque,
 )
+from ttus_opt.experiment.uncertainties import StatedUncertainty
 from ttus_opt.fitting.weights.weight_choice import checked_word
 from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -62,8 +62,8 @@ class Plan:
         torso_unit: Unit of that file.
         patients: Names of the patients; all when empty.
         comparators: Names of comparators, or ``("all",)``; none when empty.
-        doubt: Also check the stated uncertainty of fits whose weights come from the
-            recordings.
+        uncertainty: Also check the stated uncertainty of fits whose weights come from
+            the recordings.
         refine: Also fit the default model on poses refined by the forces
             (`ttus_opt.refine_poses`).
     """
@@ -79,7 +79,7 @@ class Plan:
     weights: str = GIVEN
     jobs: int = 1
     dask: str = ""
-    doubt: bool = False
+    uncertainty: bool = False
     refine: bool = False
 
     def __post_init__(self) -> None:
@@ -116,11 +116,11 @@ class Plan:
         return distinct((*own, *further, *more, *(REFINED,) * self.refine))
 
     @property
-    def doubted(self) -> tuple[Setting, ...]:
+    def with_uncertainty(self) -> tuple[Setting, ...]:
         """Settings whose uncertainty is checked: weights come from the recordings."""
         own = compared(self.formulations, self.weight)
         itself = [each for each in own if not each.options]
-        return (*itself, *chosen(self.formulations, self.weights)) * self.doubt
+        return (*itself, *chosen(self.formulations, self.weights)) * self.uncertainty
 
     @property
     def rivals(self) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ class PatientResult:
         fits: A fit per setting, by name.
         boundary: Errors over a decade of boundary values.
         rivals: The comparators.
-        doubts: Stated uncertainty, of the settings where it was asked for.
+        uncertainties: Stated uncertainty, of the settings where it was asked for.
         itself: Rows of the phantom's own wrench at the reported poses.
     """
 
@@ -145,7 +145,7 @@ class PatientResult:
     fits: dict[str, Fitted] = field(repr=False)
     boundary: tuple[BoundaryError, ...] = field(repr=False)
     rivals: tuple[Rival, ...] = field(repr=False)
-    doubts: tuple[StatedDoubt, ...] = field(repr=False)
+    uncertainties: tuple[StatedUncertainty, ...] = field(repr=False)
     itself: tuple[Row, ...] = field(repr=False)
 
     @property
@@ -192,7 +192,7 @@ class ExperimentResult:
                     "seed": each.patient.seed,
                     "fits": {k: dict(v.facts) for k, v in each.fits.items()},
                     "comparators": {r.name: dict(r.facts) for r in each.rivals},
-                    "doubt": {d.setting: d.as_dict() for d in each.doubts},
+                    "uncertainty": {d.setting: d.as_dict() for d in each.uncertainties},
                 }
                 for each in self.patients
             },

@@ -1,8 +1,8 @@
 """Patients and settings of an experiment in parallel, by joblib or on dask.
 
-All results are cached in files (`fits`, `boundary`, `rivals`, `doubts`), so that a task
-returns only its name; the experiment then reads the files in order. The next call
-repeats interrupted tasks only.
+All results are cached in files (`fits`, `boundary`, `rivals`, `uncertainties`), so that
+a task returns only its name; the experiment then reads the files in order. The next
+call repeats interrupted tasks only.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from ttus_opt.core import optional
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.doubts import stated_doubt
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import Patient
 from ttus_opt.experiment.recordings import examine
 from ttus_opt.experiment.settings import Setting
+from ttus_opt.experiment.uncertainties import stated_uncertainty
 from ttus_opt.fitting.path.task_pool import task_pool
 
 if TYPE_CHECKING:
     from ttus_opt.experiment.result import Plan
 
 
-class _Doubt(NamedTuple):
+class _Uncertainty(NamedTuple):
     """A setting whose uncertainty is to be checked."""
 
     setting: Setting
@@ -33,7 +33,7 @@ class _Doubt(NamedTuple):
 
 #: A setting to fit or whose uncertainty to check, a comparator's name, or None for the
 #: boundary values
-Task = Setting | _Doubt | str | None
+Task = Setting | _Uncertainty | str | None
 
 
 def do_ahead(
@@ -56,7 +56,7 @@ def do_ahead(
     """
     delayed = optional.load("joblib", "parallel").delayed
     tasks: list[Task] = [*plan.settings, None, *plan.rivals]
-    tasks += map(_Doubt, plan.doubted)
+    tasks += map(_Uncertainty, plan.with_uncertainty)
     with task_pool(plan.jobs, plan.dask) as run:
         for done in run(delayed(_examined)(who, plan, folder) for who in patients):
             begin(done)
@@ -80,8 +80,8 @@ def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
     if task is None:
         boundary_errors(fits, plan.weight, own / "boundary.json", fits.stamp)
         return f"{patient.name}: boundary values"
-    if isinstance(task, _Doubt):
-        stated_doubt(fits, task.setting, own, fits.stamp)
-        return f"{patient.name}: doubt of {task.setting.name}"
+    if isinstance(task, _Uncertainty):
+        stated_uncertainty(fits, task.setting, own, fits.stamp)
+        return f"{patient.name}: uncertainty of {task.setting.name}"
     rivals.rival(fits, task, own, digest)
     return f"{patient.name}: {task}"

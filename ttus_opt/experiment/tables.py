@@ -165,11 +165,11 @@ def torque_table(result: ExperimentResult) -> Table:
     return Table(["", *(name for name, _, _ in columns)], lines)
 
 
-def doubt_table(result: ExperimentResult) -> Table | None:
+def uncertainty_table(result: ExperimentResult) -> Table | None:
     """Stated uncertainty against errors on new trajectories; None without any."""
     lines = []
     for each in result.patients:
-        for stated in each.doubts:
+        for stated in each.uncertainties:
             name = f"{each.patient.name}, {title(stated.setting)}"
             if stated.refused:
                 lines.append([f"{name}: {stated.refused}", *[""] * 6])

@@ -100,22 +100,22 @@ def fit(
             "the formulation belongs to another scene: build it for this one"
         )
     request = Request(tolerance, time_limit)
-    doubts = declared.not_identifiable()
+    reasons = declared.not_identifiable()
     warn_of_one_sense(declared, "0 is used")
-    declared = declared.with_neutral(doubts)
+    declared = declared.with_neutral(reasons)
     if declared.search is None:
         unsearched = SearchResult(declared, {})
-        return _fit_identified(unsearched, doubts, solver, request, watch)
+        return _fit_identified(unsearched, reasons, solver, request, watch)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
     fits = RepeatedFit(solver, loose), RepeatedFit(solver, request)
-    result = search_parameters(declared.search, *fits, doubts)
+    result = search_parameters(declared.search, *fits, reasons)
     result = replace(result, formulation=result.formulation.named(declared.name))
-    return _fit_identified(result, doubts, solver, request, None, watch)
+    return _fit_identified(result, reasons, solver, request, None, watch)
 
 
 def _fit_identified(
     found: SearchResult,
-    doubts: Mapping[str, str],
+    reasons: Mapping[str, str],
     solver: str | Path | Solver,
     request: Request,
     declaring: Stopwatch | None,
@@ -125,15 +125,15 @@ def _fit_identified(
 
     Args:
         found: The formulation, and estimates of the searched parameters.
-        doubts: Why a parameter is not identified, by name.
+        reasons: Why a parameter is not identified, by name.
         solver: As in `fit`.
         request: Tolerance and time limit.
         declaring: Started with the declaration; None after a search.
         searching: Started with the search; None without one.
     """
     declared = found.formulation
-    known = dict(doubts)
-    known |= {name: e.doubt for name, e in found.estimates.items() if e.doubt}
+    known = dict(reasons)
+    known |= {name: e.reason for name, e in found.estimates.items() if e.reason}
     estimates = {n: e for n, e in found.estimates.items() if n not in known}
     n_searched = len(estimates)
     spent, compiled = 0.0, 0.0
@@ -148,7 +148,7 @@ def _fit_identified(
         )
         spent += watch.seconds
         compiled += watch.compile
-        more = {n: e.doubt for n, e in estimates.items() if e.doubt}
+        more = {n: e.reason for n, e in estimates.items() if e.reason}
         if not any(estimates[name].value for name in more):
             # all are identified, or have their neutral value already
             known |= more

@@ -72,7 +72,8 @@ class Wrench:
             wrench that is not finite is zero, ``force``. Without these, ``end`` tells
             of contact in the last voxel at an axial end of the grid, over which the
             force fades to zero.
-        force_std: Standard deviation of the force by a `DoubtMap`; NaN without one [N].
+        force_std: Standard deviation of the force by an `UncertaintyMap`; NaN without
+            one [N].
     """
 
     force: Array

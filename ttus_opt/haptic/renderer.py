@@ -38,7 +38,7 @@ from ttus_opt.haptic.field_swap import (
 )
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, DragSource, Limit
 from ttus_opt.haptic.field_wrench import Wrench as Wrench
-from ttus_opt.haptic.force_doubt import ForceDoubt
+from ttus_opt.haptic.force_uncertainty import ForceUncertainty
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.tables import frame_table, render_tables, table_of
@@ -54,8 +54,8 @@ from ttus_opt.haptic.wrench import (
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
-from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 if TYPE_CHECKING:
     from ttus_opt.haptic.c_interface import CFunction, Context
@@ -89,13 +89,13 @@ class Renderer:
             torque by the same factor. ``math.inf`` for none.
         torque_limit: Largest torque [N·m], alike. A wrench beyond both limits is scaled
             by the smaller factor.
-        doubt: Relative standard deviation of the force over the skin, for the first
-            field; `render` then looks up `Wrench.force_std`. True takes the map stored
-            with the field.
+        uncertainty: Relative standard deviation of the force over the skin, for the
+            first field; `render` then looks up `Wrench.force_std`. True takes the map
+            stored with the field.
 
     Raises:
         InputError: A limit that is not positive, unusable drag parameters, or
-            ``doubt=True`` for a field without a map.
+            ``uncertainty=True`` for a field without a map.
     """
 
     def __init__(
@@ -107,11 +107,11 @@ class Renderer:
         motion: MotionFilter | None = None,
         force_limit: float = FORCE_LIMIT,
         torque_limit: float = TORQUE_LIMIT,
-        doubt: DoubtMap | bool | None = None,
+        uncertainty: UncertaintyMap | bool | None = None,
     ) -> None:
         expect(field, PotentialField, "the field")
         expect(shell, PointShell, "the probe")
-        self._doubt = ForceDoubt.of(doubt, field)
+        self._uncertainty = ForceUncertainty.of(uncertainty, field)
         _require_positive("force_limit", force_limit, "N")
         _require_positive("torque_limit", torque_limit, "N m")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
@@ -198,7 +198,7 @@ class Renderer:
         try:
             counts, drag = self._render(rotation, position, twist, time, order)
             wrench = self._buffers.rows[WRENCH].copy()
-            std = self._doubt.std(wrench, self._buffers.at)
+            std = self._uncertainty.std(wrench, self._buffers.at)
         finally:
             self._turn.release()
         points, in_grid, beyond, limit = counts

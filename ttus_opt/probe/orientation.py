@@ -75,9 +75,9 @@ def orient_faces(mesh: TriangleMesh, rng: np.random.Generator) -> FaceOrientatio
     flip = flip_in_patch ^ (total < 0)[patch]
     exposure = np.where(flip, escaped[:, 1], escaped[:, 0])
     if n_rays < CAREFUL_RAYS:
-        doubt = np.flatnonzero((exposure > DOUBTFUL[0]) & (exposure < DOUBTFUL[1]))
-        _, again = _side_statistics(mesh, tree, doubt, CAREFUL_RAYS, rng)
-        exposure[doubt] = np.where(flip[doubt], again[:, 1], again[:, 0])
+        doubtful = np.flatnonzero((exposure > DOUBTFUL[0]) & (exposure < DOUBTFUL[1]))
+        _, again = _side_statistics(mesh, tree, doubtful, CAREFUL_RAYS, rng)
+        exposure[doubtful] = np.where(flip[doubtful], again[:, 1], again[:, 0])
     return FaceOrientation(flip, vote, exposure, patch)
 
 

@@ -42,7 +42,7 @@ def front_along(depth: Array) -> float:
     low, high = np.percentile(depth, [2, 98])
     lean = (0.5 * (low + high) - depth.mean()) / (high - low)
     if abs(lean) < 0.5 * CLEAR:
-        _doubt("which side is the front", "prone=True turns it over")
+        _uncertainty("which side is the front", "prone=True turns it over")
     return 1.0 if lean >= 0.0 else -1.0
 
 
@@ -70,11 +70,11 @@ def head_along(z: Array, depth: Array, *, supported: bool) -> float:
         middles.append(0.5 * (start + end))
         depths.append(front if supported else front - back)
     if len(middles) < 3:
-        _doubt_head()
+        _uncertainty_head()
         return 1.0
     slope = float(np.polyfit(middles, depths, 1)[0])
     if abs(slope) * (edges[-1] - edges[0]) < CLEAR * float(np.mean(depths)):
-        _doubt_head()
+        _uncertainty_head()
     return 1.0 if slope >= 0.0 else -1.0
 
 
@@ -116,9 +116,9 @@ def sign_towards(z: Array, head: Array) -> float:
     return float(np.sign(along))
 
 
-def _doubt_head() -> None:
-    _doubt("which end is the head", "give head=x,y,z, a direction in the scan")
+def _uncertainty_head() -> None:
+    _uncertainty("which end is the head", "give head=x,y,z, a direction in the scan")
 
 
-def _doubt(what: str, remedy: str) -> None:
+def _uncertainty(what: str, remedy: str) -> None:
     warn(f"the scan hardly shows {what}, so this is a guess: {remedy}", 5)

@@ -161,8 +161,8 @@ def associate(
     else:
         explained = depth_noise**2
         noise = depth_noise**2 * (weight**2).sum(axis=-1)
-    doubt = np.maximum(spread - 2.0 * explained, 0.0)
-    return _Measurement(predicted + y, np.where(seen, noise + doubt, 1.0), seen)
+    uncertainty = np.maximum(spread - 2.0 * explained, 0.0)
+    return _Measurement(predicted + y, np.where(seen, noise + uncertainty, 1.0), seen)
 
 
 def _mean_noise(inside: NDArray[np.bool_], depth_noise: float | Array) -> Array:

@@ -163,7 +163,7 @@ def board_pose(
             f"the corners lie {found.residual:.3g} pixels from where a board of "
             f"{board.columns} columns and {board.rows} rows would have them: {hint}"
         )
-    _doubt(found)
+    _uncertainty(found)
     return found
 
 
@@ -209,7 +209,7 @@ def marker_poses(
         other = float(errors[1, 0]) if len(errors) > 1 else None
         pose = _refined((int(number),), points, pixels, camera, (turns[0], shifts[0]))
         pose = replace(pose, other_residual=other)
-        _doubt(pose)
+        _uncertainty(pose)
         found.append(pose)
     return found
 
@@ -348,7 +348,7 @@ def _from_turns(rotvec: Array) -> Array:
     return out
 
 
-def _doubt(found: MarkerPose) -> None:
+def _uncertainty(found: MarkerPose) -> None:
     """Warn of a pose that fits badly or is ambiguous."""
     what = f"marker{'s' * (len(found.markers) > 1)} {_listed(np.array(found.markers))}"
     if found.residual > DOUBTFUL:

@@ -53,7 +53,7 @@ NEIGHBOURS = 40
 
 
 @dataclass(frozen=True)
-class PoseDoubt:
+class PoseUncertainty:
     """Uncertainty of the measured camera poses.
 
     Attributes:
@@ -146,7 +146,7 @@ def stitch(
     poses: Sequence[PoseLike] | Array,
     *,
     noise: NoiseModel | None = None,
-    refine: PoseDoubt | None = None,
+    refine: PoseUncertainty | None = None,
 ) -> Stitched:
     """Merge scans into one frame.
 
@@ -200,7 +200,7 @@ class _Surfels:
 
 
 def _refined(
-    clouds: list[Array], poses: Array, doubt: PoseDoubt
+    clouds: list[Array], poses: Array, uncertainty: PoseUncertainty
 ) -> tuple[Array, tuple[Refinement, ...]]:
     """Poses refined so that each scan lies on those before; the first is kept."""
     poses = poses.copy()
@@ -214,7 +214,7 @@ def _refined(
         shares = [_overlap(near, moved(thinned[k].points, poses[k])) for k in left]
         share, k = max(zip(shares, left, strict=True))
         poses[k], refinement = _one_refined(
-            k, share, thinned[k], _Surfels.of(there), poses[k], doubt
+            k, share, thinned[k], _Surfels.of(there), poses[k], uncertainty
         )
         found.append(refinement)
         placed.append(k)
@@ -232,7 +232,7 @@ def _one_refined(
     source: _Surfels,
     target: _Surfels,
     measured: Array,
-    doubt: PoseDoubt,
+    uncertainty: PoseUncertainty,
 ) -> tuple[Array, Refinement]:
     """The refined pose of scan k, and how it was refined.
 
@@ -266,7 +266,7 @@ def _one_refined(
     step = np.concatenate(
         [Rotation.from_matrix(change[:3, :3]).as_rotvec(), change[:3, 3]]
     )
-    prior = np.repeat([1.0 / doubt.turn**2, 1.0 / doubt.shift**2], 3)
+    prior = np.repeat([1.0 / uncertainty.turn**2, 1.0 / uncertainty.shift**2], 3)
     information = after.information / after.residual**2
     fused = np.linalg.solve(information + np.diag(prior), information @ step)
     off = float(np.sqrt(prior * step**2).max())

@@ -13,7 +13,7 @@ from ttus_opt.sensors.depth import DepthCloud, read_depth_image
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import read_intrinsics
 from ttus_opt.sensors.probe_axis import read_axis
-from ttus_opt.sensors.stitching import PoseDoubt, stitch
+from ttus_opt.sensors.stitching import PoseUncertainty, stitch
 from ttus_opt.sensors.unprojection import read_unprojection
 from ttus_opt.session.scan_description import Scan
 
@@ -76,6 +76,6 @@ def _depth_cloud(scan: Scan) -> DepthCloud:
         images,
         [camera.to_scan for camera in scan.cameras],
         noise=None if scan.noise is None else noise_model(scan.noise),
-        refine=PoseDoubt() if scan.refine else None,
+        refine=PoseUncertainty() if scan.refine else None,
     )
     return found.cloud

@@ -23,8 +23,8 @@ from ttus_opt.core.html_card import SIZE, card, signed_map
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 from ttus_opt.voxmap.voxmap import Voxmap
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
 LARGEST = 1e4
 
 #: Variable with draws from the field's posterior, read on request only
-DRAWS = "doubt_draws"
+DRAWS = "uncertainty_draws"
 
 #: Unit of the field for each sampling (docs/method.md, Unit of the field)
 FIELD_UNIT: dict[str, str] = {
@@ -62,7 +62,7 @@ class PotentialField:
         parameters: Parameters identified with the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
         standard_errors: Standard errors of the parameters, by name, where known.
-        doubt: Relative uncertainty of presses; None where unknown.
+        uncertainty: Relative uncertainty of presses; None where unknown.
     """
 
     voxmap: Voxmap
@@ -71,7 +71,7 @@ class PotentialField:
     parameters: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict, repr=False)
     standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
-    doubt: DoubtMap | None = field(default=None, repr=False, compare=False)
+    uncertainty: UncertaintyMap | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Validate shape, sampling, and that values and parameters are finite."""
@@ -131,8 +131,8 @@ class PotentialField:
         }
         for name, value in self.parameters.items():
             error = self.standard_errors.get(name)
-            doubt = "" if error is None else f" ± {error:.2g}"
-            facts[name] = f"{name} {value:.4g}{doubt}"
+            uncertainty = "" if error is None else f" ± {error:.2g}"
+            facts[name] = f"{name} {value:.4g}{uncertainty}"
         return facts
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -145,9 +145,9 @@ class PotentialField:
         Returns:
             ``potential`` and ``region`` over (r, theta, z) and the surface over
             (surface_theta, surface_z), with units and coordinates on every variable;
-            ``doubt`` over (doubt_theta, doubt_z) where known; the rest as attributes.
-            For a sector the attribute ``sector`` holds its two angles [rad], and the
-            last spoke is the wall beyond it, without a field.
+            ``uncertainty`` over (uncertainty_theta, uncertainty_z) where known; the
+            rest as attributes. For a sector the attribute ``sector`` holds its two
+            angles [rad], and the last spoke is the wall beyond it, without a field.
         """
         import xarray as xr
 
@@ -163,7 +163,7 @@ class PotentialField:
                 "radius": (ON_SURFACE, surface.radius, {"units": "m"}),
                 "radius_std": (ON_SURFACE, surface.radius_std, {"units": "m"}),
                 "observed": (ON_SURFACE, surface.observed.astype("i1"), {"units": "1"}),
-                **({} if self.doubt is None else self.doubt.variables()),
+                **({} if self.uncertainty is None else self.uncertainty.variables()),
             },
             coords={
                 "r": ("r", grid.r, {"units": "m"}),
@@ -247,7 +247,7 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         _by_name("parameters", data.attrs),
         _by_name("provenance", data.attrs),
         _by_name("standard_errors", data.attrs),
-        DoubtMap.of_file(data),
+        UncertaintyMap.of_file(data),
     )
 
 

@@ -322,8 +322,8 @@ def test_several_patches_are_doubted_one_by_one() -> None:
     louder[hidden] += rng.normal(0.0, 0.5, louder[hidden].shape)
     scene = replace(scene, trajectory=replace(given, force=louder))
     solution = tt.fit(scene, "viscous_drag", acts_at="contact", sectors=12, **WEIGHTS)
-    doubted = {n for n, why in solution.not_identified.items() if "±" in why}
-    for name in doubted:
+    unidentified = {n for n, why in solution.not_identified.items() if "±" in why}
+    for name in unidentified:
         assert solution.parameters[name] == 0.0
         assert name not in solution.standard_errors
     known = set(solution.standard_errors)
@@ -432,7 +432,7 @@ def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use() ->
     solution = tt.fit(fitted, "depth_map")
     for found in (solution, solution.field):
         assert not found.parameters and not found.standard_errors
-    doubted = replace(fitted, not_identified={"boundary_scale": "no contact"})
-    solution = tt.fit(doubted, "depth_map")
+    unidentified = replace(fitted, not_identified={"boundary_scale": "no contact"})
+    solution = tt.fit(unidentified, "depth_map")
     assert not solution.not_identified and not solution.identified
-    assert tt.fit(doubted, "eq10").not_identified == doubted.not_identified
+    assert tt.fit(unidentified, "eq10").not_identified == unidentified.not_identified

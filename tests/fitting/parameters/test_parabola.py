@@ -73,7 +73,7 @@ def test_a_curvature_within_the_noise_is_flat(at: int) -> None:
         assert found.flat[at] == is_flat
         assert not found.flat[1 - at]
         if is_flat:
-            assert found.doubt == NO_SLOPE
+            assert found.reason == NO_SLOPE
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0])
@@ -81,7 +81,7 @@ def test_a_saddle_has_no_least_value(scale: float) -> None:
     """Also one that no parameter alone shows."""
     found = Parabola.through(fits(lambda v: -scale * bowl(v)), CENTRE, STEP)
     assert found.flat.all()
-    assert "no least value" in found.doubt
+    assert "no least value" in found.reason
     turned = scale * np.array([[1.0, 3.0], [3.0, 1.0]])
     saddle = fits(lambda v: 0.5 * float((v - LEAST) @ turned @ (v - LEAST)))
     assert Parabola.through(saddle, CENTRE, STEP).flat.all()

@@ -10,14 +10,14 @@ import scipy.linalg
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.fitting.uncertainty.test_doubt import (
+from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
     noise_of,
     three_presses,
     unseen,
     wrench_rows,
 )
-from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
 from ttus_opt.problem.solution import Solution
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
@@ -32,8 +32,8 @@ def fitted() -> Solution:
 
 
 @functools.cache
-def exact() -> Doubt:
-    return doubt(fitted(), three_presses())
+def exact() -> Uncertainty:
+    return uncertainty(fitted(), three_presses())
 
 
 def dense() -> np.ndarray:

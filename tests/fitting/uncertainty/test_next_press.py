@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.fitting.uncertainty.test_doubt import KEPT_SHARE, three_presses
+from tests.fitting.uncertainty.test_field_uncertainty import KEPT_SHARE, three_presses
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
 from ttus_opt.fitting.uncertainty.next_press import (
     NextPresses,
     greedy,
@@ -52,8 +52,8 @@ def test_it_takes_what_explains_most_of_what_is_left() -> None:
 
 
 @functools.cache
-def stated() -> Doubt:
-    return doubt(tt.fit(three_presses(), "depth_map"), three_presses())
+def stated() -> Uncertainty:
+    return uncertainty(tt.fit(three_presses(), "depth_map"), three_presses())
 
 
 @functools.cache
@@ -80,7 +80,7 @@ def test_presses_are_where_least_is_known() -> None:
     assert len(found.as_dict()["presses"]) == 3
 
 
-def test_stated_deviations_are_those_of_the_doubt() -> None:
+def test_stated_deviations_are_those_of_the_uncertainty() -> None:
     found = suggested()
     rows, noise = normal_forces(stated(), found.poses)
     own = np.sqrt(stated().covariance(rows)[:, 0, 0])

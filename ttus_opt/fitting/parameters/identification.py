@@ -51,18 +51,18 @@ class Estimate:
     Attributes:
         value: Its value.
         standard_error: NaN if unknown.
-        doubt: Why it is not identified; empty if it is.
+        reason: Why it is not identified; empty if it is.
         remark: Further information.
     """
 
     value: float
     standard_error: float
-    doubt: str = ""
+    reason: str = ""
     remark: str = ""
 
     def remarked(self, remark: str) -> Self:
         """With a further remark, where the parameter is identified."""
-        if self.doubt or not remark:
+        if self.reason or not remark:
             return self
         return replace(self, remark="; ".join(filter(None, (self.remark, remark))))
 
@@ -112,25 +112,25 @@ def judged_estimate(
         neutral: Its neutral value; a limit equal to it is a valid estimate.
     """
     near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
-    doubt, remark = "", ""
+    reason, remark = "", ""
     if math.isinf(standard_error):
-        doubt = NO_SLOPE
+        reason = NO_SLOPE
     elif value >= high - near:
-        doubt = f"at its upper limit {high:.4g}"
+        reason = f"at its upper limit {high:.4g}"
     elif standard_error > SHARE * span:
-        doubt = f"the data give {value:.2g} ± {standard_error:.2g}"
+        reason = f"the data give {value:.2g} ± {standard_error:.2g}"
     elif value <= low + near:
         remark = f"at its lower limit {low:.4g}"
         if abs(low - neutral) > near:
-            doubt, remark = remark, ""
-    return Estimate(value, standard_error, doubt, remark)
+            reason, remark = remark, ""
+    return Estimate(value, standard_error, reason, remark)
 
 
 def with_estimates(
     solution: Solution,
     scene: Scene,
     estimates: Mapping[str, Estimate],
-    doubts: Mapping[str, str],
+    reasons: Mapping[str, str],
     trouble: str = "",
 ) -> Solution:
     """Add standard errors of the parameters, or the reasons for missing ones.
@@ -139,7 +139,7 @@ def with_estimates(
         solution: A solution with neutral values of parameters not identified.
         scene: Its estimates of the solution's parameters are included.
         estimates: Estimates of the parameters, by name.
-        doubts: Why a parameter is not identified, by name.
+        reasons: Why a parameter is not identified, by name.
         trouble: Why the search failed; the solution then does not count as solved.
     """
     own = solution.parameters.keys()
@@ -150,7 +150,7 @@ def with_estimates(
     errors = {
         name: error
         for name, error in errors.items()
-        if math.isfinite(error) and name not in doubts
+        if math.isfinite(error) and name not in reasons
     }
     field = solution.verified_field
     if field is not None:
@@ -158,11 +158,11 @@ def with_estimates(
     solution = replace(
         solution,
         standard_errors=errors,
-        not_identified={**unknown, **doubts},
+        not_identified={**unknown, **reasons},
         remarks={
             name: estimate.remark
             for name, estimate in estimates.items()
-            if estimate.remark and name not in doubts
+            if estimate.remark and name not in reasons
         },
         verified_field=field,
     )

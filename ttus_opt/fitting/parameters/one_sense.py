@@ -21,8 +21,8 @@ def warn_of_one_sense(declared: Formulation, done: str, depth: int = 1) -> None:
     unknowns = {name for term in declared.terms for name in term.assembled.blocks}
     if declared.search is None and unknowns == {"p"}:
         return
-    doubts = declared.not_identifiable().items()
-    named = ", ".join(name for name, why in doubts if why == ONE_SENSE)
+    reasons = declared.not_identifiable().items()
+    named = ", ".join(name for name, why in reasons if why == ONE_SENSE)
     if named:
         warnings.warn(
             f"{declared.name}: {named} cannot be told from an elastic force "

@@ -105,7 +105,7 @@ class Parabola:
         return np.asarray(flat)
 
     @property
-    def doubt(self) -> str:
+    def reason(self) -> str:
         """The reason to report for a flat parameter."""
         bent = (np.diagonal(self.curvature) < -2.0 * self.noise).any()
         return "the objective has no least value in its range" if bent else NO_SLOPE

@@ -66,7 +66,7 @@ class SearchResult:
 
 
 def search_parameters(
-    search: Search, loose: Solve, tight: Solve, doubts: Mapping[str, str]
+    search: Search, loose: Solve, tight: Solve, reasons: Mapping[str, str]
 ) -> SearchResult:
     """Search for a parameter, and for those of nested searches.
 
@@ -77,9 +77,9 @@ def search_parameters(
         search: The first parameter.
         loose: Fits of low accuracy, to find the neighbourhood.
         tight: Fits accurate enough for differences of objectives.
-        doubts: Known reasons why a parameter is not identified, by name.
+        reasons: Known reasons why a parameter is not identified, by name.
     """
-    known = dict(doubts)
+    known = dict(reasons)
     while True:
         try:
             values, chain = _minimum(search, loose, known)
@@ -88,20 +88,20 @@ def search_parameters(
             if search.likely is None:
                 return SearchResult(trouble.nearest, {}, str(trouble))
             estimates = {search.parameter: Estimate(math.nan, math.nan, str(trouble))}
-        doubted = {n: e.doubt for n, e in estimates.items() if e.doubt}
+        unidentified = {n: e.reason for n, e in estimates.items() if e.reason}
         known_errors = all(math.isfinite(e.standard_error) for e in estimates.values())
-        if search.likely is not None and (doubted or not known_errors):
+        if search.likely is not None and (unidentified or not known_errors):
             search = replace(search, likely=None)
             continue
-        if not doubted:
+        if not unidentified:
             break
         # one at a time: with it fixed the others may be identified
-        name = next(iter(doubted))
-        known[name] = doubted[name]
+        name = next(iter(unidentified))
+        known[name] = unidentified[name]
     for each in chain:
         if each.parameter in known:
-            doubt = known[each.parameter]
-            estimates[each.parameter] = Estimate(each.neutral_value, math.nan, doubt)
+            reason = known[each.parameter]
+            estimates[each.parameter] = Estimate(each.neutral_value, math.nan, reason)
     return SearchResult(_at(search, values), estimates)
 
 
@@ -187,9 +187,9 @@ def _least(search: Search, solve: Solve) -> float:
 class _UnidentifiedError(Exception):
     """Standard errors are unknown; carries the reasons instead."""
 
-    def __init__(self, values: Array, doubts: Sequence[str], remark: str = "") -> None:
+    def __init__(self, values: Array, reasons: Sequence[str], remark: str = "") -> None:
         super().__init__(remark)
-        self.values, self.doubts, self.remark = values, doubts, remark
+        self.values, self.reasons, self.remark = values, reasons, remark
 
 
 def _estimates(
@@ -221,9 +221,9 @@ def _estimates(
     except _UnidentifiedError as error:
         placed(error.values)
         return every, {
-            one.parameter: Estimate(value, math.nan, doubt, error.remark)
-            for one, value, doubt in zip(
-                ranges, error.values.tolist(), error.doubts, strict=True
+            one.parameter: Estimate(value, math.nan, reason, error.remark)
+            for one, value, reason in zip(
+                ranges, error.values.tolist(), error.reasons, strict=True
             )
         }
     estimates = {
@@ -278,7 +278,7 @@ def _settled(
             raise _UnidentifiedError(at, nothing, remark) from trouble
         if parabola.flat.any():
             raise _UnidentifiedError(
-                at, [parabola.doubt * bool(flat) for flat in parabola.flat]
+                at, [parabola.reason * bool(flat) for flat in parabola.flat]
             )
         at = np.clip(parabola.vertex, low, high)
         settled = bool((np.abs(at - parabola.centre) <= 2.0 * step).all())

@@ -11,7 +11,7 @@ minus its estimate from its own noisy measurements.
 
 Where the mean has unknown multiples β of fields H, they add the covariance
 v T Tᵀ, T = (N − Q D) H (1 + HᵀDᵀ R D H)^(−1/2): universal kriging. See docs/method.md,
-Doubt.
+Uncertainty.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eqs. 2.24 and 2.42.

@@ -1,8 +1,8 @@
 """Where to press next: the places that reduce the uncertainty of a region most.
 
-The error of a fitted field is Gaussian (`doubt`). For a press at each of n nodes of the
-skin let C be the covariance of the errors of the rendered normal forces, and s_i² the
-variance of the noise of a press measured at node i. Measuring there leaves
+The error of a fitted field is Gaussian (`uncertainty`). For a press at each of n nodes
+of the skin let C be the covariance of the errors of the rendered normal forces, and
+s_i² the variance of the noise of a press measured at node i. Measuring there leaves
 
     C − c_i c_iᵀ / (C_ii + s_i²),
 
@@ -27,15 +27,15 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.doubt import Doubt
-from ttus_opt.fitting.uncertainty.skin_doubt import (
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+from ttus_opt.fitting.uncertainty.skin_uncertainty import (
     SPACING,
     presses_at,
     skin_frames,
     skin_nodes,
     usual_depth,
 )
-from ttus_opt.fitting.uncertainty.wrench_doubt import rendered, wrench_rows
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.scan.box import inside
@@ -123,7 +123,7 @@ class NextPresses:
 
 
 def next_press(
-    doubt: Doubt,
+    uncertainty: Uncertainty,
     count: int = COUNT,
     *,
     sector: Sector | None = None,
@@ -134,7 +134,7 @@ def next_press(
     """The places to press next.
 
     Args:
-        doubt: Uncertainty of the fitted field.
+        uncertainty: Uncertainty of the fitted field.
         count: Number of presses [–].
         sector: Angles of the region, from and to [rad]; None for all.
         box: xmin, xmax, ymin, ymax, zmin, zmax of the region's skin, patient frame [m];
@@ -146,7 +146,7 @@ def next_press(
         InputError: Numbers that are not positive, a region without skin that was seen
             and lies in the grid, or presses deeper than draws are kept.
     """
-    scene = doubt.scene
+    scene = uncertainty.scene
     depth = usual_depth(scene) if depth is None else depth
     if not depth > 0.0:
         raise InputError(f"depth must be positive [m], got {depth}")
@@ -156,8 +156,8 @@ def next_press(
     )
     seen = _seen(scene.voxmap.surface, theta, z)
     presses = presses_at(scene, theta[seen], z[seen], depth)
-    rows, noise = normal_forces(doubt, presses)
-    force = rows @ doubt.potential.values.ravel()
+    rows, noise = normal_forces(uncertainty, presses)
+    force = rows @ uncertainty.potential.values.ravel()
     reached = np.abs(force) > LEAST_FORCE  # within the grid's sector
     at = np.flatnonzero(seen)[reached]
     if not 0 < count <= len(at):
@@ -166,10 +166,11 @@ def next_press(
     points = radius[:, None] * np.stack([np.cos(theta[at]), np.sin(theta[at])], axis=1)
     points = np.column_stack([points, z[at]])
     region = _region(theta[at], points, sector, box)
-    covariance = doubt.covariance(sp.csr_array(rows[reached]), len(at))[0]
+    covariance = uncertainty.covariance(sp.csr_array(rows[reached]), len(at))[0]
     if not np.isfinite(covariance).all():
         raise InputError(
-            f"presses of {depth:g} m reach deeper than draws are kept: give doubt a "
+            f"presses of {depth:g} m reach deeper than draws are kept: give "
+            "uncertainty a "
             "larger depth"
         )
     chosen, reduction, after = greedy(covariance, noise[reached], region, count)
@@ -229,25 +230,29 @@ def _seen(surface: Surface, theta: Array, z: Array) -> Mask:
     return np.asarray(surface.observed[i, j])
 
 
-def normal_forces(doubt: Doubt, presses: Trajectory) -> tuple[sp.csr_array, Array]:
+def normal_forces(
+    uncertainty: Uncertainty, presses: Trajectory
+) -> tuple[sp.csr_array, Array]:
     """Rows of the forces along the directions of contact, and the noise of measuring.
 
     Args:
-        doubt: Uncertainty of the field.
+        uncertainty: Uncertainty of the field.
         presses: A pose each, shape (k,).
 
     Returns:
         The rows, (k, V), and the variances of their measurements' noise, (k,) [N²].
     """
-    scene, k = doubt.scene, len(presses)
-    rows = wrench_rows(doubt.potential, scene.shell, presses)
+    scene, k = uncertainty.scene, len(presses)
+    rows = wrench_rows(uncertainty.potential, scene.shell, presses)
     frame = np.arange(k)[:, None]
     forces = sp.csr_array(rows[(6 * frame + np.arange(3)).ravel()])
     u = (forces @ np.maximum(voxel_depths(scene.voxmap), 0.0)).reshape(k, 3)
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
     columns = (3 * frame + np.arange(3)).ravel()
     along = sp.csr_array((u.ravel(), columns, 3 * np.arange(k + 1)), (k, 3 * k))
-    noise = doubt.noise.covariance(rendered(doubt.potential, rows))[:, :3, :3]
+    noise = uncertainty.noise.covariance(rendered(uncertainty.potential, rows))[
+        :, :3, :3
+    ]
     return sp.csr_array(along @ forces), np.einsum("ti,tij,tj->t", u, noise, u)
 
 

@@ -9,7 +9,7 @@ frame. The relative error c, the rotation t of the force and the shift o of its 
 action are common to all frames of a place; they stand for model errors there. All are
 normal with mean zero, so that the covariance Σ of all rows is block-diagonal by frame
 plus seven columns per place. The prior's variance and the noise are estimated together
-by marginal likelihood, with weak log-normal priors. See docs/method.md, Doubt.
+by marginal likelihood, with weak log-normal priors. See docs/method.md, Uncertainty.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eq. 2.30.
@@ -259,7 +259,8 @@ class MeasuredWrenches:
         if noise.place_share >= AT_LIMIT * MOST_SHARE:
             usual = PRIORS["place_share"][0]
             warnings.warn(
-                "doubt: the recordings do not tell errors of whole places, which seem "
+                "uncertainty: the recordings do not tell errors of whole places, "
+                "which seem "
                 f"larger than {100 * MOST_SHARE:.0f} %, from what the field does not "
                 f"know; {100 * usual:.0f} % of the wrench are taken for them",
                 TtusWarning,

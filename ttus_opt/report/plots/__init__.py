@@ -7,7 +7,6 @@ from ttus_opt.report.plots.canvas import (
     require_picture_suffix as require_picture_suffix,
 )
 from ttus_opt.report.plots.canvas import save_picture as save_picture
-from ttus_opt.report.plots.doubt import doubt_picture as doubt_picture
 from ttus_opt.report.plots.forces import force_over_time as force_over_time
 from ttus_opt.report.plots.next_press import next_press_picture as next_press_picture
 from ttus_opt.report.plots.overview import overview as overview
@@ -16,4 +15,5 @@ from ttus_opt.report.plots.potential import field_slice as field_slice
 from ttus_opt.report.plots.potential import potential_slices as potential_slices
 from ttus_opt.report.plots.residuals import residual_histogram as residual_histogram
 from ttus_opt.report.plots.surface import surface_picture as surface_picture
+from ttus_opt.report.plots.uncertainty import uncertainty_picture as uncertainty_picture
 from ttus_opt.report.plots.weights import weight_path as weight_path

@@ -14,18 +14,18 @@ import numpy as np
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.fitting.uncertainty.doubt import DEPTH, Doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import DEPTH, Uncertainty
 from ttus_opt.fitting.uncertainty.posterior_draws import PosteriorDraws, skin_voxels
-from ttus_opt.fitting.uncertainty.skin_doubt import doubt_map, require_own
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.uncertainty.skin_uncertainty import require_own, uncertainty_map
 from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap import field as field_file
 from ttus_opt.voxmap.field import PotentialField
 
 #: Dimensions of the draws in the file
-DIMS = ("doubt_draw", "doubt_voxel")
+DIMS = ("uncertainty_draw", "uncertainty_voxel")
 
 #: Draws in a file, for standard deviations to 6 % [–]
 FILE_DRAWS = 128
@@ -35,11 +35,11 @@ LARGEST = 32_767
 
 #: Attribute with depth and noise as JSON; older files, with the noise as one number, do
 #: not have it
-FACTS = "doubt_noise"
+FACTS = "uncertainty_noise"
 
 
 @dataclass(frozen=True)
-class SavedDoubt:
+class SavedUncertainty:
     """The uncertainty of a field, read from its file.
 
     Attributes:
@@ -54,15 +54,15 @@ class SavedDoubt:
     draws: PosteriorDraws = field(repr=False)
     noise: WrenchNoise
 
-    def std(self, trajectory: Trajectory) -> WrenchDoubt:
-        """Like `ttus_opt.fitting.uncertainty.doubt.Doubt.std`."""
+    def std(self, trajectory: Trajectory) -> WrenchUncertainty:
+        """Like `ttus_opt.fitting.uncertainty.field_uncertainty.Uncertainty.std`."""
         at = self.potential, self.shell, trajectory
-        return WrenchDoubt.of(*at, self.draws.covariance, self.noise)
+        return WrenchUncertainty.of(*at, self.draws.covariance, self.noise)
 
 
-def save_with_doubt(
+def save_with_uncertainty(
     fitted: PotentialField,
-    doubt: Doubt,
+    uncertainty: Uncertainty,
     path: str | os.PathLike[str],
     *,
     count: int = FILE_DRAWS,
@@ -72,7 +72,7 @@ def save_with_doubt(
 
     Args:
         fitted: The field.
-        doubt: Its uncertainty.
+        uncertainty: Its uncertainty.
         path: The file, replaced only on success.
         count: Number of draws [–].
         depth: Depth below the skin down to which they are kept [m].
@@ -81,16 +81,16 @@ def save_with_doubt(
         The field with its map.
 
     Raises:
-        InputError: As in `Doubt.draws` and `doubt_map`.
+        InputError: As in `Uncertainty.draws` and `uncertainty_map`.
         FileError: The file cannot be written.
     """
-    require_own(doubt, fitted)
-    sampled = doubt.sampled(count, depth)
+    require_own(uncertainty, fitted)
+    sampled = uncertainty.sampled(count, depth)
     draws = sampled.draws(count, depth)
-    mapped = replace(fitted, doubt=doubt_map(sampled, fitted))
+    mapped = replace(fitted, uncertainty=uncertainty_map(sampled, fitted))
     factor = float(np.abs(draws.values).max(initial=0.0)) / LARGEST or 1.0
     whole = np.rint(draws.values / np.float32(factor)).astype(np.int16)
-    facts = {"depth": draws.depth, "noise": doubt.noise.as_dict()}
+    facts = {"depth": draws.depth, "noise": uncertainty.noise.as_dict()}
     about = {"units": fitted.unit, "factor": factor}
     dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, about)})
     dataset[field_file.DRAWS].encoding.update(zlib=True, complevel=1)
@@ -103,11 +103,13 @@ def save_with_doubt(
     return mapped
 
 
-def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
+def read_uncertainty(
+    path: str | os.PathLike[str], shell: PointShell
+) -> SavedUncertainty:
     """Read the uncertainty of a field file.
 
     Args:
-        path: A file of `save_with_doubt` or ``ttus-opt fit --doubt``.
+        path: A file of `save_with_uncertainty` or ``ttus-opt fit --uncertainty``.
         shell: The probe that is rendered.
 
     Raises:
@@ -118,8 +120,8 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)
     if FACTS not in data.attrs or field_file.DRAWS not in data.variables:
         raise InputError(
-            f"{path} has no saved doubt, or an older form of it: fit again with "
-            "ttus-opt fit --doubt"
+            f"{path} has no saved uncertainty, or an older form of it: fit again with "
+            "ttus-opt fit --uncertainty"
         )
     try:
         facts = json.loads(data.attrs[FACTS])
@@ -132,6 +134,6 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
         if whole.shape[1] != len(voxels) or whole.shape[0] < 2:
             raise InputError(f"draws at {whole.shape[1]} voxels, not {len(voxels)}")
         draws = PosteriorDraws(whole.astype(np.float32) * factor, voxels, depth)
-        return SavedDoubt(fitted, shell, draws, noise)
+        return SavedUncertainty(fitted, shell, draws, noise)
     except (KeyError, InputError, TypeError, ValueError) as error:
-        raise FileError(f"{path}: damaged doubt: {error}") from error
+        raise FileError(f"{path}: damaged uncertainty: {error}") from error

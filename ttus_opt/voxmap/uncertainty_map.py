@@ -3,7 +3,8 @@
 For places θ and z, the map holds the standard deviation of a press's force over that
 force. A frame's standard deviation is the map's value under the probe, bilinear between
 places, times the frame's force. This assumes that uncertainty is proportional to force
-and independent of orientation; `ttus_opt.fitting.uncertainty.doubt` assumes neither.
+and independent of orientation; `ttus_opt.fitting.uncertainty.field_uncertainty` assumes
+neither.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Variable of a field file, and its dimensions
-VARIABLE, DIMS = "doubt", ("doubt_theta", "doubt_z")
+VARIABLE, DIMS = "uncertainty", ("uncertainty_theta", "uncertainty_z")
 
 #: Tolerance of equal steps [rad, m]
 STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class DoubtMap:
+class UncertaintyMap:
     """Relative standard deviation of a press over the skin.
 
     Attributes:
@@ -48,17 +49,22 @@ class DoubtMap:
         shape = len(self.theta), len(self.z)
         if self.relative.shape != shape or len(self.z) < 2 or not len(self.theta):
             raise InputError(
-                f"a doubt map needs relative of shape {shape} and two heights or more, "
+                f"an uncertainty map needs relative of shape {shape} and two heights "
+                "or more, "
                 f"got {self.relative.shape}"
             )
         if not (np.isfinite(self.relative).all() and (self.relative >= 0.0).all()):
             raise InputError(
-                "a doubt map needs standard deviations that are not negative"
+                "an uncertainty map needs standard deviations that are not negative"
             )
         if not (_in_steps(self.theta) and abs(self.theta[0]) < STEP and self._closed()):
-            raise InputError("a doubt map needs angles from 0 in equal steps around")
+            raise InputError(
+                "an uncertainty map needs angles from 0 in equal steps around"
+            )
         if not _in_steps(self.z):
-            raise InputError("a doubt map needs heights that increase in equal steps")
+            raise InputError(
+                "an uncertainty map needs heights that increase in equal steps"
+            )
 
     def _closed(self) -> bool:
         around = 2.0 * math.pi / len(self.theta)
@@ -100,7 +106,7 @@ class DoubtMap:
         }
 
     @classmethod
-    def of_file(cls, data: xr.Dataset) -> DoubtMap | None:
+    def of_file(cls, data: xr.Dataset) -> UncertaintyMap | None:
         """The map in a field file; None without one.
 
         Raises:

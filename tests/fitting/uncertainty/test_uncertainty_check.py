@@ -10,17 +10,20 @@ import scipy.stats
 
 import ttus_opt as tt
 from tests.conftest import presses, torso
-from tests.fitting.uncertainty.test_doubt import exact, fitted
+from tests.fitting.uncertainty.test_field_uncertainty import exact, fitted
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.doubt_check import calibration_curve, check_doubt
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.uncertainty.uncertainty_check import (
+    calibration_curve,
+    check_uncertainty,
+)
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import compare
 
 
 @pytest.mark.slow
-def test_errors_drawn_from_the_doubt_are_covered() -> None:
+def test_errors_drawn_from_the_uncertainty_are_covered() -> None:
     rng, many = np.random.default_rng(2), presses(torso(), 60, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field
     rendered = tt.evaluate(field, exact().scene.shell, many)
@@ -35,32 +38,38 @@ def test_errors_drawn_from_the_doubt_are_covered() -> None:
         force=rendered.rendered_force + errors[:, :3],
         torque=rendered.rendered_torque + errors[:, 3:],
     )
-    found = check_doubt(exact(), tt.evaluate(field, exact().scene.shell, truth), truth)
+    found = check_uncertainty(
+        exact(), tt.evaluate(field, exact().scene.shell, truth), truth
+    )
     # 180 components, not all independent
     assert found.force_coverage == pytest.approx(0.95, abs=0.05)
     assert found.torque_coverage == pytest.approx(0.95, abs=0.05)
     far = replace(truth, force=truth.force + 4.0 * errors[:, :3])
-    wrong = check_doubt(exact(), tt.evaluate(field, exact().scene.shell, far), far)
+    wrong = check_uncertainty(
+        exact(), tt.evaluate(field, exact().scene.shell, far), far
+    )
     assert wrong.force_coverage < 0.7
 
 
-def test_error_in_the_order_of_doubt_has_rank_correlation_one() -> None:
+def test_error_in_the_order_of_uncertainty_has_rank_correlation_one() -> None:
     many = presses(torso(), 12, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field
     rendered = tt.evaluate(field, exact().scene.shell, many)
     truth = replace(
         many, force=rendered.rendered_force + 0.1 * stated.force, torque=None
     )
-    found = check_doubt(exact(), tt.evaluate(field, exact().scene.shell, truth), truth)
+    found = check_uncertainty(
+        exact(), tt.evaluate(field, exact().scene.shell, truth), truth
+    )
     assert found.force_rank_correlation == pytest.approx(1.0)
     assert found.force_coverage == 1.0 and np.isnan(found.torque_coverage)
     assert np.isnan(found.torque_total_rank_correlation)
     away = replace(truth, position=1.5 * truth.position)
     with pytest.raises(InputError, match="three frames in contact"):
         there = tt.evaluate(field, exact().scene.shell, away)
-        check_doubt(exact(), there, away)
+        check_uncertainty(exact(), there, away)
     with pytest.raises(InputError, match="belongs to another recording"):
-        check_doubt(exact(), rendered, truth.select(slice(3)))
+        check_uncertainty(exact(), rendered, truth.select(slice(3)))
 
 
 class _Stated:
@@ -68,11 +77,11 @@ class _Stated:
 
     def __init__(self, std: np.ndarray, noise: np.ndarray) -> None:
         eye = np.eye(6)
-        self.told = WrenchDoubt(
+        self.told = WrenchUncertainty(
             std[:, None, None] ** 2 * eye, noise[:, None, None] ** 2 * eye
         )
 
-    def std(self, trajectory: Trajectory) -> WrenchDoubt:
+    def std(self, trajectory: Trajectory) -> WrenchUncertainty:
         return self.told
 
 
@@ -95,7 +104,9 @@ def test_correlations_of_frames_of_noise_and_of_places() -> None:
     wrenches = FieldWrenches(
         rendered, zero, np.ones(n * each, bool), np.zeros(n * each, int)
     )
-    found = check_doubt(_Stated(std, noise), compare(recorded, wrenches), recorded)
+    found = check_uncertainty(
+        _Stated(std, noise), compare(recorded, wrenches), recorded
+    )
     expected = scipy.stats.spearmanr(off, std).statistic
     assert found.places == n and found.frames == n * each
     assert found.force_rank_correlation == pytest.approx(expected)
@@ -125,7 +136,7 @@ def test_a_curve_has_the_coverage_of_the_check_and_only_frames_in_contact() -> N
         torque=rendered.rendered_torque + (1.5 * off * total)[:, 3:],
     )
     at = exact(), tt.evaluate(field, own, truth), truth
-    curve, found = calibration_curve(*at), check_doubt(*at)
+    curve, found = calibration_curve(*at), check_uncertainty(*at)
     assert curve.coverage == pytest.approx(found.force_coverage) != 1.0
     assert curve.torque[curve.level == 0.95] == pytest.approx(found.torque_coverage)
     touching = stated.force_size > 0.0

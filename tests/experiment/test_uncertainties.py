@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.experiment import doubts
-from ttus_opt.experiment.doubts import stated_doubt
+from ttus_opt.experiment import uncertainties
 from ttus_opt.experiment.settings import AUTO, Setting
-from ttus_opt.fitting.uncertainty.doubt_check import Calibration
+from ttus_opt.experiment.uncertainties import stated_uncertainty
+from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
 from ttus_opt.problem.solution import Status
 from ttus_opt.report.calibration_curve import CalibrationCurve
 
@@ -35,28 +35,30 @@ def test_what_is_kept_comes_back(
     rng = np.random.default_rng(0)
     curve = CalibrationCurve.of((rng.standard_normal((20, 3)), np.ones((20, 3))))
     figures = Calibration(0.1, float("nan"), 0.95, float("nan"), 0.3, float("nan"), 20)
-    monkeypatch.setattr(doubts, "doubt", lambda *_: None)
-    monkeypatch.setattr(doubts, "check_doubt", lambda *_: figures)
-    monkeypatch.setattr(doubts, "calibration_curve", lambda *_: curve)
-    made = stated_doubt(fits(), SETTING, tmp_path, "word")
-    monkeypatch.setattr(doubts, "doubt", None)
-    again = stated_doubt(fits(), SETTING, tmp_path, "word")
+    monkeypatch.setattr(uncertainties, "uncertainty", lambda *_: None)
+    monkeypatch.setattr(uncertainties, "check_uncertainty", lambda *_: figures)
+    monkeypatch.setattr(uncertainties, "calibration_curve", lambda *_: curve)
+    made = stated_uncertainty(fits(), SETTING, tmp_path, "word")
+    monkeypatch.setattr(uncertainties, "uncertainty", None)
+    again = stated_uncertainty(fits(), SETTING, tmp_path, "word")
     assert list(again.figures) == list(made.figures) == ["press_test", "sweep_test"]
     for one in again.figures.values():
         assert one.force_coverage == 0.95 and np.isnan(one.torque_coverage)
     np.testing.assert_array_equal(again.curves["press_test"].force, curve.force)
     with pytest.raises(TypeError):  # another input is computed, not read
-        stated_doubt(fits(), SETTING, tmp_path, "another word")
+        stated_uncertainty(fits(), SETTING, tmp_path, "another word")
 
 
 def test_a_refusal_and_a_failed_fit_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
-        raise InputError("no doubt for viscous_drag: …")
+        raise InputError("no uncertainty for viscous_drag: …")
 
-    monkeypatch.setattr(doubts, "doubt", refuse)
-    assert stated_doubt(fits(), SETTING, tmp_path, "a").refused.startswith("no doubt")
-    failed = stated_doubt(fits(Status.TIME_LIMIT), SETTING, tmp_path, "b")
+    monkeypatch.setattr(uncertainties, "uncertainty", refuse)
+    assert stated_uncertainty(fits(), SETTING, tmp_path, "a").refused.startswith(
+        "no uncertainty"
+    )
+    failed = stated_uncertainty(fits(Status.TIME_LIMIT), SETTING, tmp_path, "b")
     assert failed.refused == "the fit ended time_limit"
     assert not failed.figures and not failed.curves

@@ -8,7 +8,11 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt, rendered, wrench_rows
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import (
+    WrenchUncertainty,
+    rendered,
+    wrench_rows,
+)
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.voxmap.field import PotentialField
 
@@ -66,7 +70,7 @@ def test_deviations_are_roots_of_the_diagonal() -> None:
     covariance = roots @ roots.transpose(0, 2, 1)
     covariance[1] = np.nan
     noise = np.tile(np.diag([0.01, 0.04, 0.09, np.nan, np.nan, np.nan]), (3, 1, 1))
-    told = WrenchDoubt(covariance, noise)
+    told = WrenchUncertainty(covariance, noise)
     np.testing.assert_array_equal(told.known, [True, False, True])
     np.testing.assert_allclose(told.force[0], np.linalg.norm(roots[0, :3], axis=1))
     np.testing.assert_allclose(told.torque[2], np.linalg.norm(roots[2, 3:], axis=1))

@@ -17,7 +17,7 @@ from tests.fitting.weights import test_weight_criteria
 from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
-from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
 from ttus_opt.fitting.uncertainty.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.uncertainty.presses import presses as press_numbers
 from ttus_opt.fitting.uncertainty.wrench_noise import PRIORS
@@ -27,7 +27,7 @@ from ttus_opt.problem.solution import Solution
 FORCE, TORQUE = 30.0, 3.0
 
 #: Of these three places the share of a place keeps its prior, and a warning says so
-KEPT_SHARE = "ignore:doubt. the recordings do not tell errors of whole places"
+KEPT_SHARE = "ignore:uncertainty. the recordings do not tell errors of whole places"
 
 
 @functools.cache
@@ -42,9 +42,9 @@ def fitted() -> Solution:
 
 
 @functools.cache
-def exact() -> Doubt:
+def exact() -> Uncertainty:
     with pytest.warns(TtusWarning, match="errors of whole places"):
-        return doubt(fitted(), three_presses())
+        return uncertainty(fitted(), three_presses())
 
 
 @functools.cache
@@ -60,7 +60,7 @@ def wrench_rows(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     return np.concatenate(parts, axis=1).reshape(6 * T, V)
 
 
-def noise_of(found: Doubt) -> np.ndarray:
+def noise_of(found: Uncertainty) -> np.ndarray:
     """Covariance of the errors of force and torque over ℓ, by dense algebra."""
     scene = found.scene
     wrench = np.hstack(
@@ -78,7 +78,7 @@ def noise_of(found: Doubt) -> np.ndarray:
 
 
 def dense_errors(
-    C: np.ndarray, found: Doubt, weights: tuple[float, float] = (FORCE, TORQUE)
+    C: np.ndarray, found: Uncertainty, weights: tuple[float, float] = (FORCE, TORQUE)
 ) -> np.ndarray:
     """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ.
 
@@ -129,7 +129,7 @@ def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> 
     measured = replace(scene.trajectory, torque=sized * scene.trajectory.torque)
     scene = replace(scene, trajectory=measured)
     lengths = [
-        doubt(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
+        uncertainty(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
         for options in (
             {"torque_length": scene.torque_length, "torque_weight": TORQUE},
             {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE},
@@ -146,7 +146,7 @@ def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_draws_agree_with_it() -> None:
-    drawn = doubt(fitted(), three_presses(), method="samples")
+    drawn = uncertainty(fitted(), three_presses(), method="samples")
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
     std = np.sqrt(np.diag(dense_errors(laplace_covariance(three_presses()), exact())))
@@ -157,7 +157,7 @@ def test_draws_agree_with_it() -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_draws_where_the_basis_is_not_kept_are_the_same() -> None:
-    near = doubt(fitted(), three_presses(), method="samples", depth=0.001)
+    near = uncertainty(fitted(), three_presses(), method="samples", depth=0.001)
     deeper, whole = near.draws(4, 0.05), exact().draws(4, 0.05)
     assert len(deeper.voxels) > len(near.draws(4, 0.001).voxels)
     off = np.abs(deeper.values - whole.values).max()
@@ -175,7 +175,7 @@ def test_prior_and_noise_are_the_likeliest() -> None:
     t = np.concatenate([scene.f, scene.tau / scene.torque_length])[touching]
     misfit = t - D @ np.linalg.solve(scene.L.toarray(), scene.b)
 
-    def log_posterior(other: Doubt) -> float:
+    def log_posterior(other: Uncertainty) -> float:
         """But for a constant."""
         noise = noise_of(other)[np.ix_(touching, touching)]
         density = scipy.stats.multivariate_normal(
@@ -237,7 +237,9 @@ def test_a_fitted_scale_is_doubted_too() -> None:
     given = own.with_boundary(own.inner, own.outer)
     weights = {"force_weight": FORCE, "torque_weight": TORQUE}
     with pytest.warns(TtusWarning, match="errors of whole places"):
-        free, fixed = (doubt(tt.fit(s, "eq10", **weights), s) for s in (own, given))
+        free, fixed = (
+            uncertainty(tt.fit(s, "eq10", **weights), s) for s in (own, given)
+        )
     more = free.std(unseen()).force_size
     assert (more > replaced(fixed, free).std(unseen()).force_size).all()
     # a column of its own with a flat prior, in dense algebra
@@ -249,7 +251,7 @@ def test_a_fitted_scale_is_doubted_too() -> None:
     np.testing.assert_allclose(more, size, rtol=0.03)
 
 
-def replaced(given: Doubt, other: Doubt) -> Doubt:
+def replaced(given: Uncertainty, other: Uncertainty) -> Uncertainty:
     """One with the prior and the noise of another."""
     errors = other._posterior.errors
     return replace(given, _posterior=replace(given._posterior, errors=errors))
@@ -257,19 +259,19 @@ def replaced(given: Doubt, other: Doubt) -> Doubt:
 
 def test_one_press_is_enough() -> None:
     scene = small_scene("trilinear")
-    found = doubt(tt.fit(scene, "eq10"), scene)
+    found = uncertainty(tt.fit(scene, "eq10"), scene)
     assert found.variance > 0.0 and found.noise.force > 0.0
     assert (found.std(scene.trajectory).force_noise > 0.0).all()
 
 
 def test_what_has_no_such_posterior_is_refused() -> None:
     scene = three_presses()
-    with pytest.raises(InputError, match="no doubt for robust"):
-        doubt(tt.fit(scene, "robust"), scene)
+    with pytest.raises(InputError, match="no uncertainty for robust"):
+        uncertainty(tt.fit(scene, "robust"), scene)
     with pytest.raises(InputError, match="measured terms"):
-        doubt(tt.fit(scene, "laplace_only"), scene)
+        uncertainty(tt.fit(scene, "laplace_only"), scene)
     with pytest.raises(InputError, match="another scene"):
-        doubt(fitted(), small_scene("trilinear", n_poses=3))
+        uncertainty(fitted(), small_scene("trilinear", n_poses=3))
     with pytest.raises(InputError, match="rows must be"):
         exact().covariance(sp.csr_array((5, 7)))
     with pytest.raises(InputError, match="number above 1"):
@@ -278,8 +280,8 @@ def test_what_has_no_such_posterior_is_refused() -> None:
         with pytest.raises(InputError, match="depth must be"):
             exact().draws(5, depth)
         with pytest.raises(InputError, match="depth must be"):
-            doubt(fitted(), three_presses(), depth=depth)
+            uncertainty(fitted(), three_presses(), depth=depth)
     with pytest.raises(InputError, match="exact or samples"):
-        doubt(fitted(), three_presses(), method="sample")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="comparators have no doubt"):
-        doubt(tt.Renderer(fitted().field, three_presses().shell), three_presses())  # type: ignore[arg-type]
+        uncertainty(fitted(), three_presses(), method="sample")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="comparators have no uncertainty"):
+        uncertainty(tt.Renderer(fitted().field, three_presses().shell), three_presses())  # type: ignore[arg-type]

@@ -7,22 +7,24 @@ from dataclasses import dataclass
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 
 @dataclass(frozen=True)
-class ForceDoubt:
+class ForceUncertainty:
     """What a renderer knows of its forces' uncertainty.
 
     Attributes:
         relative: Relative standard deviation over the skin; None if unknown.
     """
 
-    relative: DoubtMap | None
+    relative: UncertaintyMap | None
 
     @classmethod
-    def of(cls, given: DoubtMap | bool | None, field: PotentialField) -> ForceDoubt:
+    def of(
+        cls, given: UncertaintyMap | bool | None, field: PotentialField
+    ) -> ForceUncertainty:
         """The map to use: the one given, or with True the field's own.
 
         Raises:
@@ -30,21 +32,23 @@ class ForceDoubt:
         """
         if given is None or given is False:
             return cls(None)
-        if isinstance(given, DoubtMap):
+        if isinstance(given, UncertaintyMap):
             surface = field.voxmap.surface
             if given.z[0] < surface.z[0] or given.z[-1] > surface.z[-1]:
                 raise InputError(
-                    f"the doubt map has heights from {given.z[0]:g} to "
+                    f"the uncertainty map has heights from {given.z[0]:g} to "
                     f"{given.z[-1]:g} m, the field's body from {surface.z[0]:g} to "
                     f"{surface.z[-1]:g} m: give the map of this field"
                 )
             return cls(given)
-        if given is not True or field.doubt is None:
+        if given is not True or field.uncertainty is None:
             raise InputError(
-                "doubt=True needs a field with a doubt map: fit with ttus-opt fit "
-                "--doubt, or give the map of fitting.uncertainty.skin_doubt.doubt_map"
+                "uncertainty=True needs a field with an uncertainty map: fit with "
+                "ttus-opt fit "
+                "--uncertainty, or give the map of "
+                "fitting.uncertainty.skin_uncertainty.uncertainty_map"
             )
-        return cls(field.doubt)
+        return cls(field.uncertainty)
 
     def std(self, wrench: Array, position: Array) -> float:
         """Standard deviation of a frame's force, by the map under the probe [N].

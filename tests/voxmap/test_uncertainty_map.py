@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.voxmap.doubt_map import DoubtMap
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 THETA = np.arange(8) * np.pi / 4.0
 
 
-def linear() -> DoubtMap:
+def linear() -> UncertaintyMap:
     z = np.linspace(0.0, 0.2, 3)
-    return DoubtMap(THETA, z, 0.1 + np.abs(np.cos(THETA))[:, None] + z)
+    return UncertaintyMap(THETA, z, 0.1 + np.abs(np.cos(THETA))[:, None] + z)
 
 
 def test_between_places_it_is_bilinear_and_closed() -> None:
@@ -33,8 +33,8 @@ def test_between_places_it_is_bilinear_and_closed() -> None:
     "relative", [np.zeros((3, 8)), np.full((8, 3), -1.0), np.full((8, 3), np.nan)]
 )
 def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
-    with pytest.raises(InputError, match="doubt map"):
-        DoubtMap(THETA, np.linspace(0.0, 1.0, 3), relative)
+    with pytest.raises(InputError, match="uncertainty map"):
+        UncertaintyMap(THETA, np.linspace(0.0, 1.0, 3), relative)
 
 
 @pytest.mark.parametrize(
@@ -50,5 +50,5 @@ def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
 def test_places_stand_in_equal_steps(
     theta: np.ndarray, z: list[float], why: str
 ) -> None:
-    with pytest.raises(InputError, match=f"doubt map needs {why}"):
-        DoubtMap(theta, np.array(z), np.zeros((8, 2)))
+    with pytest.raises(InputError, match=f"uncertainty map needs {why}"):
+        UncertaintyMap(theta, np.array(z), np.zeros((8, 2)))

@@ -26,7 +26,7 @@ from ttus_opt.voxmap.field import PotentialField
 
 
 @dataclass(frozen=True)
-class WrenchDoubt:
+class WrenchUncertainty:
     """Covariance of the errors of rendered wrenches, and of the measurement noise.
 
     Attributes:
@@ -47,7 +47,7 @@ class WrenchDoubt:
         trajectory: Trajectory,
         covariance: Callable[[sp.csr_array, int], Array],
         noise: WrenchNoise,
-    ) -> WrenchDoubt:
+    ) -> WrenchUncertainty:
         """The uncertainty along a trajectory.
 
         Args:

@@ -11,18 +11,18 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
 from ttus_opt.experiment.settings import Setting
-from ttus_opt.fitting.uncertainty.doubt import doubt
-from ttus_opt.fitting.uncertainty.doubt_check import (
+from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
+from ttus_opt.fitting.uncertainty.uncertainty_check import (
     Calibration,
     calibration_curve,
-    check_doubt,
+    check_uncertainty,
 )
 from ttus_opt.problem.solution import Status
 from ttus_opt.report.calibration_curve import CalibrationCurve
 
 
 @dataclass(frozen=True)
-class StatedDoubt:
+class StatedUncertainty:
     """The uncertainty of one setting on one patient.
 
     Attributes:
@@ -46,9 +46,9 @@ class StatedDoubt:
         }
 
 
-def stated_doubt(
+def stated_uncertainty(
     fits: PatientFits, setting: Setting, folder: Path, digest: str
-) -> StatedDoubt:
+) -> StatedUncertainty:
     """Uncertainty of a setting and its check, computed or from the cache.
 
     Args:
@@ -57,7 +57,7 @@ def stated_doubt(
         folder: Folder for the cache.
         digest: Checksum of their input.
     """
-    file = folder / f"doubt-{setting.name}.json"
+    file = folder / f"uncertainty-{setting.name}.json"
     key = {"digest": digest, "setting": setting.as_dict(), **setting.source}
     kept = read_kept(file, key, lambda found: _read(setting.name, found))
     if kept is not None:
@@ -67,25 +67,25 @@ def stated_doubt(
     return found
 
 
-def _checked(fits: PatientFits, setting: Setting) -> StatedDoubt:
+def _checked(fits: PatientFits, setting: Setting) -> StatedUncertainty:
     solution, scene, _ = fits.solved(setting)
     if solution.status is not Status.SOLVED:
         reason = f"the fit ended {solution.status.name.lower()}"
-        return StatedDoubt(setting.name, {}, {}, reason)
+        return StatedUncertainty(setting.name, {}, {}, reason)
     figures, curves = {}, {}
     try:
-        stated = doubt(solution, scene)
+        stated = uncertainty(solution, scene)
         for name in UNSEEN:
             judged = fits.evaluation(solution.field, name, "measured")
             at = stated, judged, fits.examination.measured[name]
-            figures[name], curves[name] = check_doubt(*at), calibration_curve(*at)
+            figures[name], curves[name] = check_uncertainty(*at), calibration_curve(*at)
     except InputError as error:
-        return StatedDoubt(setting.name, {}, {}, str(error))
-    return StatedDoubt(setting.name, figures, curves)
+        return StatedUncertainty(setting.name, {}, {}, str(error))
+    return StatedUncertainty(setting.name, figures, curves)
 
 
-def _read(name: str, content: Mapping[str, Any]) -> StatedDoubt:
-    return StatedDoubt(
+def _read(name: str, content: Mapping[str, Any]) -> StatedUncertainty:
+    return StatedUncertainty(
         name,
         {k: Calibration.from_dict(v) for k, v in content["figures"].items()},
         {k: CalibrationCurve.from_dict(v) for k, v in content["curves"].items()},

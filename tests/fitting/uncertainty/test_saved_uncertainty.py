@@ -1,4 +1,4 @@
-"""Doubt that is written and read back."""
+"""Uncertainty that is written and read back."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ import pytest
 
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_covariance_posterior import exact, fitted
-from tests.fitting.uncertainty.test_doubt import KEPT_SHARE, three_presses, unseen
+from tests.fitting.uncertainty.test_field_uncertainty import (
+    KEPT_SHARE,
+    three_presses,
+    unseen,
+)
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.fitting.uncertainty.saved_doubt import FACTS, read_doubt, save_with_doubt
+from ttus_opt.fitting.uncertainty.saved_uncertainty import (
+    FACTS,
+    read_uncertainty,
+    save_with_uncertainty,
+)
 from ttus_opt.voxmap.field import DRAWS, KIND, VERSION, PotentialField
 
 pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
@@ -22,14 +30,14 @@ pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("doubt") / "field.nc"
-    save_with_doubt(fitted().field, exact(), path, count=40, depth=0.02)
+    path = tmp_path_factory.mktemp("uncertainty") / "field.nc"
+    save_with_uncertainty(fitted().field, exact(), path, count=40, depth=0.02)
     return path
 
 
 def test_what_is_read_is_what_was_written(file: Path) -> None:
     shell = three_presses().shell
-    found, drawn = read_doubt(file, shell), exact().sampled(40, 0.02)
+    found, drawn = read_uncertainty(file, shell), exact().sampled(40, 0.02)
     told, own = found.std(unseen()), drawn.std(unseen())
     np.testing.assert_allclose(told.force, own.force, rtol=2e-3)
     np.testing.assert_allclose(told.torque, own.torque, rtol=2e-3)
@@ -40,32 +48,34 @@ def test_what_is_read_is_what_was_written(file: Path) -> None:
 
 def test_a_frame_deeper_than_the_draws_is_unknown(file: Path) -> None:
     far = replace(unseen(), position=0.4 * unseen().position)
-    assert not read_doubt(file, three_presses().shell).std(far).known.any()
+    assert not read_uncertainty(file, three_presses().shell).std(far).known.any()
 
 
 def test_a_renderer_takes_the_map_of_the_file(file: Path) -> None:
     potential, shell = PotentialField.load(file), three_presses().shell
-    assert potential.doubt is not None
+    assert potential.uncertainty is not None
     pose = unseen().rotation[0], unseen().position[0]
-    given = tt.Renderer(potential, shell, doubt=potential.doubt).render(*pose)
-    assert tt.Renderer(potential, shell, doubt=True).render(*pose).force_std == (
+    given = tt.Renderer(potential, shell, uncertainty=potential.uncertainty).render(
+        *pose
+    )
+    assert tt.Renderer(potential, shell, uncertainty=True).render(*pose).force_std == (
         given.force_std
     )
     assert given.force_std > 0.0
-    with pytest.raises(InputError, match="doubt=True needs"):
-        tt.Renderer(fitted().field, shell, doubt=True)
+    with pytest.raises(InputError, match="uncertainty=True needs"):
+        tt.Renderer(fitted().field, shell, uncertainty=True)
 
 
-def test_files_without_doubt_or_with_a_damaged_one_are_refused(
+def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(
     file: Path, tmp_path: Path
 ) -> None:
     shell = three_presses().shell
     fitted().field.save(tmp_path / "plain.nc")
-    with pytest.raises(InputError, match="fit again with ttus-opt fit --doubt"):
-        read_doubt(tmp_path / "plain.nc", shell)
+    with pytest.raises(InputError, match="fit again with ttus-opt fit --uncertainty"):
+        read_uncertainty(tmp_path / "plain.nc", shell)
     whole = io.read_dataset(file, kind=KIND, version=VERSION)
     facts = json.loads(whole.attrs[FACTS])
-    short = whole.isel(doubt_voxel=slice(10))
+    short = whole.isel(uncertainty_voxel=slice(10))
     spoilt: list[dict[str, object]] = [
         {},
         *({**facts, "depth": depth} for depth in (np.nan, 1e300, 0.0)),
@@ -79,6 +89,6 @@ def test_files_without_doubt_or_with_a_damaged_one_are_refused(
     others = [whole.assign_attrs({FACTS: json.dumps(each)}) for each in spoilt]
     for damaged in (short, bent, *others):
         io.write_dataset(damaged, tmp_path / "d.nc", kind=KIND, version=VERSION)
-        with pytest.raises(FileError, match="damaged doubt"):
-            read_doubt(tmp_path / "d.nc", shell)
+        with pytest.raises(FileError, match="damaged uncertainty"):
+            read_uncertainty(tmp_path / "d.nc", shell)
     assert DRAWS in whole and DRAWS not in PotentialField.load(file).to_xarray()

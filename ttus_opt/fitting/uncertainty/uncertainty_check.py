@@ -20,7 +20,7 @@ from ttus_opt.contact.places import places, runs
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.posterior import NORMAL
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.metrics import Evaluation
@@ -29,10 +29,10 @@ from ttus_opt.report.metrics import Evaluation
 LEAST = 3
 
 
-class StatesDoubt(Protocol):
-    """The uncertainty of a fit (`Doubt`) or of a field file (`SavedDoubt`)."""
+class StatesUncertainty(Protocol):
+    """That of a fit (`Uncertainty`) or of a field file (`SavedUncertainty`)."""
 
-    def std(self, trajectory: Trajectory) -> WrenchDoubt:
+    def std(self, trajectory: Trajectory) -> WrenchUncertainty:
         """Uncertainty of the wrenches rendered along a trajectory."""
 
 
@@ -91,13 +91,13 @@ class Calibration:
         return cls(**known)
 
 
-def check_doubt(
-    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+def check_uncertainty(
+    uncertainty: StatesUncertainty, evaluation: Evaluation, trajectory: Trajectory
 ) -> Calibration:
     """Compare stated uncertainty with errors.
 
     Args:
-        doubt: Doubt of the evaluated field.
+        uncertainty: Uncertainty of the evaluated field.
         evaluation: Result of `ttus_opt.evaluate` on the trajectory.
         trajectory: A recording that was not fitted.
 
@@ -105,7 +105,7 @@ def check_doubt(
         InputError: The probe touches in fewer than three frames, or the evaluation is
             of another recording.
     """
-    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
+    stated, touching = stated_in_contact(uncertainty, evaluation, trajectory)
     press = runs(touching, trajectory.segment)[touching]
     place = places(press, trajectory.position[touching])
     force = _Agreement.of(
@@ -137,46 +137,47 @@ def check_doubt(
 
 
 def stated_in_contact(
-    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
-) -> tuple[WrenchDoubt, Mask]:
+    uncertainty: StatesUncertainty, evaluation: Evaluation, trajectory: Trajectory
+) -> tuple[WrenchUncertainty, Mask]:
     """Uncertainty along a recording, and its frames in contact where it is known.
 
     Args:
-        doubt: Of the evaluated field.
+        uncertainty: Of the evaluated field.
         evaluation: Of `ttus_opt.evaluate` on the trajectory.
         trajectory: The recording.
 
     Raises:
-        InputError: As of `check_doubt`.
+        InputError: As of `check_uncertainty`.
     """
     if not np.array_equal(evaluation.time, trajectory.time):
         raise InputError(
             "the evaluation belongs to another recording: pass the recording it was "
             "made on"
         )
-    stated = doubt.std(trajectory)
+    stated = uncertainty.std(trajectory)
     touching = stated.known & (stated.force_size > 0.0)
     if np.count_nonzero(touching) < LEAST:
         raise InputError(
-            "a check of doubt needs three frames in contact, the recording has fewer"
+            "a check of uncertainty needs three frames in contact, the recording has "
+            "fewer"
         )
     return stated, touching
 
 
 def calibration_curve(
-    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+    uncertainty: StatesUncertainty, evaluation: Evaluation, trajectory: Trajectory
 ) -> CalibrationCurve:
     """Stated uncertainty, noise of measurements included, against errors, to draw.
 
     Args:
-        doubt: Of the evaluated field.
+        uncertainty: Of the evaluated field.
         evaluation: Of `ttus_opt.evaluate` on the trajectory.
         trajectory: A recording that was not fitted.
 
     Raises:
-        InputError: As of `check_doubt`.
+        InputError: As of `check_uncertainty`.
     """
-    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
+    stated, touching = stated_in_contact(uncertainty, evaluation, trajectory)
     error = evaluation.rendered_force - evaluation.measured_force
     std = np.sqrt(stated.force**2 + stated.force_noise**2)
     force, torque = (error[touching], std[touching]), None

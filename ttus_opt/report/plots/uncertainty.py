@@ -7,12 +7,14 @@ from matplotlib.figure import Figure
 
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.plots.canvas import look, new_figure
-from ttus_opt.voxmap.doubt_map import DoubtMap
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 _SHADES = "cividis"  # uniform in greyscale too
 
 
-def doubt_picture(found: DoubtMap, measured: Trajectory | None = None) -> Figure:
+def uncertainty_picture(
+    found: UncertaintyMap, measured: Trajectory | None = None
+) -> Figure:
     """Draw a map of uncertainty over the unrolled skin.
 
     Args:

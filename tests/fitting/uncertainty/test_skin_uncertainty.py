@@ -1,4 +1,4 @@
-"""The map over the skin against the doubt of single presses."""
+"""The map over the skin against the uncertainty of single presses."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import torso
-from tests.fitting.uncertainty.test_doubt import KEPT_SHARE, fitted, three_presses
+from tests.fitting.uncertainty.test_field_uncertainty import (
+    KEPT_SHARE,
+    fitted,
+    three_presses,
+)
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty import skin_doubt
-from ttus_opt.fitting.uncertainty.doubt import Doubt, doubt
-from ttus_opt.fitting.uncertainty.saved_doubt import save_with_doubt
-from ttus_opt.fitting.uncertainty.skin_doubt import doubt_map
+from ttus_opt.fitting.uncertainty import skin_uncertainty
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
+from ttus_opt.fitting.uncertainty.saved_uncertainty import save_with_uncertainty
+from ttus_opt.fitting.uncertainty.skin_uncertainty import uncertainty_map
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @functools.cache
-def drawn() -> Doubt:
-    return doubt(fitted(), three_presses(), method="samples")
+def drawn() -> Uncertainty:
+    return uncertainty(fitted(), three_presses(), method="samples")
 
 
 def test_presses_reach_the_depth_asked_for() -> None:
     scene = three_presses()
     theta, z = np.array([0.3, 2.0, 4.0]), np.array([0.05, 0.1, 0.15])
-    presses = skin_doubt.presses_at(scene, theta, z, 0.006)
+    presses = skin_uncertainty.presses_at(scene, theta, z, 0.006)
     assert len(presses) == 3
     for R, x in zip(presses.rotation, presses.position, strict=True):
         points = scene.shell.points @ R.T + x
@@ -43,7 +47,7 @@ def test_frames_of_the_skin_follow_its_slope() -> None:
     theta, z = np.array([0.0, 1.0, 2.5]), np.array([0.1, 0.15, 0.2])
     heights = np.linspace(0.0, 0.3, 31)  # a cone: r = 0.1 + z/4
     cone = tt.Surface.from_radius(np.tile(0.1 + heights / 4.0, (180, 1)), heights)
-    frames = skin_doubt.skin_frames(cone, theta, z)
+    frames = skin_uncertainty.skin_frames(cone, theta, z)
     outward = np.stack([np.cos(theta), np.sin(theta), np.full(3, -0.25)], axis=1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     np.testing.assert_allclose(frames[:, :, 0], outward, atol=1e-3)
@@ -54,7 +58,7 @@ def test_frames_of_the_skin_follow_its_slope() -> None:
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_it_is_smaller_where_the_patient_was_measured() -> None:
     scene, field = three_presses(), fitted().field
-    found = doubt_map(drawn(), field, spacing=0.04)
+    found = uncertainty_map(drawn(), field, spacing=0.04)
     assert found.relative.shape == (len(found.theta), len(found.z))
     touching = scene.rows.contact_points > 0
     at = [found.at(*x) for x in scene.trajectory.position[touching]]
@@ -65,15 +69,15 @@ def test_it_is_smaller_where_the_patient_was_measured() -> None:
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be positive"):
-        doubt_map(drawn(), fitted().field, spacing=0.0)
+        uncertainty_map(drawn(), fitted().field, spacing=0.0)
     with pytest.raises(InputError, match="too short"):
-        doubt_map(drawn(), fitted().field, spacing=5.0)
+        uncertainty_map(drawn(), fitted().field, spacing=5.0)
     other = Voxmap.from_surface(torso(), shape=(9, 24, 10), r_inner=0.03)
     with pytest.raises(InputError, match="with another grid"):
-        doubt_map(drawn(), PotentialField(other, other.region + 0.0, "trilinear"))
+        uncertainty_map(drawn(), PotentialField(other, other.region + 0.0, "trilinear"))
     mean = replace(fitted().field, sampling="voxel-mean")
     with pytest.raises(InputError, match="with another sampling"):
-        save_with_doubt(mean, drawn(), tmp_path / "a.nc")
+        save_with_uncertainty(mean, drawn(), tmp_path / "a.nc")
     assert not (tmp_path / "a.nc").exists()
     with pytest.raises(InputError, match="deeper than the saved draws"):
-        doubt_map(drawn().sampled(5, 0.001), fitted().field, depth=0.06)
+        uncertainty_map(drawn().sampled(5, 0.001), fitted().field, depth=0.06)

@@ -37,12 +37,12 @@ from ttus_opt.fitting.uncertainty.posterior_draws import (
     skin_voxels,
 )
 from ttus_opt.fitting.uncertainty.presses import presses
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.uncertainty.wrench_noise import (
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
 )
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
@@ -70,7 +70,7 @@ COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Uncertainty:
     """The errors of one fit.
 
     Attributes:
@@ -89,7 +89,7 @@ class Doubt:
     _posterior: Posterior = field(repr=False)
     _draws: PosteriorDraws | None = field(repr=False)
 
-    def std(self, trajectory: Trajectory) -> WrenchDoubt:
+    def std(self, trajectory: Trajectory) -> WrenchUncertainty:
         """Uncertainty of the wrenches rendered along a trajectory.
 
         Args:
@@ -99,7 +99,7 @@ class Doubt:
             NaN in frames that reach deeper than draws are kept.
         """
         at = self.potential, self.scene.shell, trajectory
-        return WrenchDoubt.of(*at, self.covariance, self.noise)
+        return WrenchUncertainty.of(*at, self.covariance, self.noise)
 
     def covariance(self, rows: sp.csr_array, height: int = 1) -> Array:
         """Covariance of the errors of blocks of consecutive rows of the field.
@@ -153,18 +153,18 @@ class Doubt:
         voxels = skin_voxels(self.scene.voxmap, depth)
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
-    def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
+    def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Uncertainty:
         """The same by the method "samples"; arguments as for `draws`."""
         return replace(self, method="samples", _draws=self.draws(count, depth))
 
 
-def doubt(
+def uncertainty(
     solution: Solution,
     scene: Scene,
     *,
     method: Method | None = None,
     depth: float = DEPTH,
-) -> Doubt:
+) -> Uncertainty:
     """Uncertainty of the field of a solution.
 
     Args:
@@ -182,8 +182,8 @@ def doubt(
     """
     if not isinstance(solution, Solution):
         raise InputError(
-            "doubt needs a Solution of ttus_opt.fit, got a "
-            f"{type(solution).__name__}: comparators have no doubt"
+            "uncertainty needs a Solution of ttus_opt.fit, got a "
+            f"{type(solution).__name__}: comparators have no uncertainty"
         )
     if method is not None and method not in get_args(Method):
         raise InputError(f"method must be exact or samples, got {method!r}")
@@ -196,7 +196,8 @@ def doubt(
     frames = len(scene.trajectory)
     if not measured or any(len(t.target) != 3 * frames for t in measured):
         raise InputError(
-            "doubt needs measured terms with three rows per frame: fit eq10 or another "
+            "uncertainty needs measured terms with three rows per frame: fit eq10 or "
+            "another "
             "formulation with measured forces"
         )
     known = known_covariance(prior.tags)
@@ -222,7 +223,7 @@ def doubt(
     draws = None
     if voxels is not None and method == "samples":
         draws = PosteriorDraws(posterior.draw(DRAWS, voxels), voxels, depth)
-    return Doubt(scene, potential, method, variance, noise, posterior, draws)
+    return Uncertainty(scene, potential, method, variance, noise, posterior, draws)
 
 
 def _prior_of(solution: Solution) -> ProgramTerm:
@@ -236,7 +237,8 @@ def _prior_of(solution: Solution) -> ProgramTerm:
     one_field = program.n_variables == len(program.laplace.free)
     if prior is None or not (one_field and program.is_quadratic):
         raise InputError(
-            f"no doubt for {solution.formulation}: it needs one field, a prior (a "
+            f"no uncertainty for {solution.formulation}: it needs one field, a prior "
+            "(a "
             "Laplace term or one of known covariance) and squares of measured rows"
         )
     return prior
@@ -263,7 +265,7 @@ def _errors(
     others = [t.name for t in measured if t.name not in COMPONENTS]
     if others:
         raise InputError(
-            f"no doubt with the term {others[0]}: only the noise of forces and "
+            f"no uncertainty with the term {others[0]}: only the noise of forces and "
             "torques is known"
         )
     values, frames = potential.values.reshape(-1), len(scene.trajectory)

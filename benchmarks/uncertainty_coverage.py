@@ -1,13 +1,13 @@
-"""Coverage of the stated doubt over repeated draws of noise.
+"""Coverage of the stated uncertainty over repeated draws of noise.
 
     ttus-opt experiment --torso ct_skin_mm.ply -o results
-    python benchmarks/doubt_coverage.py results --keep draws.jsonl
+    python benchmarks/uncertainty_coverage.py results --keep draws.jsonl
 
 An interval of 95 % is calibrated if it covers 95 % over repetitions, not in each of
 them. Every draw gives all four recordings of a patient, fitted and unseen, new noise of
-poses and wrenches; a formulation is fitted, and its doubt compared with the measured
-wrenches of the unseen recordings. Errors against true wrenches at true poses tell how
-much of it is the field's part.
+poses and wrenches; a formulation is fitted, and its uncertainty compared with the
+measured wrenches of the unseen recordings. Errors against true wrenches at true poses
+tell how much of it is the field's part.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, Patient, patients
 from ttus_opt.experiment.recordings import Examination, examine
 from ttus_opt.experiment.settings import AUTO, GIVEN, Setting, chosen, compared
-from ttus_opt.fitting.uncertainty.doubt_check import (
-    StatesDoubt,
-    check_doubt,
+from ttus_opt.fitting.uncertainty.posterior import NORMAL
+from ttus_opt.fitting.uncertainty.uncertainty_check import (
+    StatesUncertainty,
+    check_uncertainty,
     stated_in_contact,
 )
-from ttus_opt.fitting.uncertainty.posterior import NORMAL
 from ttus_opt.phantom.recording import add_noise, add_pose_noise
 
 #: First word of all seeds, away from those of the patients and of other benchmarks
@@ -57,7 +57,7 @@ POOLED = ("force_coverage", "torque_coverage", "force_alone", "torque_alone")
 
 @dataclass(frozen=True)
 class Row:
-    """Doubt and errors on one unseen recording of one draw.
+    """Uncertainty and errors on one unseen recording of one draw.
 
     Attributes:
         patient: Name.
@@ -70,7 +70,7 @@ class Row:
         torque_std: The same for torque [N·m].
         force_error: Median length of the error against the true force [N].
         torque_error: The same for torque [N·m].
-        force_ranks: Rank correlation of doubt and error in measured frames [–].
+        force_ranks: Rank correlation of uncertainty and error in measured frames [–].
         torque_ranks: The same for torque.
         force_alone: Share of true force components, at true poses, within the interval
             of the field's part alone [–].
@@ -108,13 +108,13 @@ def redrawn(examination: Examination, draw: int) -> Examination:
 
 
 def judged(fits: PatientFits, setting: Setting, draw: int) -> Iterator[Row]:
-    """Fit a draw, state its doubt, and check it on the unseen recordings."""
+    """Fit a draw, state its uncertainty, and check it on the unseen recordings."""
     solution, scene, _ = fits.solved(setting)
-    stated = tt.doubt(solution, scene)
+    stated = tt.uncertainty(solution, scene)
     for name in UNSEEN:
         measured = fits.examination.measured[name]
         errors = fits.evaluation(solution.field, name, "measured")
-        found = check_doubt(stated, errors, measured)
+        found = check_uncertainty(stated, errors, measured)
         true = fits.evaluation(solution.field, name, "true")
         alone = against_truth(stated, true, fits.examination.true[name])
         yield Row(
@@ -128,7 +128,7 @@ def judged(fits: PatientFits, setting: Setting, draw: int) -> Iterator[Row]:
 
 
 def against_truth(
-    stated: StatesDoubt, errors: tt.Evaluation, true: tt.Trajectory
+    stated: StatesUncertainty, errors: tt.Evaluation, true: tt.Trajectory
 ) -> dict[str, float]:
     """Errors against true wrenches, and their share within the field's interval."""
     along, touching = stated_in_contact(stated, errors, true)
@@ -183,7 +183,7 @@ def line(name: str, rows: Sequence[Row]) -> str:
     ranks = (column(f"{part}_ranks").mean() for part in ("force", "torque"))
     cells.append(", ".join(f"{each:.2f}" for each in ranks))
     cells += [spread("force_alone"), spread("torque_alone")]
-    # depth maps state no doubt for torque
+    # depth maps state no uncertainty for torque
     known = (cell.replace("nan", "–") for cell in cells)
     return f"| {' | '.join(known)} |"
 

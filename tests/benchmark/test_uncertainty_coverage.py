@@ -1,4 +1,4 @@
-"""Coverage over draws: `benchmarks/doubt_coverage.py`, without the finite elements."""
+"""Coverage over draws: `uncertainty_coverage.py`, without the finite elements."""
 
 import runpy
 from dataclasses import replace
@@ -13,9 +13,9 @@ from ttus_opt import example
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, patients
 from ttus_opt.experiment.recordings import Examination
-from ttus_opt.fitting.uncertainty.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "doubt_coverage.py"
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "uncertainty_coverage.py"
 
 FIGURES = {
     "force_coverage": 0.9,
@@ -110,7 +110,9 @@ def test_true_errors_against_the_fields_part_alone(script):
     frames = len(true)
     sizes = np.array([0.3, 0.4, 0.5, 0.002, 0.003, 0.004])
     covariance = np.tile(np.diag(sizes**2), (frames, 1, 1))
-    stated = SimpleNamespace(std=lambda _: WrenchDoubt(covariance, 100 * covariance))
+    stated = SimpleNamespace(
+        std=lambda _: WrenchUncertainty(covariance, 100 * covariance)
+    )
     off = np.array([[0.5, 0.8, 0.5], [0.0039, 0.0058, 0.0079]])
     errors = SimpleNamespace(
         time=true.time,
@@ -150,7 +152,7 @@ def test_finished_draws_are_not_computed_again(script, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_doubt_of_a_redrawn_fit(script, examination, tmp_path):
+def test_uncertainty_of_a_redrawn_fit(script, examination, tmp_path):
     setting = script.setting_of("eq10", "trilinear", "given")
     fits = PatientFits(script.redrawn(examination, 0), tmp_path, (16, 48, 24), "")
     press, sweep = script.judged(fits, setting, 0)

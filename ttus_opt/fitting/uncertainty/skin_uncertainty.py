@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.doubt import Doubt
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 #: Distance between nodes, depth of a press, and margin at both ends [m]
 SPACING, DEPTH, END = 0.02, 0.008, 0.02
@@ -33,17 +33,17 @@ SLOPE = 0.01
 LEAST_FORCE = 0.05
 
 
-def doubt_map(
-    doubt: Doubt,
+def uncertainty_map(
+    uncertainty: Uncertainty,
     field: PotentialField,
     *,
     spacing: float = SPACING,
     depth: float = DEPTH,
-) -> DoubtMap:
+) -> UncertaintyMap:
     """Map of the uncertainty of a press over the whole skin.
 
     Args:
-        doubt: Uncertainty of the field.
+        uncertainty: Uncertainty of the field.
         field: The fitted field.
         spacing: Distance between nodes [m].
         depth: Depth of every press [m].
@@ -53,35 +53,36 @@ def doubt_map(
             too short for the spacing, presses deeper than draws are kept, or the
             uncertainty of another field.
     """
-    require_own(doubt, field)
+    require_own(uncertainty, field)
     if not depth > 0.0:
         raise InputError(f"depth must be positive [m], got {depth}")
-    theta, z = skin_nodes(doubt.scene.voxmap.surface, spacing)
+    theta, z = skin_nodes(uncertainty.scene.voxmap.surface, spacing)
     n = len(theta)
     angle, height = (a.ravel() for a in np.meshgrid(theta, z, indexing="ij"))
-    presses = presses_at(doubt.scene, angle, height, depth)
-    stated = doubt.std(presses)
+    presses = presses_at(uncertainty.scene, angle, height, depth)
+    stated = uncertainty.std(presses)
     if not stated.known.all():
         raise InputError(
-            f"presses of {depth:g} m reach deeper than the saved draws: give doubt a "
+            f"presses of {depth:g} m reach deeper than the saved draws: give "
+            "uncertainty a "
             "larger depth"
         )
     std = stated.force_size
     force = np.linalg.norm(
-        wrenches_along(field, doubt.scene.shell, presses).force, axis=1
+        wrenches_along(field, uncertainty.scene.shell, presses).force, axis=1
     )
     relative = std / np.maximum(force, LEAST_FORCE)
     relative[force == 0.0] = relative.max()  # outside the grid's sector
-    return DoubtMap(theta, z, relative.reshape(n, len(z)))
+    return UncertaintyMap(theta, z, relative.reshape(n, len(z)))
 
 
-def require_own(doubt: Doubt, field: PotentialField) -> None:
+def require_own(uncertainty: Uncertainty, field: PotentialField) -> None:
     """Check that a field has the grid, surface and sampling of an uncertainty.
 
     Raises:
         InputError: One of them differs.
     """
-    own = doubt.potential
+    own = uncertainty.potential
     one, other = own.voxmap.surface, field.voxmap.surface
     alike = {
         "grid": own.voxmap.grid == field.voxmap.grid,
@@ -91,7 +92,8 @@ def require_own(doubt: Doubt, field: PotentialField) -> None:
     for name, same in alike.items():
         if not same:
             raise InputError(
-                f"the doubt belongs to a field with another {name}: pass its own field"
+                f"the uncertainty belongs to a field with another {name}: pass its "
+                "own field"
             )
 
 
