@@ -13,8 +13,8 @@ from ttus_opt.core.compiled import Stopwatch
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.parameters.fitted_parameters import fitted_estimates
+from ttus_opt.fitting.parameters.friction_warning import warn_of_untold_friction
 from ttus_opt.fitting.parameters.identification import with_estimates
-from ttus_opt.fitting.parameters.one_sense import warn_of_one_sense
 from ttus_opt.fitting.parameters.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import checked_candidate
 from ttus_opt.fitting.verdict import judged as judged
@@ -101,7 +101,7 @@ def fit(
         )
     request = Request(tolerance, time_limit)
     reasons = declared.not_identifiable()
-    warn_of_one_sense(declared, "0 is used")
+    warn_of_untold_friction(declared, "0 is used")
     declared = declared.with_neutral(reasons)
     if declared.search is None:
         unsearched = SearchResult(declared, {})

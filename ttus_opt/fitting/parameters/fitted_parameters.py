@@ -4,7 +4,7 @@ For a parameter cᵢ = aᵢᵀx the curvature J'' of the profile (`identificatio
 from fits with Σ w (aᵢᵀx - vᵢ)² added: a change of v moves the solution by
 R = X (I + X)⁻¹ times that change, X = 2w A J''⁻¹ Aᵀ, for any solver and any limits on
 the field. The same fits give the derivatives of the residuals by which errors that a
-place shares are accounted for (`shared_errors`). See docs/method.md, 13.3.
+place shares are accounted for (`place_standard_errors`). See docs/method.md, 13.3.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ttus_opt.fitting.parameters.identification import (
     judged_estimate,
     noise_variance,
 )
-from ttus_opt.fitting.parameters.shared_errors import PlaceRows
+from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program

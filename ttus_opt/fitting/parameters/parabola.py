@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ttus_opt.contact.place_errors import UNKNOWN, PlaceErrors
 from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.parameters.identification import NO_SLOPE
-from ttus_opt.fitting.parameters.shared_errors import PlaceRows
+from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.solution import Solution, Status
 
 #: Relative rounding error of J [–]
@@ -115,7 +115,7 @@ class Parabola:
         spread = 2.0 * variance * np.linalg.inv(self.curvature)
         return np.asarray(np.sqrt(np.diagonal(spread)))
 
-    def shared_errors(self, usual: Array, rows: PlaceRows | None) -> PlaceErrors:
+    def place_errors(self, usual: Array, rows: PlaceRows | None) -> PlaceErrors:
         """Standard errors that allow for errors shared by a place.
 
         Args:

@@ -25,7 +25,7 @@ from ttus_opt.fitting.parameters.identification import (
     noise_variance,
 )
 from ttus_opt.fitting.parameters.parabola import Parabola, UnsolvedError
-from ttus_opt.fitting.parameters.shared_errors import PlaceRows
+from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 
@@ -300,7 +300,7 @@ def _settled(
                 at, errors = np.clip(near.vertex, low, high), near.errors(variance)
                 parabola = near
     rows = PlaceRows.of(placed(parabola.centre).scene, parabola.solution.program)
-    shared = parabola.shared_errors(errors, rows)
+    shared = parabola.place_errors(errors, rows)
     return _Optimum(at, shared.errors, parabola.solution, shared.remarks)
 
 

@@ -21,7 +21,7 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.parameters.one_sense import warn_of_one_sense
+from ttus_opt.fitting.parameters.friction_warning import warn_of_untold_friction
 from ttus_opt.fitting.weights.coarse_scene import coarser
 from ttus_opt.fitting.weights.place_left_out import (
     COEFFICIENT,
@@ -114,7 +114,7 @@ def tune(
         tried.append(_candidate(one, scene, vary, options))
     if len(tried) > 1:
         for each in tried:
-            warn_of_one_sense(each.declared, "it is left out")
+            warn_of_untold_friction(each.declared, "it is left out")
     known = [each for each in tried if each.bears_coefficient] or tried
     best = max(known, key=lambda each: each.log_density)
     errors = {each.declared.name: each.force_error for each in tried}

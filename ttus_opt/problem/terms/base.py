@@ -19,11 +19,11 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.user_code import defined_at, user_errors
 from ttus_opt.problem.terms.declared_rows import uniform_blocks, uniform_vector
-from ttus_opt.problem.terms.kept import replaced
 from ttus_opt.problem.terms.limits import ConeRows, LinearRows
 from ttus_opt.problem.terms.member import Member
 from ttus_opt.problem.terms.penalties.base import Penalty
 from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.replaced import replaced
 from ttus_opt.problem.terms.structure import Tags, check_structure
 
 

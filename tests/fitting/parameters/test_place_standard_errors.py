@@ -10,7 +10,7 @@ import pytest
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.parameters.shared_errors import PlaceRows
+from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.frame_places import frame_places

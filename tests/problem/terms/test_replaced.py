@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from ttus_opt.problem.terms.kept import replaced
+from ttus_opt.problem.terms.replaced import replaced
 
 
 @dataclass(frozen=True)

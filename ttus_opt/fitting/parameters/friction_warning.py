@@ -9,7 +9,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.distinct_drag import ONE_SENSE
 
 
-def warn_of_one_sense(declared: Formulation, done: str, depth: int = 1) -> None:
+def warn_of_untold_friction(declared: Formulation, done: str, depth: int = 1) -> None:
     """Warn that friction of a formulation cannot be told from an elastic force.
 
     Args:
