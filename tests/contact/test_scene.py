@@ -8,6 +8,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
+from ttus_opt.contact import scene as scene_module
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.probe.trajectory import Trajectory
@@ -156,3 +157,17 @@ def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
         assert (scene.inner, scene.outer) == (3.0, 2.0)
         np.testing.assert_array_equal(scene.b, expected.b)
         np.testing.assert_array_equal(scene.N.toarray(), expected.N.toarray())
+
+
+def test_the_picture_has_the_outline_in_the_plane(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[np.ndarray] = []
+    monkeypatch.setattr(
+        scene_module, "sections_svg", lambda outlines, *_: drawn.extend(outlines) or ""
+    )
+    scene._repr_html_()
+    (outline,) = drawn
+    surface = scene.voxmap.surface
+    middle = surface.radius[:, len(surface.z) // 2]
+    np.testing.assert_allclose(np.linalg.norm(outline, axis=1), middle)

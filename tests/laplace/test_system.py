@@ -216,6 +216,7 @@ def test_variants_are_checked(given: dict[str, object]) -> None:
         {"screening": 1.0},
         {"screening": 300.0},
         {"conductivities": (2.0, 1.0, 1.0)},
+        {"conductivities": (2.0, 2.0, 1.0)},
         {"conductivities": (1.0, 50.0, 0.02), "screening": 20.0},
     ],
 )

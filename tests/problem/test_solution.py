@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,9 @@ def test_a_solution_shows_itself_in_one_line_and_in_a_table() -> None:
     assert f"sign: {active} of " in told
     for name, cost in solution.costs.items():
         assert f"{name}: cost {cost:.4g}" in told
+    sign = np.r_[1e-3, 1e3, 0.0, np.zeros(len(solution.duals_by_name["sign"]) - 3)]
+    few = replace(solution, duals=replace(solution.duals, bounds=[sign]))
+    assert "sign: 1 of " in few.summary()
     page = solution._repr_html_()
     assert "&lt;mine&gt;" in page
     assert "<mine>" not in page

@@ -35,7 +35,13 @@ def test_attributes_round_trip_exactly() -> None:
 
 
 @pytest.mark.parametrize(
-    "matrix", [2 * np.eye(3), np.diag([1.0, 1, -1]), np.full((3, 3), np.nan)]
+    "matrix",
+    [
+        2 * np.eye(3),
+        np.diag([1.0, 1, 1.0001]),
+        np.diag([1.0, 1, -1]),
+        np.full((3, 3), np.nan),
+    ],
 )
 def test_no_rotation_is_refused(matrix: Array) -> None:
     with pytest.raises(InputError, match="not a rotation"):

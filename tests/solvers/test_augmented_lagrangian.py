@@ -31,7 +31,7 @@ from ttus_opt.problem.terms.penalties.huber import Huber
 from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
 from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers import registry
+from ttus_opt.solvers import augmented_lagrangian, registry
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import field_newton
 
@@ -221,3 +221,9 @@ def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight: float) -> 
     assert kkt_residuals(what, point.x, point.duals).worst_relative <= 1e-7
     other = fit(scene, "robust", solver="clarabel", **weights)
     assert other.objective == pytest.approx(what.objective(point.x), rel=1e-7)
+
+
+def test_the_longest_row() -> None:
+    matrix = sp.csr_array([[3.0, 4.0], [0.0, 1.0], [4.5, 0.0]])
+    assert augmented_lagrangian._longest(matrix) == 5.0
+    assert augmented_lagrangian._longest(sp.csr_array((2, 3))) == 1.0

@@ -85,7 +85,9 @@ def test_no_other_hyperparameters_are_more_likely() -> None:
     best = log_posterior(steps)
     for move in (*np.eye(3), *-np.eye(3)):
         assert log_posterior(steps + 0.5 * move) < best + 0.1
-    assert (spread > 0.0).all() and (spread <= 2.0).all()
+    for i, move in enumerate(0.02 * np.eye(len(steps))):
+        fall = 2.0 * best - log_posterior(steps + move) - log_posterior(steps - move)
+        assert spread[i] == pytest.approx((max(fall / 0.02**2, 0.25)) ** -0.5, rel=0.05)
 
 
 def test_values_are_signal_ratio_and_coefficient() -> None:
