@@ -3,10 +3,9 @@
     python benchmarks/shelf_tables.py [--wall] results [more-results ...]
 
 Each folder has the ``rows.jsonl`` of one or more calls. The text between the markers of
-docs/benchmark.md, and of README.md for the short table, is replaced, and the
-performance profile is drawn to docs/shelf_profile.png. Times are CPU seconds, so that
-other work on the machine matters little, or those of the clock, where there was none;
-ratios are to eq. 10 by the same solver choice in the same folder and case.
+docs/benchmark.md is replaced, and the performance profile is drawn to
+docs/shelf_profile.png. Times are CPU seconds, so that other work on the machine matters
+little, or those of the clock, where there was none; ratios are to eq. 10 by the same solver choice in the same folder and case.
 """
 
 from __future__ import annotations
@@ -40,11 +39,6 @@ PENALTIES = ("robust", "sparse_sources", "total_variation")
 
 #: Terms of a user's own, benchmarks/own_terms
 OWN = ("depth_weighted", "along_z", "skin_graph")
-
-#: In the README: one row for each kind
-SHORT = (
-    "tikhonov", *OWN, "free_surface", "robust", "sparse_sources", "total_variation"
-)  # fmt: skip
 
 
 def read(folders: Iterable[Path], *, wall: bool = False) -> list[Row]:
@@ -253,20 +247,6 @@ def best_general(rows: Iterable[Row]) -> dict[str, float]:
     return found
 
 
-def short_table(rows: Sequence[Row]) -> str:
-    """For the README: ratios on M, and to the best general solver on S."""
-    on_m, on_s = by(rows, "M"), by(rows, "S")
-    body = []
-    for name in SHORT:
-        mine, best = on_s.get(name), best_general(rows).get(name, math.nan)
-        ahead = best / mine["cpu_first"] if mine and solved(mine) else math.nan
-        ratio = times(on_m.get(name), on_m.get(BASE))
-        body.append([f"`{name}`", factor(ratio), factor(ahead)])
-    return table(
-        ["formulation", "time on M / eq. 10's", "general solver / ours, S"], body
-    )
-
-
 def profile_rows(rows: Sequence[Row]) -> list[Row]:
     """Rows of S whose formulation a general solver was run on, by CPU time."""
     on_s = [row for row in rows if row["case"] == "S" and was_run(row)]
@@ -311,7 +291,6 @@ def main() -> None:
     filled(page, "perturbed", perturbed_table(rows))
     goals = missed(rows)
     filled(page, "missed", "\n".join(f"- {line}." for line in goals) or "None.")
-    filled(ROOT / "README.md", "shelf", short_table(rows))
     save_picture(profile_picture(chosen), ROOT / "docs" / "shelf_profile.png")
 
 

@@ -2,8 +2,7 @@
 
 - notebooks/ and MathJax are put among the site's files; notebooks are run anew when
   they or the package changed;
-- ``{{ readme: Title }}`` becomes that section of README.md, ``{{ modules }}`` the list
-  of modules with the first line of their docstrings;
+- ``{{ modules }}`` becomes the list of modules with the first line of their docstrings;
 - every module that `method.md` names must exist, every public name must be on `api.md`.
 
 Warnings of these checks end the build, as `mkdocs build --strict` does for any.
@@ -36,8 +35,6 @@ ALONE = (
     "comparators.md",
     "experiment/report.md",
 )
-
-FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"
 
 _log = logging.getLogger("mkdocs.hooks.ttus_opt")
 
@@ -75,24 +72,12 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     uri = page.file.src_uri
     if uri in ALONE:  # no neighbours in the menu: the room is for equations and tables
         page.meta.setdefault("hide", []).append("navigation")
-    markdown = re.sub(r"\{\{ readme: (.+?) \}\}", _readme_section, markdown)
     markdown = markdown.replace("{{ modules }}", _module_list())
     if uri == "method.md":
         markdown = re.sub(r"`([a-z_]+(?:\.[a-z_]+)*)`", _module_link, markdown)
     if uri == "api.md":
         _check_public_names(markdown)
     return markdown
-
-
-def _readme_section(match: re.Match[str]) -> str:
-    title = match[1]
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.M | re.S)
-    if found is None:
-        _log.warning("README.md has no section %r", title)
-        return ""
-    # links of the README are from the top; the notebooks are pages of their own here
-    return found[1].strip().replace("(notebooks)", f"({FIRST_NOTEBOOK})")
 
 
 def _modules() -> Iterator[tuple[str, str]]:

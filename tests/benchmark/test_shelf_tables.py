@@ -1,4 +1,4 @@
-"""The documentation's tables of the shelf, and the README's rows that are measured."""
+"""The documentation's tables of the shelf, and its rows that are measured."""
 
 from __future__ import annotations
 
@@ -106,7 +106,6 @@ def test_the_markers_are_in_the_pages() -> None:
     root = FOLDER.parent
     for page, names in (
         (root / "docs" / "benchmark.md", "shelf general profile perturbed missed"),
-        (root / "README.md", "shelf"),
     ):
         text = page.read_text(encoding="utf-8")
         for name in names.split():
@@ -114,9 +113,9 @@ def test_the_markers_are_in_the_pages() -> None:
             assert text.count(f"<!-- {name}: end -->") == 1, (page, name)
 
 
-def test_every_row_of_the_readme_is_measured() -> None:
-    rows = script("readme_rows")
-    assert [rows.begins(row) for row in rows.readme_rows()] == list(rows.ROWS)
+def test_every_row_of_the_page_is_measured() -> None:
+    rows = script("performance_rows")
+    assert [rows.begins(row) for row in rows.told_rows()] == list(rows.ROWS)
     with pytest.raises(KeyError, match="put it into ROWS"):
         rows.begins("a new row")
 

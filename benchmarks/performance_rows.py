@@ -1,12 +1,12 @@
-"""Measures every row of the README's performance table again, on a quiet machine.
+"""Measures every row of docs/benchmark.md, Performance, again, on a quiet machine.
 
-    python benchmarks/readme_rows.py -o readme-rows
-    python benchmarks/readme_rows.py -o readme-rows --only frame,ripple
+    python benchmarks/performance_rows.py -o performance-rows
+    python benchmarks/performance_rows.py -o performance-rows --only frame,ripple
 
 One run at a time, about an hour in all, most of it `scs`, `clarabel` and `amg_pcg`; a
-second call goes on where the first stopped. The answer is ``readme-rows/rows.md``:
-every row as the README has it, and below it what was measured now. Nothing is written
-into the README: figures go there by hand, all of one day.
+second call goes on where the first stopped. The answer is ``performance-rows/rows.md``:
+every row as the page has it, and below it what was measured now. Nothing is written
+into the page: figures go there by hand, all of one day.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _DRAG_GENERAL = (
     "--formulations coulomb_drag --closed-form none --time-limit 120 --solvers"
 )
 
-#: Arguments of `ttus-opt benchmark` by the beginning of a row, in the README's order
+#: Arguments of `ttus-opt benchmark` by the beginning of a row, in the page's order
 ROWS: dict[str, tuple[str, ...]] = {
     "eq. 10 on S / M / L": (f"--case all {_EQ10} --repeat 3 --memory",),
     "the same with other measured values": (),  # of the run above
@@ -75,16 +75,16 @@ ROWS: dict[str, tuple[str, ...]] = {
 }
 
 
-def readme_rows() -> dict[str, str]:
-    """What the README says, by its first column: the second column."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def told_rows() -> dict[str, str]:
+    """What the page says, by its first column: the second column."""
+    text = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
     table = text.partition("| what | measured | command |")[2].partition("\n\n")[0]
     found = re.findall(r"^\| (.+?) \| (.+?) \| .+ \|$", table, re.M)
     return dict(found)
 
 
 def begins(row: str) -> str:
-    """The key of `ROWS` for a row of the README.
+    """The key of `ROWS` for a row of the page.
 
     Raises:
         KeyError: There is none, or more than one.
@@ -114,16 +114,16 @@ def measured(arguments: str, folder: Path) -> str:
 def main(given: Sequence[str] | None = None) -> None:
     """Run what is asked for and write the answer as it comes."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("readme-rows"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("performance-rows"))
     parser.add_argument("--only", default="", help="words of rows, between commas")
     asked = parser.parse_args(given)
     words = [word for word in asked.only.split(",") if word]
     machine = "; ".join(f"{name} {it}" for name, it in describe().items())
-    told = [f"# The README's rows, measured again\n\n{machine}"]
-    for row, said in readme_rows().items():
+    told = [f"# The rows of docs/benchmark.md, measured again\n\n{machine}"]
+    for row, said in told_rows().items():
         if words and not any(word in row for word in words):
             continue
-        told.append(f"## {row}\n\nREADME: {said}")
+        told.append(f"## {row}\n\nPage: {said}")
         for arguments in ROWS[begins(row)]:
             name = re.sub(r"\W+", "-", arguments).strip("-")
             text = measured(arguments, asked.output / name)
