@@ -5,7 +5,8 @@
 Each folder has the ``rows.jsonl`` of one or more calls. The text between the markers of
 docs/benchmark.md is replaced, and the performance profile is drawn to
 docs/shelf_profile.png. Times are CPU seconds, so that other work on the machine matters
-little, or those of the clock, where there was none; ratios are to eq. 10 by the same solver choice in the same folder and case.
+little, or those of the clock, where there was none; ratios are to eq. 10 by the same
+solver choice in the same folder and case.
 """
 
 from __future__ import annotations
