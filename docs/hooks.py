@@ -3,7 +3,7 @@
 - notebooks/ and MathJax are put among the site's files; notebooks are run anew when
   they or the package changed;
 - ``{{ modules }}`` becomes the list of modules with the first line of their docstrings;
-- every module that `method.md` names must exist, every public name must be on `api.md`.
+- every module that `method/` names must exist, every public name must be on `api.md`.
 
 Warnings of these checks end the build, as `mkdocs build --strict` does for any.
 """
@@ -28,7 +28,6 @@ PACKAGE = ROOT / "ttus_opt"
 #: Pages that are a section of their own
 ALONE = (
     "index.md",
-    "method.md",
     "api.md",
     "modules.md",
     "benchmark.md",
@@ -73,7 +72,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if uri in ALONE:  # no neighbours in the menu: the room is for equations and tables
         page.meta.setdefault("hide", []).append("navigation")
     markdown = markdown.replace("{{ modules }}", _module_list())
-    if uri == "method.md":
+    if uri.startswith("method/"):
         markdown = re.sub(r"`([a-z_]+(?:\.[a-z_]+)*)`", _module_link, markdown)
     if uri == "api.md":
         _check_public_names(markdown)
@@ -117,11 +116,11 @@ def _module_link(match: re.Match[str]) -> str:
     parts = name.split(".")
     base = PACKAGE.joinpath(*parts)
     if base.with_suffix(".py").is_file():
-        return f"[`{name}`](modules.md#{name})"
+        return f"[`{name}`](../modules.md#{name})"
     if base.is_dir():
-        return f"[`{name}`](modules.md#{parts[0]})"
+        return f"[`{name}`](../modules.md#{parts[0]})"
     if len(parts) > 1 and parts[0] != PACKAGE.name:
-        _log.warning("method.md names %s, there is no such module", name)
+        _log.warning("the method names %s, there is no such module", name)
     return match[0]
 
 

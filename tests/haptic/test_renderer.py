@@ -28,7 +28,7 @@ def random_field(scene: Scene) -> PotentialField:
 
 
 def test_render_is_the_row_of_the_fit(scene: Scene) -> None:
-    """render(pose) == (N(pose) p, W(pose) p), eq. (6.5) of docs/method.md."""
+    """render(pose) == (N(pose) p, W(pose) p), eq. (6.5) of docs/method/contact.md."""
     field = random_field(scene)
     renderer = Renderer(field, scene.shell)
     force = (scene.N @ field.values.reshape(-1)).reshape(-1, 3)

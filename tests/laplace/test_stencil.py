@@ -16,8 +16,8 @@ from ttus_opt.voxmap.voxmap import SURFACE, Voxmap
 def ghost(voxmap: Voxmap, a: tuple[int, ...], b: tuple[int, ...]) -> float:
     """What voxel b of the surface layer has of the value of its neighbour a.
 
-    Linear between a and the surface, and beyond (docs/method.md, eq. 4.10); a value s
-    on the surface has the rest.
+    Linear between a and the surface, and beyond (docs/method/contact.md, eq. 4.10); a
+    value s on the surface has the rest.
     """
     if voxmap.boundary == "staircase" or voxmap.region[b] != SURFACE:
         return 0.0
@@ -30,7 +30,7 @@ def ghost(voxmap: Voxmap, a: tuple[int, ...], b: tuple[int, ...]) -> float:
 
 
 def reference_rows(voxmap: Voxmap) -> sp.csr_array:
-    """The stencil (docs/method.md, eq. 4.2) written down voxel by voxel."""
+    """The stencil (docs/method/contact.md, eq. 4.2) written down voxel by voxel."""
     grid = voxmap.grid
     n_r, n_theta, n_z = grid.shape
     at = np.arange(grid.n_voxels).reshape(grid.shape)

@@ -103,7 +103,7 @@ def test_the_command_ends_below_what_can_be_felt(
         main(["demo", "-o", str(tmp_path / "demo"), "--json"])
     assert not stop.value.code
     for row in json.loads(capsys.readouterr().out)["errors"]:
-        # docs/method.md, section 15: a person feels about 0.36 N and 18° of direction
+        # docs/method, section 15: a person feels about 0.36 N and 18° of direction
         # a hand feels 0.36 N; with the formulation's own weights a sweep has 0.24 N
         assert row["after"]["force_magnitude_error_N"] < 0.18
         assert row["after"]["force_angle_error_deg"] < 18.0

@@ -7,7 +7,7 @@ Source of `laplace_only` and `eq10`: R. Yeung, D. Black, S. E. Salcudean, Measur
 and Potential Field-Based Patient Modeling for Model-Mediated Tele-ultrasound (2025),
 eqs. 8 and 10. Its boundary value is chosen by hand; here it fits the measured forces
 best, and λ = 1 suits the trilinear sampling and hard torsos. The others are in
-docs/method.md, Depth map and friction.
+docs/method/formulations.md, Depth map and friction.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The scale of the boundary values, identified from measured forces.
 
 The Laplace field is linear in p_in where the ratio p_out / p_in is kept, so the scale
-that matches the forces best is one number by least squares (docs/method.md, 8.4).
+that matches the forces best is one number by least squares
+(docs/method/formulations.md, 8.4).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ which is 2a for the round patch below a ball, or the length of a strip. A point 
 weight when it comes into contact, so ℓ is continuous in the pose; ℓ₀ keeps it positive
 at first touch. The sampling ``contact-size`` is the trilinear one times 10 mm/ℓ: it is
 linear in p, and with p ∝ d a ball's force grows like d^{3/2}, as in Hertz contact. See
-docs/method.md, Contact size.
+docs/method/contact.md, Contact size.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ have nothing in common; the larger one of both errors is reported.
 
 Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), 13; A. C. Cameron, D. L. Miller,
 J. Human Resources 50 (2015), 317; J. D. Angrist, J.-S. Pischke, Mostly Harmless
-Econometrics (2009), sec. 8.2 (the larger one). See docs/method.md, Standard errors.
+Econometrics (2009), sec. 8.2 (the larger one). See docs/method/identification.md,
+Standard errors.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Contact rows: force and torque as linear maps of the field (paper eqs. 6, 7).
 
 For each pose, the shell points inside the patient sample the field in one of three
-ways, all linear in p (docs/method.md, Contact rows):
+ways, all linear in p (docs/method/contact.md, Contact rows):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;

@@ -3,8 +3,8 @@
 The wrench is w = (1−a) w_old + a w_new, and a grows from 0 to 1, one step per frame.
 With U(x) the energy that a field stores at pose x, a step δa changes the stored energy
 by δa ΔU(x), ΔU = U_new − U_old, and the blend generates energy if and only if
-Σ δa ΔU > 0 (docs/method.md, Blending fields passively). Every frame therefore takes the
-largest step within
+Σ δa ΔU > 0 (docs/method/rendering.md, Blending fields passively). Every frame therefore
+takes the largest step within
 
 - the force rate: δa ‖Δf‖ ≤ rate·δt, and δa ‖Δτ‖/ℓ ≤ rate·δt;
 - the energy tank: δa ΔU ≤ tank. Steps with ΔU < 0 fill the tank, steps with ΔU > 0

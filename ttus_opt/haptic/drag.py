@@ -1,11 +1,11 @@
 """Drag, the friction force on a sliding probe, as a function of pose and twist.
 
 A pose is (R, x); a twist (v, ω) is the velocity of the probe frame's origin and the
-angular velocity, patient axes. The contact patch (docs/method.md, Friction) has the
-normal n̂ and the centre c, means over the points in contact weighted by area and depth.
-Drag acts at x₀ + a, perpendicular to ê: either on the patch (a = c, ê = n̂), or at the
-reference point x₀, where ê is the probe's pressing axis (a = 0, ê = R·axis). With f the
-contact force, sliding velocity and drag are
+angular velocity, patient axes. The contact patch (docs/method/contact.md, Friction) has
+the normal n̂ and the centre c, means over the points in contact weighted by area and
+depth. Drag acts at x₀ + a, perpendicular to ê: either on the patch (a = c, ê = n̂), or
+at the reference point x₀, where ê is the probe's pressing axis (a = 0, ê = R·axis).
+With f the contact force, sliding velocity and drag are
 
     u = v + ω × (R x₀ + a),   v_t = u − ê (êᵀu)
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d

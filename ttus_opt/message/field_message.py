@@ -1,9 +1,9 @@
 """A field as its difference from the Laplace field of a surface the receiver has.
 
 The receiver decodes the surface, makes the grid, solves Laplace's equation for both
-boundary values (docs/method.md, 17.3) and adds the difference, sent within an error
-bound. If the surface was rounded after the fit, which changes its Laplace field, the
-bound holds only where contact reads the field, and no bytes are spent elsewhere.
+boundary values (docs/method/rendering.md, 17.3) and adds the difference, sent within an
+error bound. If the surface was rounded after the fit, which changes its Laplace field,
+the bound holds only where contact reads the field, and no bytes are spent elsewhere.
 """
 
 from __future__ import annotations

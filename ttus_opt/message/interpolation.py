@@ -1,4 +1,4 @@
-"""Multilevel cubic prediction with an error bound (docs/method.md, 17.1).
+"""Multilevel cubic prediction with an error bound (docs/method/rendering.md, 17.1).
 
 A regular array is sent from coarse to fine. Each pass halves the step of one axis; the
 new nodes are predicted by cubic interpolation of those already *decoded*, and only the

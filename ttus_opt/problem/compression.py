@@ -10,7 +10,7 @@ consecutive rows, which touch few voxels each, are decomposed separately, and th
 results again, while that pays. Only sums of squares are compressed; an answer is
 verified with all rows.
 
-See docs/method.md, Dense recordings.
+See docs/method/solver.md, Dense recordings.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ CURVATURE = 0.4
 RETURN_LENGTH = 0.03
 #: Limit s and length ℓ of an unseen radius' deviation s (1 − e^(−ρ/ℓ)) at the distance
 #: ρ from the seen part, on a supporting plane and without one [m]: fitted to errors on
-#: a CT torso and a depth camera's scan with sides hidden (docs/method.md, 2.4)
+#: a CT torso and a depth camera's scan with sides hidden (docs/method/surface.md, 2.4)
 ON_PLANE, WITHOUT_PLANE = (0.020, 0.045), (0.060, 0.130)
 _LEAST_RADIUS = 0.02  # [m]
 _HELD_STD = 0.002  # of a radius held at the supporting plane [m]

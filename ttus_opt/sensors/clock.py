@@ -1,4 +1,4 @@
-"""The offset between two clocks, by correlation (docs/method.md, 20.1).
+"""The offset between two clocks, by correlation (docs/method/sensors.md, 20.1).
 
 Two devices recorded the same motion: the angular speed of two trackers, contact from
 the force sensor and from the pose, or the rate at which gravity turns in the axes of a

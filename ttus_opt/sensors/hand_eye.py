@@ -1,4 +1,4 @@
-"""Hand-eye calibration: where a camera is, from pairs of poses (docs/method.md, 18.2).
+"""Hand-eye calibration: where a camera is, from pairs of poses (docs/method, 18.2).
 
 Every pair holds a marker's pose in the camera, A, and the hand's pose in the base, B.
 The camera is on the hand and the marker fixed, or the camera is fixed and the marker on

@@ -3,7 +3,7 @@
 OpenCV finds the markers and refines their corners by AprilTag's line fit. The pose is a
 least-squares fit to the corners' pixels; its covariance is that of the linearised
 problem, σ² (JᵀJ)⁻¹, with J the Jacobian of the projections with respect to rotation and
-translation (docs/method.md, 18.1).
+translation (docs/method/sensors.md, 18.1).
 """
 
 from __future__ import annotations

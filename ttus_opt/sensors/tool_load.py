@@ -4,9 +4,9 @@ With gravity u = R_sᵀ g in sensor axes, a sensor in free air reads
 
     s f = b_f + m u,        s τ = b_τ + (m c) × u
 
-(docs/method.md, 19.1), linear in b_f, m, b_τ and m c: least squares over poses that
-tilt the sensor. The readings are first checked against the stated mounting: the best
-orthogonal map from u to f is the identity where the statements are true, minus the
+(docs/method/sensors.md, 19.1), linear in b_f, m, b_τ and m c: least squares over poses
+that tilt the sensor. The readings are first checked against the stated mounting: the
+best orthogonal map from u to f is the identity where the statements are true, minus the
 identity where the sign is wrong, and another reflection where the axes are left-handed.
 """
 
@@ -193,7 +193,7 @@ def _least_squares(matrix: Array, target: Array) -> _Fitted:
 
 
 def _check_axes(force: Array, u: Array, spans_all: bool, sensor: ForceSensor) -> None:
-    """Check the stated mounting against the readings (docs/method.md, 19.3).
+    """Check the stated mounting against the readings (docs/method/sensors.md, 19.3).
 
     Args:
         force: Readings with their stated sign, shape (T, 3) [N].

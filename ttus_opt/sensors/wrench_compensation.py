@@ -1,4 +1,4 @@
-"""Contact wrenches from raw readings of a force sensor (docs/method.md, 19.2).
+"""Contact wrenches from raw readings of a force sensor (docs/method/sensors.md, 19.2).
 
 Bias, weight and, on request, the load's inertia are subtracted; the rest is rotated
 into the frame of the poses and moved to the point shell's reference point.

@@ -7,7 +7,7 @@ Schur complement. Differences of neighbouring voxels between given boundary valu
 a network of conductances, which the grid's multigrid solves. With a Laplace term,
 `normal_equations` is faster.
 
-See docs/method.md, section 10.10.
+See docs/method/solver-variants.md, section 10.10.
 """
 
 from __future__ import annotations

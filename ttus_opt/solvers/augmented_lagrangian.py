@@ -4,7 +4,7 @@ Absolute values, Huber's, groups and total variation on any sparse rows, with sq
 and limits. Where all rows but a few are Laplace's, Newton steps are solved in the dual,
 as in `structured`; otherwise by conjugate gradients over the field.
 
-See docs/method.md, Penalties other than squares.
+See docs/method/solver-variants.md, Penalties other than squares.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ equivalent matrix over these voxels where they are fewer than the rows. The unkn
 beside the field solve a least-squares problem within their bounds.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
-(2006), sections 2.2 and 2.7. See docs/method.md, Depth map.
+(2006), sections 2.2 and 2.7. See docs/method/formulations.md, Depth map.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Normal equations: any sum of squares beside a Laplace term, never factorised.
 
-Conjugate gradients on H p = d, H = LᵀΩ⁻¹L + Σ w MᵀM + DᵀD (docs/method.md, section
-10.10). The preconditioner is (L - X)ᵀ(L - X) by multigrid, with X a root of the wide
-terms (`primal.matching`), and takes the few rows D through their dual
-(`primal.preconditioner`). A new solve keeps the multigrid, the dual's directions and
-the last solution to start from.
+Conjugate gradients on H p = d, H = LᵀΩ⁻¹L + Σ w MᵀM + DᵀD
+(docs/method/solver-variants.md, section 10.10). The preconditioner is (L - X)ᵀ(L - X)
+by multigrid, with X a root of the wide terms (`primal.matching`), and takes the few
+rows D through their dual (`primal.preconditioner`). A new solve keeps the multigrid,
+the dual's directions and the last solution to start from.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class _Loaded(Prepared):
     def _minimum(self, at: Pair, goal: Goal) -> Minimum:
         """Minimise until the verdict's bound of the gap is small as well.
 
-        That bound starts from the Laplace term alone (docs/method.md, section 9.3) and
+        That bound starts from the Laplace term alone (docs/method, section 9.3) and
         exceeds the gap where other terms are stiffer. A few more steps are cheaper than
         refining the bound.
         """

@@ -1,4 +1,4 @@
-"""The structured solver: eq. 10 without forming Q (docs/method.md, section 10).
+"""The structured solver: eq. 10 without forming Q (docs/method/solver.md, section 10).
 
 The dual system is solved by conjugate gradients in a recycled subspace, with an
 approximate Schur preconditioner (`solvers.dual`); L⁻¹ is a multigrid

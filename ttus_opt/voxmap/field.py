@@ -42,7 +42,7 @@ LARGEST = 1e4
 #: Variable with draws from the field's posterior, read on request only
 DRAWS = "uncertainty_draws"
 
-#: Unit of the field for each sampling (docs/method.md, Unit of the field)
+#: Unit of the field for each sampling (docs/method/contact.md, Unit of the field)
 FIELD_UNIT: dict[str, str] = {
     "voxel-mean": "N",
     "trilinear": "N cm-2",

@@ -2,8 +2,9 @@
 
 The voxels nearest to the surface R(θ, z) along their spoke form the surface layer. It
 is closed at its steps between neighbouring spokes, so that inside and outside never
-couple (docs/method.md, Voxmap). Where the surface is a grid layer, the surface layer is
-exactly that layer. There are two ways to close it, and two meanings of its value:
+couple (docs/method/surface.md, Voxmap). Where the surface is a grid layer, the surface
+layer is exactly that layer. There are two ways to close it, and two meanings of its
+value:
 
 - ``subvoxel``: every voxel below the layer stays inside; voxels outside that would
   touch one join the layer. The layer's value holds at the true radius, where the

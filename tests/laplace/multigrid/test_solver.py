@@ -37,7 +37,7 @@ def box(grid: CylindricalGrid) -> Mask:
 
 
 def explicit(grid: CylindricalGrid, free: Mask) -> sp.csc_array:
-    """A written down neighbour by neighbour (docs/method.md, 4.3), on free voxels."""
+    """A written down neighbour by neighbour (docs/method, 4.3), on free voxels."""
     number = np.full(grid.shape, -1)
     number[free] = np.arange(free.sum())
     dr, dt, dz = grid.r_step, grid.theta_step, grid.z_step

@@ -159,7 +159,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
 def test_the_posterior_has_the_priors_of_the_method(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Medians and factors as in docs/method.md, (8.15)."""
+    """Medians and factors as in docs/method/formulations.md, (8.15)."""
     asked = []
 
     def climbed(evidence: Any, n: int, calls: int) -> PosteriorMode:

@@ -10,11 +10,12 @@ and k fitted parameters take k of them:
 
     σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
 
-(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1; docs/method.md,
-Standard errors). Frames of a place share what the model has wrong there; the larger one
-of this standard error and that by places (`ttus_opt.contact.place_errors`) is reported.
-J'' is a finite difference of fits for a searched parameter (`parameter_search`), and
-follows from pseudo-measurements for one among the variables (`fitted_parameters`).
+(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1;
+docs/method/identification.md, Standard errors). Frames of a place share what the model
+has wrong there; the larger one of this standard error and that by places
+(`ttus_opt.contact.place_errors`) is reported. J'' is a finite difference of fits for a
+searched parameter (`parameter_search`), and follows from pseudo-measurements for one
+among the variables (`fitted_parameters`).
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ errors.
 A place that is visited once may be stiff or reported too shallow. Refined poses are
 therefore kept only where the evidence gains, and where the field that belongs to them
 predicts each place from all others better than the field of the poses as reported does.
-See docs/method.md, Errors of tracked poses.
+See docs/method/identification.md, Errors of tracked poses.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), chapters 2 and 5; errors in variables: W. A. Fuller, Measurement Error Models

@@ -1,4 +1,4 @@
-"""The dual system of eq. 10 with added and removed rows (docs/method.md, "Recursion").
+"""The dual system of eq. 10 with added and removed rows (docs/method, "Recursion").
 
 With D the weighted measured rows, t their targets, p₀ = L⁻¹b and K = D L⁻¹L⁻ᵀDᵀ, the
 minimiser of ‖L p - b‖² + ‖D p - t‖² is

@@ -10,8 +10,8 @@ C is only formed among the voxels that the rows touch. A draw is a draw of the p
 minus its estimate from its own noisy measurements.
 
 Where the mean has unknown multiples β of fields H, they add the covariance
-v T Tᵀ, T = (N − Q D) H (1 + HᵀDᵀ R D H)^(−1/2): universal kriging. See docs/method.md,
-Uncertainty.
+v T Tᵀ, T = (N − Q D) H (1 + HᵀDᵀ R D H)^(−1/2): universal kriging. See
+docs/method/identification.md, Uncertainty.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eqs. 2.24 and 2.42.

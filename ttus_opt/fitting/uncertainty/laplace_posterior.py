@@ -7,7 +7,7 @@ weighted images, c is estimated from y = Bᵀc + e by M⁻¹B y, M = 1 + BBᵀ. 
 variance v and e the covariance Σ, the error of that estimate has the covariance
 v M⁻² + M⁻¹BΣBᵀM⁻¹. A draw is a draw of the prior minus its estimate from its own noisy
 measurements (Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics,
-1978). See docs/method.md, Uncertainty.
+1978). See docs/method/identification.md, Uncertainty.
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ frame. The relative error c, the rotation t of the force and the shift o of its 
 action are common to all frames of a place; they stand for model errors there. All are
 normal with mean zero, so that the covariance Σ of all rows is block-diagonal by frame
 plus seven columns per place. The prior's variance and the noise are estimated together
-by marginal likelihood, with weak log-normal priors. See docs/method.md, Uncertainty.
+by marginal likelihood, with weak log-normal priors. See docs/method/identification.md,
+Uncertainty.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eq. 2.30.

@@ -8,8 +8,8 @@ whatever its number of frames, so that over P places
     log p = -½ Σ P log (mean square of the errors of a term)
 
 stands for the likelihood of the weights: that of errors whose size is not known. Weak
-priors keep weights that the places hardly tell near usual ones. See docs/method.md,
-"Tuning".
+priors keep weights that the places hardly tell near usual ones. See
+docs/method/identification.md, "Tuning".
 """
 
 from __future__ import annotations

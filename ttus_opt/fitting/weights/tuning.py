@@ -4,7 +4,7 @@ Over a reduced basis the prediction of one place from all others has a closed fo
 (`place_left_out`), so that the search takes a second. The evidence of independent
 frames and generalised cross-validation (`weight_criteria`) are given for comparison:
 errors persist along a press, and both take weights that are too large. See
-docs/method.md, "Tuning".
+docs/method/identification.md, "Tuning".
 """
 
 from __future__ import annotations

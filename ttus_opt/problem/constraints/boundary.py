@@ -1,6 +1,6 @@
 """Dirichlet values as equalities, p = b on the boundary voxels.
 
-See docs/method.md, Boundary values.
+See docs/method/contact.md, Boundary values.
 """
 
 from __future__ import annotations

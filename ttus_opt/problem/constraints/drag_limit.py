@@ -1,6 +1,6 @@
 """Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign.
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

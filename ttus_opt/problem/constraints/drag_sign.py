@@ -3,7 +3,7 @@
 Like p, q is not negative inside, zero on the surface layer, and not positive outside,
 so that samples across the surface interpolate through zero.
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The drag field lies between 0 and μ_max p, and m p must do so too.
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

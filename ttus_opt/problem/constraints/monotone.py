@@ -5,7 +5,7 @@ Of two neighbours on a spoke, the deeper voxel exceeds the shallower one by at l
 surface layer, whose value belongs to the true radius unless the voxmap is a staircase.
 Pairs of two given boundary values are left out.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """p ≥ 0 inside and on the surface, whose value is free.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

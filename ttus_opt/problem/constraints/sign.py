@@ -1,6 +1,6 @@
 """Sign of the field: p ≥ 0 inside, p ≤ 0 outside, p = 0 between.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

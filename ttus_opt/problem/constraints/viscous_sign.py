@@ -1,6 +1,6 @@
 """Sign of the viscous coefficients, c ≥ 0.
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Conductivities k_r, k_θ, k_z, constant along their coordinate: muscle and skin carry
 load further along one direction than across it.
 
-See docs/method.md, Variants.
+See docs/method/contact.md, Variants.
 """
 
 from __future__ import annotations

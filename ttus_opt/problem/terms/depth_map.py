@@ -5,7 +5,7 @@ Gaussian field of standard deviation σ whose covariance is a Matérn covariance
 surface times one along the depth. The term is −2 times the log density of g, up to a
 constant: ‖R (p/φ − 1)‖²/σ².
 
-See docs/method.md, Depth map.
+See docs/method/formulations.md, Depth map.
 """
 
 from __future__ import annotations

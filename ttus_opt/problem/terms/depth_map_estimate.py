@@ -18,7 +18,7 @@ the fit. The noise grows with the force of the mean, not with the measured one: 
 that happen to be large would count less, and every estimate would be too soft.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
-(2006), section 5.4.1. See docs/method.md, Depth map.
+(2006), section 5.4.1. See docs/method/formulations.md, Depth map.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ def least_squares_profile(
 ) -> DepthProfile:
     """The profile that alone explains the measured forces best, for equal noise.
 
-    It takes milliseconds; what the evidence changes is in docs/method.md, Depth map.
+    It takes milliseconds; what the evidence changes is in docs/method, Depth map.
 
     Args:
         scene: A scene with measured forces.

@@ -1,6 +1,6 @@
 """Measured forces with drag, λ_f ‖N p − drag − f‖².
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

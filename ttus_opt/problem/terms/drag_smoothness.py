@@ -4,7 +4,7 @@ Measurements determine q only where the probe slid. Where friction is the same
 everywhere q = μ p, which satisfies L q = μ b as p satisfies L p = b. Elsewhere q
 therefore follows a mean friction coefficient m times p, and m is found with it.
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

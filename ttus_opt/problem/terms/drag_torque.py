@@ -1,6 +1,6 @@
 """Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖².
 
-See docs/method.md, Friction.
+See docs/method/contact.md, Friction.
 """
 
 from __future__ import annotations

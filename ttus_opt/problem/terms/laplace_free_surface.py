@@ -6,7 +6,7 @@ layer have only a small weight, which determines the field where nothing was mea
 (the Laplace field of eq. 8) and hardly matters elsewhere. Both end slices keep their
 values.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

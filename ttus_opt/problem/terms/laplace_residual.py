@@ -4,7 +4,7 @@
 boundary rows of L hold the field at φ: at zero on the skin, at the profile's value on
 the inner layer, and at −φ(|d|) outside. The scene's boundary values are not used.
 
-See docs/method.md, Depth map.
+See docs/method/formulations.md, Depth map.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ of both covariances is separable, so its entries at the few voxels that measurem
 touch need no solve over all voxels.
 
 Source: F. Lindgren, H. Rue, J. Lindström, An explicit link between Gaussian fields and
-Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011). See docs/method.md, Depth
-map.
+Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011). See
+docs/method/formulations.md, Depth map.
 """
 
 from __future__ import annotations

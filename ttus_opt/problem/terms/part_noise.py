@@ -20,7 +20,7 @@ n (s² + (0.2 m)²) with m the normal force. Normal residuals are made
 independent frame by frame: of each, what a few earlier frames predict is subtracted
 [A. V. Vecchia, J. R. Stat. Soc. B 50 (1988)].
 
-See docs/method.md, Noise by parts.
+See docs/method/formulations.md, Noise by parts.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Up to δ the penalty is the square, as in eq. 10, beyond it proportional to the residual,
 so that slipping, hair and cable pulls do not distort the field.
 
-See docs/method.md, Penalties.
+See docs/method/formulations.md, Penalties.
 """
 
 from __future__ import annotations

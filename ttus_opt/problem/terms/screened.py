@@ -3,7 +3,7 @@
 The boundary's influence decays over the length 1/κ: the field flattens with depth, as
 if tissue farther than 1/κ away did not push back.
 
-See docs/method.md, Variants.
+See docs/method/contact.md, Variants.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 L p − b are the sources and sinks of the field between the boundaries. Squares spread
 them over all voxels; absolute values concentrate them in few, such as a rib's edge.
 
-See docs/method.md, Penalties.
+See docs/method/formulations.md, Penalties.
 """
 
 from __future__ import annotations

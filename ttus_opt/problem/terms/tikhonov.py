@@ -1,6 +1,6 @@
 """Tikhonov's term ‖p − p_ref‖², over the free voxels.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 N and N·m differ by a length: rows are divided by a characteristic length ℓ, by
 default the shell's root-mean-square radius, so that λ_τ is comparable with λ_f.
 
-See docs/method.md, Eq. 10.
+See docs/method/formulations.md, Eq. 10.
 """
 
 from __future__ import annotations

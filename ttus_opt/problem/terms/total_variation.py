@@ -7,7 +7,7 @@ soft tissue. There are two variants:
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.
 
-See docs/method.md, Penalties.
+See docs/method/formulations.md, Penalties.
 """
 
 from __future__ import annotations

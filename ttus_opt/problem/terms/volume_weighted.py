@@ -5,7 +5,7 @@ each voxel, 2³ times as many), so that the meaning of λ depends on the grid. H
 free row is weighted by its voxel's volume, with ℓ = 1 cm as unit of length. Boundary
 values are not part of the integral: they belong in a constraint.
 
-See docs/method.md, The shelf.
+See docs/method/formulations.md, The shelf.
 """
 
 from __future__ import annotations

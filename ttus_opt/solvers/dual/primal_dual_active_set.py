@@ -1,4 +1,4 @@
-"""The primal-dual active-set method with a safeguard (docs/method.md, section 10.6).
+"""The primal-dual active-set method with a safeguard (docs/method, section 10.6).
 
 For each working set the problem without limits is solved. Active limits whose
 multiplier has the wrong sign are released, all at once (block pivoting: Júdice and

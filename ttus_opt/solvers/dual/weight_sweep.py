@@ -11,7 +11,7 @@ solves a system as small as the basis (Rayleigh-Ritz):
 The gradient there is -2 Dᵀρ with ρ = W²(d - Kᵀc) - Zᵀc, and the objective is at most
 ρᵀC ρ above its minimum. If that is too large, ρ, preconditioned for these weights,
 gives a new response field, at two solves. KᵀK is the Nyström approximation of C
-(docs/method.md, section 10.9).
+(docs/method/solver.md, section 10.9).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ SciPy's conjugate gradients take one solve with L and one with Lᵀ per step; ea
 is again SciPy's conjugate gradients, on the block A, preconditioned by a V-cycle of
 pyamg. A baseline for `structured`.
 
-See docs/method.md, Other solvers.
+See docs/method/solver-variants.md, Other solvers.
 """
 
 from __future__ import annotations

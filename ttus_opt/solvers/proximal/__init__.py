@@ -1,4 +1,4 @@
 """Method of multipliers with semismooth Newton steps: penalties other than squares.
 
-See docs/method.md, Penalties other than squares.
+See docs/method/solver-variants.md, Penalties other than squares.
 """
