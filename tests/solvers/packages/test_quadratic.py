@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.problem.program import QuadraticForm
+from ttus_opt.solvers.packages import quadratic
 from ttus_opt.solvers.packages.quadratic import OneSided, TwoSided
 
 INF = np.inf
@@ -60,3 +61,10 @@ def test_structure_is_pattern_equalities_and_sides() -> None:
     }  # fmt: skip
     same = {name: TwoSided.of(f).same_structure(rows) for name, f in changed.items()}
     assert same == {"numbers": True, "side": False, "box": False}
+
+
+def test_a_pattern_is_shape_columns_and_rows() -> None:
+    one = sp.csc_matrix([[1.0, 0.0], [0.0, 2.0]])
+    assert quadratic._same_pattern(one, 3.0 * one)
+    for other in ([[0.0, 2.0], [1.0, 0.0]], [[1.0, 2.0], [0.0, 0.0]], [[1.0], [2.0]]):
+        assert not quadratic._same_pattern(one, sp.csc_matrix(other))
