@@ -103,7 +103,7 @@ docs-check: $(DOCS_STAMP)
 	$(BIN)/python docs/browser.py .cache/site
 
 clean:
-	rm -rf $(VENV) $(VENV)-oldest $(VENV)-newest demo site docs/pictures .cache
+	rm -rf $(VENV) $(VENV)-oldest $(VENV)-newest demo site .cache
 
 $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \

@@ -179,7 +179,7 @@ def rooms_picture(path: Path) -> None:
                 importer=room, imported=other, as_packages=True
             )
         }
-        for room in rooms
+        for room in sorted(rooms)
     }
 
     def floor(room: str) -> int:
@@ -200,7 +200,7 @@ def rooms_picture(path: Path) -> None:
         figure = new_figure(7.0, 6.5)
         axes = figure.subplots()
         for room, others in below.items():
-            for other in others.difference(*map(reached, others)):
+            for other in sorted(others.difference(*map(reached, others))):
                 axes.annotate(
                     "", at[other], at[room],
                     arrowprops={"arrowstyle": "->", "color": "0.6", "lw": 0.8},

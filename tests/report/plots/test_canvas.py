@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import matplotlib
@@ -38,6 +39,9 @@ def test_a_picture_is_a_small_file_of_its_kind(suffix: str, tmp_path: Path) -> N
     assert content.startswith(BEGIN[suffix])
     assert 1_000 < len(content) < 200_000
     assert list(tmp_path.iterdir()) == [file]
+    time.sleep(1.1)  # dates in files count seconds
+    save_picture(drawn(), file)
+    assert file.read_bytes() == content
 
 
 def test_labels_lie_within_the_picture(tmp_path: Path) -> None:

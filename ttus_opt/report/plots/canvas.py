@@ -24,6 +24,7 @@ DPI = 100
 MEASURED, BEFORE, AFTER = "0.72", "0.25", "#0b4f9c"
 
 _LOOK = {
+    "svg.hashsalt": "ttus_opt",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
@@ -114,5 +115,7 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
             # savefig would draw the figure twice to find a tight frame
             FigureCanvasAgg(figure).print_png(drawn)
         else:
-            figure.savefig(drawn, dpi=DPI, format=suffix[1:])
+            undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+            about = undated.get(suffix)  # the same picture has the same bytes
+            figure.savefig(drawn, dpi=DPI, format=suffix[1:], metadata=about)
     io.write_bytes(path, drawn.getvalue())
