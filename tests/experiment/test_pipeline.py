@@ -205,6 +205,10 @@ def test_refuses_plans_that_cannot_be_done(tmp_path):
     for wrong in ({"weight": 0.0}, {"weight": math.nan}, {"resolution": 0.0}):
         with pytest.raises(InputError, match="needs a weight above 0"):
             experiment.Plan(**wrong)
+    assert [experiment.Plan(resolution=r).resolution for r in (0.3, 10.0)] == [
+        0.3,
+        10.0,
+    ]
     with pytest.raises(InputError, match="choose from lean, stout, average"):
         experiment.run(tmp_path, experiment.Plan(patients=("fat",)))
     assert not list(tmp_path.iterdir())

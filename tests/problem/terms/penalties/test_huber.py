@@ -38,3 +38,4 @@ def test_no_residual_of_a_value_is_longer() -> None:
 def test_a_gauge_of_one_is_the_largest_multiplier() -> None:
     assert PHI.gauge(np.array([0.2, -1.0])) == 1.0
     assert PHI.gauge(np.array([3.0])) == 3.0
+    assert PHI.gauge(np.array([0.25])) == 0.25
