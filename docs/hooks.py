@@ -2,7 +2,8 @@
 
 - notebooks/ and MathJax are put among the site's files; notebooks are run anew when
   they or the package changed;
-- ``{{ modules }}`` becomes the list of modules with the first line of their docstrings;
+- ``{{ modules }}`` becomes the list of modules with the first line of their docstrings,
+  bold where pyproject.toml lists them as offered to other rooms;
 - every module that `method/` names must exist, every public name must be on `api.md`.
 
 Warnings of these checks end the build, as `mkdocs build --strict` does for any.
@@ -15,6 +16,7 @@ import hashlib
 import importlib.resources
 import logging
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -93,6 +95,7 @@ def _modules() -> Iterator[tuple[str, str]]:
 def _module_list() -> str:
     """Rooms with their modules, then the modules beside the rooms."""
     rooms: dict[str, list[str]] = {}
+    offered = _offered()
     titles = {"": "Beside the rooms"}
     for name, summary in _modules():
         first, _, rest = name.partition(".")
@@ -101,13 +104,22 @@ def _module_list() -> str:
             titles[room] = f"{room}\n\n{summary}"
         elif name:
             text = summary.replace("|", "\\|")
-            line = f'| <span id="{name}"></span>`{name}` | {text} |'
+            shown = f"**`{name}`**" if name in offered else f"`{name}`"
+            line = f'| <span id="{name}"></span>{shown} | {text} |'
             rooms.setdefault(room, []).append(line)
     alone = rooms.pop("", [])
     parts = [(titles[room], lines) for room, lines in sorted(rooms.items())]
     parts.append((titles[""], alone))
     head = "| module | what it holds |\n|---|---|\n"
     return "\n\n".join(f"## {t}\n\n{head}" + "\n".join(rows) for t, rows in parts)
+
+
+def _offered() -> set[str]:
+    """Modules that other rooms may import, from the contract in pyproject.toml."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    contracts = tomllib.loads(text)["tool"]["importlinter"]["contracts"]
+    (rooms,) = (c for c in contracts if c["type"] == "protected")
+    return {line.split(f"{PACKAGE.name}.")[1] for line in rooms["ignore_imports"]}
 
 
 def _module_link(match: re.Match[str]) -> str:
