@@ -26,6 +26,8 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
+NOTEBOOKS = $(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+
 .PHONY: help demo test slow long notebooks lab oldest newest mutants check picture docs \
 	docs-check clean
 
@@ -35,7 +37,7 @@ help:
 	@echo "make slow        run the tests over ten seconds, and the notebooks"
 	@echo "make long        run the longest tests: many mutations, every solver"
 	@echo "make check       check format, lint, types and layers"
-	@echo "make notebooks   run the notebooks"
+	@echo "make notebooks   run the notebooks and store their outputs, made small"
 	@echo "make lab         open the notebooks in JupyterLab"
 	@echo "make docs        build the documentation into site/, notebooks included"
 	@echo "make docs-check  check pages, also in a browser, links, names, examples"
@@ -51,14 +53,16 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(PYTEST) -m "not slow" $(PARALLEL) $(TESTFLAGS)
 
-slow: $(STAMP) notebooks
+slow: $(STAMP)
+	$(NOTEBOOKS)
 	$(PYTEST) -m "slow and not long" $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
 
 long: $(STAMP)
 	$(PYTEST) -m long $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
 
 notebooks: $(STAMP)
-	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+	$(NOTEBOOKS) --overwrite
+	$(BIN)/python docs/notebook_outputs.py notebooks
 
 lab: $(LAB_STAMP)
 	$(BIN)/python -m jupyterlab --ServerApp.root_dir=notebooks $(LABFLAGS)
