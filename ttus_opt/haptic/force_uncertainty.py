@@ -44,8 +44,7 @@ class ForceUncertainty:
         if given is not True or field.uncertainty is None:
             raise InputError(
                 "uncertainty=True needs a field with an uncertainty map: fit with "
-                "ttus-opt fit "
-                "--uncertainty, or give the map of "
+                "ttus-opt fit --uncertainty, or give the map of "
                 "fitting.uncertainty.skin_uncertainty.uncertainty_map"
             )
         return cls(field.uncertainty)

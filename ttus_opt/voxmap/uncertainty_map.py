@@ -50,8 +50,7 @@ class UncertaintyMap:
         if self.relative.shape != shape or len(self.z) < 2 or not len(self.theta):
             raise InputError(
                 f"an uncertainty map needs relative of shape {shape} and two heights "
-                "or more, "
-                f"got {self.relative.shape}"
+                f"or more, got {self.relative.shape}"
             )
         if not (np.isfinite(self.relative).all() and (self.relative >= 0.0).all()):
             raise InputError(

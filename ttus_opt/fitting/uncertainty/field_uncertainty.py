@@ -197,8 +197,7 @@ def uncertainty(
     if not measured or any(len(t.target) != 3 * frames for t in measured):
         raise InputError(
             "uncertainty needs measured terms with three rows per frame: fit eq10 or "
-            "another "
-            "formulation with measured forces"
+            "another formulation with measured forces"
         )
     known = known_covariance(prior.tags)
     if method is None:
@@ -238,8 +237,7 @@ def _prior_of(solution: Solution) -> ProgramTerm:
     if prior is None or not (one_field and program.is_quadratic):
         raise InputError(
             f"no uncertainty for {solution.formulation}: it needs one field, a prior "
-            "(a "
-            "Laplace term or one of known covariance) and squares of measured rows"
+            "(a Laplace term or one of known covariance) and squares of measured rows"
         )
     return prior
 

@@ -170,8 +170,7 @@ def next_press(
     if not np.isfinite(covariance).all():
         raise InputError(
             f"presses of {depth:g} m reach deeper than draws are kept: give "
-            "uncertainty a "
-            "larger depth"
+            "uncertainty a larger depth"
         )
     chosen, reduction, after = greedy(covariance, noise[reached], region, count)
     poses = presses.select(np.flatnonzero(reached)[chosen])

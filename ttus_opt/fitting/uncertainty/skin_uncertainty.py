@@ -64,8 +64,7 @@ def uncertainty_map(
     if not stated.known.all():
         raise InputError(
             f"presses of {depth:g} m reach deeper than the saved draws: give "
-            "uncertainty a "
-            "larger depth"
+            "uncertainty a larger depth"
         )
     std = stated.force_size
     force = np.linalg.norm(

@@ -261,9 +261,9 @@ class MeasuredWrenches:
             usual = PRIORS["place_share"][0]
             warnings.warn(
                 "uncertainty: the recordings do not tell errors of whole places, "
-                "which seem "
-                f"larger than {100 * MOST_SHARE:.0f} %, from what the field does not "
-                f"know; {100 * usual:.0f} % of the wrench are taken for them",
+                f"which seem larger than {100 * MOST_SHARE:.0f} %, from what the "
+                f"field does not know; {100 * usual:.0f} % of the wrench are taken "
+                "for them",
                 TtusWarning,
                 stacklevel=3,
             )
