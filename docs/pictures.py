@@ -170,7 +170,9 @@ def rooms_picture(path: Path) -> None:
     An arrow that follows from others is left out.
     """
     graph = grimp.build_graph("ttus_opt", exclude_type_checking_imports=True)
-    rooms = graph.find_children("ttus_opt") - {"ttus_opt.__main__"}
+    package = FOLDER.parents[1] / "ttus_opt"
+    every = graph.find_children("ttus_opt")
+    rooms = {room for room in every if (package / room.split(".")[1]).is_dir()}
     below = {
         room.rpartition(".")[2]: {
             other.rpartition(".")[2]
