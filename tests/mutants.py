@@ -270,7 +270,7 @@ TARGETS = (
                 *("perceptual_updates", "proxy_six_dof", "stiffness_map"),
                 "voxmap_point_shell",
             ),
-            "contact": ("point_drag", "pose_rows", "shell_blocks"),
+            "contact": ("point_drag", "pose_rows", "shell_blocks", "standing"),
             "fitting": ("breakdown",),
             "fitting/poses": ("pose_error_step", "pose_refinement"),
             "fitting/uncertainty": ("contact_spread", "skin_uncertainty"),

@@ -151,6 +151,18 @@ class Surface:
         )
         return np.asarray(flat).reshape(theta.shape)
 
+    def seen_at(self, theta: Array, z: Array) -> NDArray[np.bool_]:
+        """Whether the scan saw the skin at the nodes nearest to places, shape (k,).
+
+        Args:
+            theta: Angles, shape (k,) [rad].
+            z: Heights, shape (k,) [m].
+        """
+        step = TURN / len(self.theta)
+        i = np.rint((theta - self.theta[0]) / step).astype(np.int64) % len(self.theta)
+        j = np.abs(self.z - np.asarray(z)[:, None]).argmin(axis=1)
+        return np.asarray(self.observed[i, j])
+
     def points(self) -> Array:
         """Nodes in the patient frame, shape (n_theta, n_z, 3) [m]."""
         x = self.radius * np.cos(self.theta)[:, None]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import ttus_opt as tt
 from tests.conftest import torso
 from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
@@ -41,18 +40,6 @@ def test_presses_reach_the_depth_asked_for() -> None:
         skin = scene.voxmap.surface.radius_at(angle, points[:, 2])
         deepest = (skin - np.hypot(points[:, 0], points[:, 1])).max()
         assert deepest == pytest.approx(0.006, abs=1e-5)
-
-
-def test_frames_of_the_skin_follow_its_slope() -> None:
-    theta, z = np.array([0.0, 1.0, 2.5]), np.array([0.1, 0.15, 0.2])
-    heights = np.linspace(0.0, 0.3, 31)  # a cone: r = 0.1 + z/4
-    cone = tt.Surface.from_radius(np.tile(0.1 + heights / 4.0, (180, 1)), heights)
-    frames = skin_uncertainty.skin_frames(cone, theta, z)
-    outward = np.stack([np.cos(theta), np.sin(theta), np.full(3, -0.25)], axis=1)
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    np.testing.assert_allclose(frames[:, :, 0], outward, atol=1e-3)
-    same = frames.transpose(0, 2, 1) @ frames
-    np.testing.assert_allclose(same, np.broadcast_to(np.eye(3), (3, 3, 3)), atol=1e-12)
 
 
 @pytest.mark.filterwarnings(KEPT_SHARE)

@@ -25,13 +25,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.contact.standing import skin_frames
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.fitting.uncertainty.skin_uncertainty import (
     SPACING,
     presses_at,
-    skin_frames,
     skin_nodes,
     usual_depth,
 )
@@ -39,7 +39,6 @@ from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_row
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.scan.box import inside
-from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sector import Sector, checked_sector, holds
 
 #: Presses by default [–]
@@ -154,7 +153,7 @@ def next_press(
         a.ravel()
         for a in np.meshgrid(*skin_nodes(scene.voxmap.surface, spacing), indexing="ij")
     )
-    seen = _seen(scene.voxmap.surface, theta, z)
+    seen = scene.voxmap.surface.seen_at(theta, z)
     presses = presses_at(scene, theta[seen], z[seen], depth)
     rows, noise = normal_forces(uncertainty, presses)
     force = rows @ uncertainty.potential.values.ravel()
@@ -219,14 +218,6 @@ def greedy(
         left -= column[:, None] * column
     std = np.sqrt(np.maximum(np.diag(left), 0.0))
     return np.array(chosen), np.array(shares), std
-
-
-def _seen(surface: Surface, theta: Array, z: Array) -> Mask:
-    """Whether the scan saw the skin at the nearest node of the surface, shape (k,)."""
-    step = 2.0 * np.pi / len(surface.theta)
-    i = np.rint((theta - surface.theta[0]) / step).astype(np.int64) % len(surface.theta)
-    j = np.abs(surface.z - z[:, None]).argmin(axis=1)
-    return np.asarray(surface.observed[i, j])
 
 
 def normal_forces(

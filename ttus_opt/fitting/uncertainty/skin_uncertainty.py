@@ -8,9 +8,9 @@ force's standard deviation is small where the patient was measured and large els
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.scene import Scene
+from ttus_opt.contact.standing import depth_of, standing, usual_hold
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
@@ -22,12 +22,6 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 #: Distance between nodes, depth of a press, and margin at both ends [m]
 SPACING, DEPTH, END = 0.02, 0.008, 0.02
-
-#: Bisections of the probe's distance from the skin, and half of its range [m]
-BISECTIONS, REACH = 20, 0.1
-
-#: Half of the distance over which the skin's slope is taken: that of a probe [m]
-SLOPE = 0.01
 
 #: Least force by which a standard deviation is divided [N]
 LEAST_FORCE = 0.05
@@ -124,18 +118,9 @@ def presses_at(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory
     Raises:
         InputError: Recordings without contact.
     """
-    surface, frames = scene.voxmap.surface, skin_frames(scene.voxmap.surface, theta, z)
-    rotation, outward = frames @ _usual(scene), frames[:, :, 0]
-    radius = surface.radius_at(theta, z)
-    skin = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
-    turned = np.einsum("tij,mj->tmi", rotation, scene.shell.points)
-    near, far = np.full(len(z), -REACH), np.full(len(z), REACH)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (near + far)
-        place = skin + middle[:, None] * outward
-        deep = _depths(surface, place[:, None] + turned) > depth
-        near, far = np.where(deep, middle, near), np.where(deep, far, middle)
-    place = skin + far[:, None] * outward
+    surface, held = scene.voxmap.surface, _held(scene)
+    hold = usual_hold(surface, scene.shell, held.rotation, held.position)
+    rotation, place = standing(surface, scene.shell, hold, theta, z, depth)
     # a segment each: nothing slides
     time = np.arange(len(place), dtype=np.float64)
     return Trajectory(time, place, rotation, segment=np.arange(len(place)))
@@ -143,36 +128,10 @@ def presses_at(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory
 
 def usual_depth(scene: Scene) -> float:
     """Median depth of the probe's deepest point in contact [m]."""
-    held = _held(scene)
-    turned = np.einsum("tij,mj->tmi", held.rotation, scene.shell.points)
-    points = held.position[:, None] + turned
-    return float(np.median(_depths(scene.voxmap.surface, points)))
-
-
-def skin_frames(surface: Surface, theta: Array, z: Array) -> Array:
-    """Outward normal, direction around and direction along, in columns, (k, 3, 3)."""
-    step = SLOPE / surface.radius_at(theta, z)
-    ends = []
-    for a, h in (
-        (theta - step, z),
-        (theta + step, z),
-        (theta, z - SLOPE),
-        (theta, z + SLOPE),
-    ):
-        r = surface.radius_at(a, h)
-        ends.append(np.stack([r * np.cos(a), r * np.sin(a), h], axis=1))
-    normal = np.cross(ends[1] - ends[0], ends[3] - ends[2])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    around = np.cross([0.0, 0.0, 1.0], normal)
-    around /= np.linalg.norm(around, axis=1, keepdims=True)
-    return np.stack([normal, around, np.cross(normal, around)], axis=2)
-
-
-def _depths(surface: Surface, points: Array) -> Array:
-    """Depth of the deepest of the points of every pose, (T, m, 3), shape (T,) [m]."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
-    return np.asarray(depth.max(axis=1))
+    held, surface = _held(scene), scene.voxmap.surface
+    return float(
+        np.median(depth_of(surface, scene.shell, held.rotation, held.position))
+    )
 
 
 def _held(scene: Scene) -> Trajectory:
@@ -185,12 +144,3 @@ def _held(scene: Scene) -> Trajectory:
     if not touching.any():
         raise InputError("presses at other places need a recording in contact")
     return scene.trajectory.select(touching)
-
-
-def _usual(scene: Scene) -> Array:
-    """Mean orientation of the probe in contact, relative to the skin, (3, 3)."""
-    held = _held(scene)
-    x, y, z = held.position.T
-    frames = skin_frames(scene.voxmap.surface, np.arctan2(y, x), z)
-    own = Rotation.from_matrix(frames).inv() * Rotation.from_matrix(held.rotation)
-    return np.asarray(own.mean().as_matrix())

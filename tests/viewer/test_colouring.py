@@ -1,0 +1,73 @@
+"""Colours of the skin against single presses and the maps they are taken from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import torso
+from tests.fitting.uncertainty.test_field_uncertainty import (
+    KEPT_SHARE,
+    fitted,
+    three_presses,
+)
+from tests.viewer.conftest import field, probe
+from ttus_opt.contact.standing import depth_of, standing
+from ttus_opt.core.errors import InputError
+from ttus_opt.viewer import colouring
+from ttus_opt.viewer.skin import SkinMesh
+from ttus_opt.viewer.state import USUAL
+
+SKIN = SkinMesh.of(torso(), 0.03)
+
+
+def test_stiffness_is_the_force_of_a_press_there() -> None:
+    renderer = tt.Renderer(field(), probe())
+    found = colouring.stiffness(field(), renderer, probe(), USUAL, SKIN)
+    assert found.unit == "N"
+    for node in (0, 17, len(SKIN.theta) // 2):
+        place = SKIN.theta[node : node + 1], SKIN.z[node : node + 1]
+        R, x = standing(torso(), probe(), USUAL, *place, colouring.LIGHT)
+        assert depth_of(torso(), probe(), R, x)[0] == pytest.approx(0.005, abs=1e-6)
+        force = np.linalg.norm(renderer.render(R[0], x[0]).force)
+        assert force == pytest.approx(found.values[node], abs=1e-5)
+    front = np.abs(SKIN.theta - np.pi / 2) < 0.3
+    back = np.abs(SKIN.theta - 3 * np.pi / 2) < 0.3
+    assert np.median(found.values[front]) > 2.0 * np.median(found.values[back])
+    assert 0.0 < found.span[1] <= found.values.max()
+
+
+def test_uncertainty_is_that_of_the_map() -> None:
+    found = colouring.uncertainty(field(), SKIN)
+    own = field().uncertainty
+    assert own is not None
+    assert found.unit == "%"
+    assert found.values[5] == 100.0 * own.at(*SKIN.vertices[5].tolist())
+    with pytest.raises(InputError, match="--uncertainty"):
+        colouring.uncertainty(replace(field(), uncertainty=None), SKIN)
+
+
+def test_what_was_seen_and_what_was_filled() -> None:
+    surface = field().voxmap.surface
+    hidden = np.broadcast_to((surface.theta > np.pi)[:, None], surface.radius.shape)
+    voxmap = replace(field().voxmap, surface=replace(surface, observed=~hidden))
+    found = colouring.seen(replace(field(), voxmap=voxmap), SKIN)
+    front = (SKIN.theta > 0.1) & (SKIN.theta < 3.0)
+    assert (found.values[front] == 1.0).all()
+    assert (found.values[(SKIN.theta > 3.3) & (SKIN.theta < 6.1)] == 0.0).all()
+    assert found.classes == ("filled in", "seen by the scan")
+
+
+@pytest.mark.filterwarnings(KEPT_SHARE)
+def test_next_presses_are_those_of_the_fit() -> None:
+    stated = tt.uncertainty(fitted(), three_presses())
+    found, presses = colouring.next_presses(stated, SKIN)
+    np.testing.assert_array_equal(found.marks, presses.points[presses.node])
+    known = np.flatnonzero(np.isfinite(found.values))
+    assert len(known) > 20
+    for node in known[:5]:
+        way = np.linalg.norm(presses.points - SKIN.vertices[node], axis=1)
+        assert found.values[node] == presses.before[way.argmin()]

@@ -1,0 +1,159 @@
+"""A probe that stands on the skin: its frame there, its depth, and poses of a depth.
+
+A place (θ, z) of the skin has a frame: its outward normal, the direction around the
+body and the one along it. A probe stands there when its shell's reference point lies on
+the normal through the place, which the origin of its frame, a tracker's marker perhaps,
+need not. It is held in some orientation relative to that frame and shifted along the
+normal until its deepest point lies at the depth asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Half of the distance over which the skin's slope is taken: that of a probe [m]
+SLOPE = 0.01
+
+#: Poses end within this of the depth asked for, or after so many steps [m], [–]
+TOLERANCE, STEPS = 1e-7, 40
+
+#: The deepest point is one of those less than this above the lowest [m]: it is another
+#: only on skin with a radius of curvature below w²/2 of this, w half the probe's width
+REACH = 0.02
+
+#: Steps to the place below a point; each leaves the point's height over the skin's
+#: radius of curvature of the distance [–]
+FEET = 12
+
+#: Poses whose points are placed together, which limits the memory [–]
+TOGETHER = 500
+
+
+def skin_frames(surface: Surface, theta: Array, z: Array) -> Array:
+    """Outward normal, direction around and direction along, in columns, (k, 3, 3)."""
+    step = SLOPE / surface.radius_at(theta, z)
+    ends = []
+    for a, h in (
+        (theta - step, z),
+        (theta + step, z),
+        (theta, z - SLOPE),
+        (theta, z + SLOPE),
+    ):
+        r = surface.radius_at(a, h)
+        ends.append(np.stack([r * np.cos(a), r * np.sin(a), h], axis=1))
+    normal = np.cross(ends[1] - ends[0], ends[3] - ends[2])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    around = np.cross([0.0, 0.0, 1.0], normal)
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    return np.stack([normal, around, np.cross(normal, around)], axis=2)
+
+
+def skin_points(surface: Surface, theta: Array, z: Array) -> Array:
+    """The skin at places, shape (k, 3) [m]."""
+    radius = surface.radius_at(theta, z)
+    return np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
+
+
+def places_below(surface: Surface, points: Array) -> tuple[Array, Array]:
+    """Places whose normals go through points near the skin.
+
+    Args:
+        surface: The skin.
+        points: Patient frame, shape (k, 3) [m].
+
+    Returns:
+        Angles [rad] and heights [m], shape (k,).
+    """
+    foot = points
+    for _ in range(FEET):
+        theta, z = np.arctan2(foot[:, 1], foot[:, 0]), foot[:, 2]
+        normal = skin_frames(surface, theta, z)[:, :, 0]
+        above = np.einsum("ki,ki->k", points - skin_points(surface, theta, z), normal)
+        foot = points - above[:, None] * normal
+    return np.arctan2(foot[:, 1], foot[:, 0]), foot[:, 2]
+
+
+def deepest(surface: Surface, points: Array) -> Array:
+    """Depth of the deepest of the points of every pose, (k, m, 3), shape (k,) [m]."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
+    return np.asarray(depth.max(axis=1))
+
+
+def depth_of(
+    surface: Surface, shell: PointShell, rotation: Array, position: Array
+) -> Array:
+    """Depth of the probe's deepest point, negative in air.
+
+    Args:
+        surface: The skin.
+        shell: The probe.
+        rotation: Probe to patient, shape (k, 3, 3) [–].
+        position: Origin of the probe frame, patient frame, shape (k, 3) [m].
+
+    Returns:
+        Shape (k,) [m].
+    """
+    turned = np.einsum("tij,mj->tmi", rotation, shell.points)
+    return deepest(surface, position[:, None] + turned)
+
+
+def usual_hold(
+    surface: Surface, shell: PointShell, rotation: Array, position: Array
+) -> Array:
+    """Mean orientation of a probe relative to the skin below it, shape (3, 3).
+
+    Args:
+        surface: The skin.
+        shell: The probe.
+        rotation: Of poses in contact, shape (k, 3, 3) [–].
+        position: Their origins, shape (k, 3) [m].
+    """
+    references = position + rotation @ shell.reference
+    frames = skin_frames(surface, *places_below(surface, references))
+    own = Rotation.from_matrix(frames).inv() * Rotation.from_matrix(rotation)
+    return np.asarray(own.mean().as_matrix())
+
+
+def standing(
+    surface: Surface,
+    shell: PointShell,
+    hold: Array,
+    theta: Array,
+    z: Array,
+    depth: float,
+) -> tuple[Array, Array]:
+    """Poses of a probe that stands on the skin, its deepest point at a depth.
+
+    Args:
+        surface: The skin.
+        shell: The probe.
+        hold: Orientation relative to the skin's frame, shape (3, 3) [–].
+        theta: Angles, shape (k,) [rad].
+        z: Heights, shape (k,) [m].
+        depth: Depth of the deepest point, negative in air [m].
+
+    Returns:
+        Rotations, (k, 3, 3) [–], and positions of the origin, (k, 3) [m].
+    """
+    frames, skin = skin_frames(surface, theta, z), skin_points(surface, theta, z)
+    height = (shell.points - shell.reference) @ hold[0]
+    low = shell.points[height < height.min() + REACH]
+    rotation = frames @ hold
+    reference = skin - (height.min() + depth) * frames[:, :, 0]
+    position = reference - rotation @ shell.reference
+    for first in range(0, len(z), TOGETHER):
+        part = slice(first, first + TOGETHER)
+        turned = np.einsum("tij,mj->tmi", rotation[part], low)
+        for _ in range(STEPS):
+            # a shift along the normal changes the depth by about as much
+            excess = deepest(surface, position[part, None] + turned) - depth
+            position[part] += excess[:, None] * frames[part, :, 0]
+            if np.abs(excess).max() < TOLERANCE:
+                break
+    return rotation, position

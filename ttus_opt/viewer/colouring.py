@@ -1,0 +1,121 @@
+"""What the skin can be coloured by: a number at every node, with name and unit.
+
+- *Stiffness*: force of a light reference press at every node, as the renderer gives it.
+- *Uncertainty*: standard deviation of a press's force over that force, from the map
+  that ``ttus-opt fit --uncertainty`` stores with a field.
+- *Seen*: whether the scan saw the skin, or it was filled in.
+- *Next press*: standard deviation of a press's force before further presses, and the
+  places where these would tell most (`ttus_opt.fitting.uncertainty.next_press`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ttus_opt.contact.standing import standing
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+from ttus_opt.fitting.uncertainty.next_press import NextPresses, next_press
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.viewer.skin import SPACING, SkinMesh
+from ttus_opt.voxmap.field import PotentialField
+
+#: Depth of the reference press: a light one, about 1 to 3 N on soft tissue [m]
+LIGHT = 0.005
+
+#: Share of the nodes that the colour scale covers: a few outliers do not darken the
+#: rest [–]
+COVERED = 0.98
+
+
+@dataclass(frozen=True)
+class Colouring:
+    """A number at every node of the skin.
+
+    Attributes:
+        name: As the list of colourings has it.
+        title: What the numbers are.
+        unit: Of the numbers; "" for classes.
+        values: One a node, NaN where there is none, shape (n,).
+        classes: Names of the values 0, 1, … where they are classes.
+        marks: Numbered places to show, patient frame, shape (k, 3) [m].
+    """
+
+    name: str
+    title: str
+    unit: str
+    values: Array = field(repr=False)
+    classes: tuple[str, ...] = ()
+    marks: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Numbers at the two ends of the colour scale."""
+        known = self.values[np.isfinite(self.values)]
+        if self.classes:
+            return 0.0, float(len(self.classes) - 1)
+        return 0.0, float(np.quantile(known, COVERED)) if len(known) else 1.0
+
+
+def stiffness(
+    field: PotentialField,
+    renderer: Renderer,
+    shell: PointShell,
+    hold: Array,
+    skin: SkinMesh,
+) -> Colouring:
+    """Force of a light reference press at every node; none beyond the model.
+
+    Args:
+        field: What is rendered.
+        renderer: Its own, which no other thread uses.
+        shell: The probe.
+        hold: Its orientation relative to the skin, shape (3, 3) [–].
+        skin: The nodes.
+    """
+    surface, rest = field.voxmap.surface, np.zeros(6)
+    poses = standing(surface, shell, hold, skin.theta, skin.z, LIGHT)
+    force = np.full(len(skin.theta), np.nan)
+    for i, (rotation, position) in enumerate(zip(*poses, strict=True)):
+        wrench = renderer.render(rotation, position, rest)
+        if wrench.contact_points > 0:
+            force[i] = float(np.linalg.norm(wrench.force))
+    title = f"force of a press {1e3 * LIGHT:g} mm deep"
+    return Colouring("Stiffness", title, "N", force)
+
+
+def uncertainty(field: PotentialField, skin: SkinMesh) -> Colouring:
+    """Relative standard deviation of a press's force at every node.
+
+    Raises:
+        InputError: The field has no map.
+    """
+    if field.uncertainty is None:
+        raise InputError(
+            "this field holds no uncertainty: fit with ttus-opt fit --uncertainty"
+        )
+    values = [field.uncertainty.at(*point) for point in skin.vertices.tolist()]
+    title = "standard deviation of a press, of its force"
+    return Colouring("Uncertainty", title, "%", 100.0 * np.array(values))
+
+
+def seen(field: PotentialField, skin: SkinMesh) -> Colouring:
+    """Which skin the scan saw, and which was filled in."""
+    found = field.voxmap.surface.seen_at(skin.theta, skin.z)
+    classes = "filled in", "seen by the scan"
+    return Colouring("Seen", "skin", "", found.astype(np.float64), classes)
+
+
+def next_presses(stated: Uncertainty, skin: SkinMesh) -> tuple[Colouring, NextPresses]:
+    """Standard deviation of a press, and the places where to press next."""
+    found = next_press(stated)
+    far, nearest = cKDTree(found.points).query(skin.vertices)
+    values = np.where(far < 3.0 * SPACING, found.before[nearest], np.nan)
+    title = f"standard deviation of a press {1e3 * found.depth:.1f} mm deep"
+    marks = found.points[found.node]
+    return Colouring("Next press", title, "N", values, marks=marks), found
