@@ -53,7 +53,7 @@ def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     choose, expected = cache_folder.__wrapped__, tmp_path / ".cache/ttus_opt/compiled"
     for environment in ("", None):  # empty, which counts as not set, or not set
         if environment is None:

@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 
 import numba
+import platformdirs
 
 
 @functools.cache
@@ -23,7 +24,7 @@ def cache_folder() -> Path | None:
     chosen = numba.config.CACHE_DIR
     if chosen:
         folder = Path(chosen) / "ttus_opt"
-        if _made(folder) and _trusted(folder, owners=(0,)):
+        if _trusted(folder, owners=(0,)):
             return folder
         warnings.warn(
             f"{folder} is not used for compiled code: it cannot be created, or others "
@@ -31,13 +32,11 @@ def cache_folder() -> Path | None:
             RuntimeWarning,
             stacklevel=2,
         )
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home = platformdirs.user_cache_path("ttus_opt", appauthor=False)
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
-    for folder in (
-        home / "ttus_opt" / "compiled",
-        Path(tempfile.gettempdir()) / f"ttus_opt-{user}",
-    ):
-        if _private(folder):
+    temporary = Path(tempfile.gettempdir()) / f"ttus_opt-{user}"
+    for folder in (home / "compiled", temporary):
+        if _trusted(folder) and os.access(folder, os.W_OK):
             return folder
     warnings.warn(
         f"compiled code is not saved: {home} is not writable; set NUMBA_CACHE_DIR to "
@@ -48,24 +47,17 @@ def cache_folder() -> Path | None:
     return None
 
 
-def _private(folder: Path) -> bool:
-    """Create a folder and check that this user, and no other, may write to it."""
-    return _made(folder) and _trusted(folder) and os.access(folder, os.W_OK)
+def _trusted(folder: Path, owners: tuple[int, ...] = ()) -> bool:
+    """Whether only this user, or one of the given owners, can have written there.
 
-
-def _made(folder: Path) -> bool:
-    """Create a missing folder for this user alone; whether it exists now."""
+    A missing folder is created for this user alone.
+    """
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
     except OSError:
         return False
-    return True
-
-
-def _trusted(folder: Path, owners: tuple[int, ...] = ()) -> bool:
-    """Whether only this user, or one of the given owners, can have written there."""
-    status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):  # others can redirect a symbolic link
         return False
     if not hasattr(os, "getuid"):

@@ -15,7 +15,7 @@ def test_what_it_solves_compiles_the_solver() -> None:
     ahead.compile_multigrid()
     for function in LAST:
         assert function.signatures
-        assert ahead.is_kept(function)
+        assert ahead.is_cached(function)
 
 
 @pytest.fixture
@@ -38,11 +38,11 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return events
 
 
-@pytest.mark.parametrize("is_kept", [True, False])
+@pytest.mark.parametrize("is_cached", [True, False])
 def test_a_process_is_started_only_when_there_is_something_to_do(
-    is_kept: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
+    is_cached: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
 ) -> None:
-    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
+    monkeypatch.setattr(ahead, "is_cached", lambda _: is_cached)
     with pytest.raises(KeyError), ahead.compiling_ahead():
         raise KeyError("a mistake meanwhile")
-    assert done == ([] if is_kept else ["started", "ended", "waited for"])
+    assert done == ([] if is_cached else ["started", "ended", "waited for"])

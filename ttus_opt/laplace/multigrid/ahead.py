@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ttus_opt.core.child_process import environment, python_module
-from ttus_opt.core.compiled import is_kept
+from ttus_opt.core.compiled import is_cached
 from ttus_opt.laplace.multigrid.cycle import v_cycle
 from ttus_opt.laplace.multigrid.pcg import operate
 from ttus_opt.laplace.multigrid.refinement import add_flat
@@ -29,7 +29,7 @@ LAST = (add_flat, operate, v_cycle)
 def compiling_ahead() -> Iterator[None]:
     """Compile the multigrid in another process meanwhile, unless it is compiled."""
     helper = None
-    if not all(map(is_kept, LAST)):
+    if not all(map(is_cached, LAST)):
         helper = subprocess.Popen(
             python_module("ttus_opt.laplace.multigrid.ahead"),
             env=environment(),
