@@ -242,7 +242,8 @@ def _space(value: Any) -> dict[str, Any] | None:
     if isinstance(value, types.ModuleType):
         return vars(value)
     if isinstance(value, numba.core.dispatcher.Dispatcher):
-        return value.py_func.__globals__
+        space: dict[str, Any] = value.py_func.__globals__
+        return space
     if isinstance(value, type) and issubclass(value, tuple | enum.Enum):
         return vars(sys.modules[value.__module__])
     return None
