@@ -10,7 +10,8 @@ import pytest
 import ttus_opt as tt
 from tests.hostile import NUMBERS, only_our_errors
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.probe.text_table import known_name, read_text_table
+from ttus_opt.probe.column_names import known_name
+from ttus_opt.probe.text_table import read_text_table
 
 OURS = ["t", "px", "py", "pz", "qw", "qx", "qy", "qz"]
 OURS += ["fx", "fy", "fz", "tx", "ty", "tz"]

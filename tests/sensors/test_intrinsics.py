@@ -125,3 +125,62 @@ def test_mutations(tmp_path: Path, n: int) -> None:
     sources.append(tmp_path / "camera.json")
     sources[-1].write_text(json.dumps({"K": FLAT, "D": [0.1] * 5, "width": 640}))
     only_our_errors(sources, read_intrinsics, n)
+
+
+REALSENSE = {
+    **{"width": 640, "height": 480, "fx": 618.6, "fy": 619.11},
+    **{"ppx": 321.984, "ppy": 241.146, "model": "Inverse Brown Conrady"},
+    "coeffs": [0.0] * 5,
+}
+OPEN3D = {
+    "intrinsic": {
+        **{"width": 640, "height": 480},
+        "intrinsic_matrix": np.array(K).T.ravel().tolist(),
+    }
+}
+FILE_STORAGE = """<?xml version="1.0"?>
+<opencv_storage>
+<image_Width>640</image_Width>
+<image_Height>480</image_Height>
+<Camera_Matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+  <data>618.6 0. 321.984
+    0. 619.11 241.146 0. 0. 1.</data></Camera_Matrix>
+<Distortion_Coefficients type_id="opencv-matrix"><rows>5</rows><cols>1</cols>
+  <dt>d</dt><data>0. 0. 0. 0. 0.</data></Distortion_Coefficients>
+</opencv_storage>
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("realsense.json", json.dumps(REALSENSE)),
+        ("open3d.json", json.dumps(OPEN3D)),
+        ("opencv.xml", FILE_STORAGE),
+    ],
+)
+def test_other_makers(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    found = read_intrinsics(tmp_path / name)
+    np.testing.assert_array_equal(found.matrix, K)
+    assert found.size == (640, 480)
+    assert not found.distortion.any()
+
+
+def test_opencv_reads_what_we_read_as_xml(tmp_path: Path) -> None:
+    """Its own writer, its own names."""
+    import cv2
+
+    storage = cv2.FileStorage(str(tmp_path / "c.xml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", np.array(K))
+    storage.write("distortion_coefficients", np.array([[0.1, -0.2, 0.0, 0.0, 0.05]]))
+    storage.release()
+    found = read_intrinsics(tmp_path / "c.xml")
+    np.testing.assert_array_equal(found.matrix, K)
+    np.testing.assert_array_equal(found.distortion, [0.1, -0.2, 0.0, 0.0, 0.05])
+
+
+def test_an_inverse_distortion_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text(json.dumps({**REALSENSE, "coeffs": [0.1] * 5}))
+    with pytest.raises(FileError, match="Inverse Brown Conrady is not known"):
+        read_intrinsics(tmp_path / "c.json")

@@ -222,8 +222,8 @@ SPOILT: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
         ("swapped", "are y, x, z, expected x, y, z"),
         ("missing", "no variable quaternion"),
         ("text", "not hold numbers"),
-        ("gone", "NaN"),
-        ("late", "increase"),
+        ("gone", "frame 3: py is nan"),
+        ("late", "goes back"),
         ("long", "check units"),
     ],
 )

@@ -345,3 +345,64 @@ def test_mutations(
                 except TtusError as error:
                     assert "\n" not in str(error)
     assert taken > n / 4 and (dropped > n / 10 or not sealed)
+
+
+class Packed(pyigtl.messages.MessageBase):
+    """A body by its bytes, after the protocol's tables; pyigtl has no such message."""
+
+    def __init__(self, kind: str, body: bytes, device: str) -> None:
+        super().__init__(timestamp=7.0, device_name=device)
+        self._message_type, self.body, self._valid_message = kind, body, True
+
+    def _pack_content(self) -> bytes:
+        return self.body
+
+
+def test_positions_tools_and_arrays() -> None:
+    """POSITION with a whole and a short quaternion, TDATA by tool, NDARRAY."""
+    quaternion = Rotation.from_matrix(TURN).as_quat()
+    whole = struct.pack(">7f", 10, 20, 30, *quaternion)
+    short = struct.pack(">6f", 10, 20, 30, *quaternion[:3])
+    columns = np.c_[TURN, [1.0, 2.0, 3.0]].T.ravel()
+    tools = b"".join(
+        struct.pack(">20sBB12f", name, 2, 0, *columns) for name in (b"Probe", b"Pen")
+    )
+    forces = np.arange(6.0)
+    array = struct.pack(">BBH", 11, 1, 6) + forces.astype(">f8").tobytes()
+    rows = struct.pack(">BBHH", 10, 2, 1, 3) + forces[:3].astype(">f4").tobytes()
+    found = received(
+        Packed("POSITION", whole, "A"),
+        Packed("POSITION", short, "B"),
+        Packed("TDATA", tools, "Tracker"),
+        Packed("NDARRAY", array, "Force"),
+        Packed("NDARRAY", rows, "Three"),
+    )
+    assert not found.dropped
+    for name, shift in (("A", [0.01, 0.02, 0.03]), ("B", [0.01, 0.02, 0.03])):
+        poses = found.trajectory(name)
+        np.testing.assert_allclose(poses.rotation[0], TURN, atol=1e-6)
+        np.testing.assert_allclose(poses.position[0], shift, atol=1e-8)
+    for name in ("Probe", "Pen"):
+        poses = found.trajectory(name)
+        np.testing.assert_allclose(poses.rotation[0], TURN, atol=1e-6)
+        np.testing.assert_allclose(poses.position[0], [0.001, 0.002, 0.003], atol=1e-9)
+    np.testing.assert_array_equal(found.readings["Force"][0][1], forces)
+    np.testing.assert_array_equal(found.readings["Three"][0][1], forces[:3])
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "fault"),
+    [
+        ("POSITION", struct.pack(">3f", 1, 2, 3), "a position without orientation"),
+        ("POSITION", struct.pack(">7f", *[1] * 7), "no rigid motion"),
+        ("TDATA", bytes(69), "body of another size"),
+        ("TDATA", bytes(70), "no rigid motion"),
+        ("NDARRAY", struct.pack(">BBH", 11, 1, 4) + bytes(32), "neither 3 forces"),
+        ("NDARRAY", struct.pack(">BBH", 13, 1, 3) + bytes(48), "an unknown type"),
+        ("NDARRAY", struct.pack(">BBH", 11, 1, 3) + bytes(16), "another size"),
+    ],
+)
+def test_bodies_that_are_none(kind: str, body: bytes, fault: str) -> None:
+    found = received(Packed(kind, body, "A"))
+    (told,) = found.dropped
+    assert fault in told

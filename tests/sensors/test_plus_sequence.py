@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from ttus_opt.core.errors import FileError
+from ttus_opt.core.errors import FileError, TtusWarning
 from ttus_opt.sensors.plus_sequence import read_plus_sequence
+from ttus_opt.sensors.stream_files import read_poses
 
 HEAD = "ObjectType = Image\nNDims = 3\nDimSize = 2 2 6\nElementType = MET_UCHAR\n"
 
@@ -65,7 +66,7 @@ def test_several_transforms_are_named(tmp_path: Path) -> None:
         ("= 1.000000", "= nan", "not finite"),
         ("= 1.000000", "= one", "one"),
         ("ObjectType = Image", "solid probe", "not a MetaImage"),
-        ("Timestamp = 100.050", "Timestamp = 100.000", "increase"),
+        ("Timestamp = 100.050", "Timestamp = 100.000", "repeats"),
     ],
 )
 def test_what_is_none(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -80,3 +81,40 @@ def test_what_is_none(tmp_path: Path, old: str, new: str, words: str) -> None:
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_mutations(tmp_path: Path, n: int) -> None:
     only_our_errors([sequence(tmp_path / "s.mha")], read_plus_sequence, n)
+
+
+@pytest.mark.parametrize("suffix", [".igs.mha", ".mhd", ".nrrd"])
+def test_other_headers_of_the_same_text(tmp_path: Path, suffix: str) -> None:
+    text = sequence(tmp_path / "s.mha").read_bytes().split(b"ElementDataFile")[0]
+    if suffix == ".nrrd":
+        text = b"NRRD0004\n" + text.replace(b" = ", b":=") + b"\n" + bytes(24)
+    else:
+        text += b"ElementDataFile = s.raw\n"
+    (tmp_path / f"p{suffix}").write_bytes(text)
+    found = read_plus_sequence(tmp_path / f"p{suffix}")
+    expected = read_plus_sequence(tmp_path / "s.mha")
+    np.testing.assert_array_equal(found.position, expected.position)
+    np.testing.assert_array_equal(found.rotation, expected.rotation)
+
+
+def test_rotations_of_few_digits_are_projected_with_a_word(tmp_path: Path) -> None:
+    """Three digits are off orthonormal by 3e-4; the nearest rotation is near."""
+    file = sequence(tmp_path / "s.mha")
+    words = []
+    for line in file.read_bytes().split(b"ElementDataFile")[0].decode().splitlines():
+        name, _, values = line.partition(" = ")
+        if name.endswith("TrackerTransform"):
+            values = " ".join(f"{float(v):.4g}"[:6] for v in values.split())
+        words.append(f"{name} = {values}")
+    rough = [w.replace("0.9801", "0.9803") for w in words]
+    file.write_text("\n".join([*rough, "ElementDataFile = LOCAL\n"]))
+    with pytest.warns(TtusWarning, match="rotations off by 0.000. were projected"):
+        found = read_poses(file)
+    expected = read_plus_sequence(sequence(tmp_path / "t.mha"))
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-3)
+    gram = found.rotation @ found.rotation.transpose(0, 2, 1)
+    np.testing.assert_allclose(gram, np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+    far = [w.replace("0.9803", "0.99") for w in rough]
+    file.write_text("\n".join([*far, "ElementDataFile = LOCAL\n"]))
+    with pytest.raises(FileError, match="not a rotation matrix"):
+        read_poses(file)

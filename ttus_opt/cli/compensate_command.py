@@ -27,6 +27,8 @@ def compensate(
     output: Path,
     model: Path | None = None,
     inertia: bool = False,
+    stream: str | None = None,
+    repair: bool = False,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -37,8 +39,8 @@ def compensate(
     shell's reference point, in the axes of the poses' frame.
 
     Args:
-        recording: Trajectory CSV with raw readings in the sensor's axes.
-        free: Trajectory CSV with raw readings of the probe tilted in free air.
+        recording: Poses with raw readings in the sensor's axes.
+        free: The same with raw readings of the probe tilted in free air.
         down: Direction of gravity in the frame of the poses, x,y,z.
         axes: The sensor's axes in the probe frame, quaternion x,y,z,w.
         point: Point about which torques are measured, in the probe frame, x,y,z [m].
@@ -47,6 +49,9 @@ def compensate(
         output: Trajectory CSV with contact wrenches.
         model: Write the statements, bias, mass and centre of mass here (JSON).
         inertia: Subtract the load's inertia too.
+        stream: Name of the topic, transform, tool or body, if a file has several.
+        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
+            so.
 
     Example:
         ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1
@@ -54,14 +59,15 @@ def compensate(
         press.csv
     """
     from ttus_opt.core import io
-    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.sensors.stream_files import read_recording
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated
 
     check_outputs([output, model], [recording, free, probe.probe], force=force)
     sensor = _sensor(axes, point, sign)
     direction = numbers(down, 3, "--down")
-    raw, still = read_trajectory(recording), read_trajectory(free)
+    raw = read_recording(recording, stream, repair=repair)
+    still = read_recording(free, stream, repair=repair)
     reference = probe.read().reference
     load = identify_load(still, sensor, direction)
     clean = compensated(raw, sensor, load, direction, reference, inertia=inertia)

@@ -29,6 +29,7 @@ OPTIONS = {
     "head": "--head",
     "prone": "--prone",
     "camera": "--camera",
+    "repair": "--repair",
     "weights": "--weights",
 }
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage
     from ttus_opt.sensors.stitching import PoseUncertainty, Stitched
 
+#: Suffix of a RealSense's recording
+RECORDING = ".bag"
+
 #: Suffixes of files that can only be depth images
 IMAGES = (".png", ".tif", ".tiff")
 
@@ -26,8 +29,9 @@ class DepthOptions:
     """How depth images were taken, as typed.
 
     Attributes:
-        intrinsics: Intrinsics of the depth camera, JSON or YAML as OpenCV and ROS write
-            it; one file for all images, or repeated for each.
+        intrinsics: Intrinsics of the depth camera, JSON, YAML or XML as OpenCV, ROS,
+            Open3D and RealSense write it; one file for all images, or repeated for
+            each. A .bag has its own.
         rays: Instead of --intrinsics: table of the pixels' directions, NPY (h, w, 3) or
             (h, w, 2).
         depth_kind: What a depth measures: z along the optical axis, or range along the
@@ -63,7 +67,7 @@ class DepthOptions:
                 not and an option says how they were taken.
         """
         images = [scan for scan in scans if scan.suffix.lower() in IMAGES]
-        if self.intrinsics or self.rays:
+        if self.intrinsics or self.rays or _recordings(scans):
             return True
         if images:
             raise InputError(
@@ -109,6 +113,8 @@ class DepthOptions:
         from ttus_opt.sensors.unprojection import read_unprojection
 
         files = self.intrinsics or []
+        if not files and self.rays is None and _recordings(cloud.scans):
+            files = cloud.scans  # each has its own
         if bool(files) == (self.rays is not None):
             raise InputError("give either --intrinsics or --rays, not both")
         if len(files) > 1 and len(files) != len(cloud.scans):
@@ -133,6 +139,11 @@ class DepthOptions:
         shift, degrees = numbers(self.pose_std, 2, "--pose-std")
         with located("--pose-std"):
             return PoseUncertainty(shift, math.radians(degrees))
+
+
+def _recordings(scans: list[Path]) -> bool:
+    """Whether all scans are recordings, which have their camera's intrinsics."""
+    return bool(scans) and all(s.suffix.lower() == RECORDING for s in scans)
 
 
 def stitched_facts(found: Stitched) -> dict[str, Any]:

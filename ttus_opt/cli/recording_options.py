@@ -67,9 +67,13 @@ class RecordingOptions:
     """Recordings and how they are written, as typed.
 
     Attributes:
-        trajectory: Trajectory CSV; may be repeated.
-        columns: Column names of the file, for instance px=tip_x, or a YAML file of
-            them. ROS's names are recognised.
+        trajectory: Recording with poses and wrenches, a CSV or any other known file;
+            may be repeated.
+        stream: Name of the topic, transform, tool or body, if a file has several.
+        columns: Column names of the file, for instance px=tip_x[mm],t=sec+nanosec, or a
+            YAML file of them. ROS's names are recognised.
+        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
+            so.
         quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
             was extracted from) or base (of the robot or tracker). By default patient,
@@ -87,7 +91,9 @@ class RecordingOptions:
     """
 
     trajectory: Annotated[list[Path], typer.Option(metavar="PATH")]
+    stream: str | None = None
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = ""
+    repair: bool = False
     quaternion: str = "wxyz"
     frame: str = ""
     base_to_scan: Annotated[str, typer.Option(metavar="FILE|x,y,z,qx,qy,qz,qw")] = ""
@@ -150,7 +156,9 @@ class RecordingOptions:
             FileError: A file is not a usable trajectory.
             InputError: Only some of them have wrenches, or columns that are not pairs.
         """
-        return read_trajectories(self.trajectory, self.columns)
+        return read_trajectories(
+            self.trajectory, self.columns, self.stream, repair=self.repair
+        )
 
     def read(
         self, as_written: Trajectory, shell: PointShell, patient: Surface
@@ -177,22 +185,31 @@ class RecordingOptions:
         return read
 
 
-def read_trajectories(paths: Sequence[Path], columns: str = "") -> Trajectory:
+def read_trajectories(
+    paths: Sequence[Path],
+    columns: str = "",
+    stream: str | None = None,
+    *,
+    repair: bool = False,
+) -> Trajectory:
     """All recordings as one trajectory, with the files' numbers taken at their word.
 
     Args:
         paths: The files.
         columns: Pairs ``ours=theirs`` of column names, separated by commas, or a YAML
             file of them.
+        stream: Name of the stream in each file that has several.
+        repair: Mend holes (`ttus_opt.probe.repair`).
 
     Raises:
         FileError: A file is not a usable trajectory.
         InputError: Only some of them have wrenches, or columns that are not pairs.
     """
-    from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-    from ttus_opt.sensors.column_map import read_column_map, table_columns
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.sensors.column_map import read_column_map
+    from ttus_opt.sensors.stream_files import read_recording
 
-    told = table_columns(read_column_map(columns)) if columns else {}
+    told = read_column_map(columns)
     return Trajectory.concatenate(
-        [read_trajectory(path, columns=told) for path in paths]
+        [read_recording(path, stream, told, repair=repair) for path in paths]
     )

@@ -24,14 +24,18 @@ def synchronise(
     by: str | None = None,
     offset: float | None = None,
     surface: Path | None = None,
-    transform: str | None = None,
+    stream: Annotated[
+        str | None, typer.Option("--stream", "--transform", "--pose-topic")
+    ] = None,
+    wrench_stream: Annotated[
+        str | None, typer.Option("--wrench-stream", "--wrench-topic")
+    ] = None,
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     wrench_columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
-    pose_topic: str | None = None,
-    wrench_topic: str | None = None,
     together: bool = False,
     largest_offset: float = 5.0,
     largest_gap: float = 0.1,
+    repair: bool = False,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -40,25 +44,26 @@ def synchronise(
     Frames without wrenches are left out; a new segment begins after them.
 
     Args:
-        poses: Trajectory CSV, netCDF, PLUS sequence (.mha), or ROS recording (.bag,
-            .mcap, folder).
-        wrenches: Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS
-            recording.
+        poses: Poses: a table, netCDF, a sequence of PLUS (.mha, .nrrd), a recording of
+            ROS (.bag, .mcap, .db3, folder), NDI, Motive, Vicon or TRC.
+        wrenches: Wrenches on their own clock: a table, netCDF, a recording of ROS, or a
+            log of ATI's Net F/T.
         output: Trajectory CSV.
         by: How to find the offset. contact: the times of contact in forces and poses
             (needs --surface). angular-speed: of the poses and of those in the wrenches'
             file.
         offset: Known offset, added to the wrenches' times [s].
         surface: Surface file (.nc), in the poses' frame.
-        transform: Name of the transform, if a .mha file has several, for instance
-            ProbeToTracker.
+        stream: Name of the topic, transform, tool or body, if the poses' file has
+            several, for instance ProbeToTracker; of /tf two frames, base:tool.
+        wrench_stream: Name of the topic or device, if the wrenches' file has several.
         columns: Column names of the poses' file, or a YAML file of them.
         wrench_columns: Column names of the wrenches' file, or a YAML file of them.
-        pose_topic: Topic of the poses, if a ROS recording has several.
-        wrench_topic: Topic of the wrenches, if a ROS recording has several.
         together: Both recordings began at about the same time.
         largest_offset: Largest offset to search [s].
         largest_gap: Longer gaps are not interpolated [s].
+        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
+            so.
 
     Example:
         ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface
@@ -73,19 +78,19 @@ def synchronise(
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
     named = read_column_map(wrench_columns)
-    track = read_poses(poses, transform or pose_topic, read_column_map(columns))
-    stream = read_wrenches(wrenches, wrench_topic, named)
+    track = read_poses(poses, stream, read_column_map(columns), repair=repair)
+    forces = read_wrenches(wrenches, wrench_stream, named, repair=repair)
     found = None
     if by is not None:
-        around = float(track.time[0] - stream.time[0]) if together else 0.0
+        around = float(track.time[0] - forces.time[0]) if together else 0.0
         search = (around, largest_offset)
         robot = None
         if by == "angular-speed":
-            robot = read_poses(wrenches, columns=named)
-        found = _found(track, robot or stream, by, surface, search)
+            robot = read_poses(wrenches, columns=named, repair=repair)
+        found = _found(track, robot or forces, by, surface, search)
         offset = found.seconds
     assert offset is not None
-    joined = with_wrenches(track, stream, offset, largest_gap=largest_gap)
+    joined = with_wrenches(track, forces, offset, largest_gap=largest_gap)
     joined.save(output)
     segments = len(set(joined.segment.tolist()))
     facts = {

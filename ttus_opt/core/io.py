@@ -91,8 +91,12 @@ def read_npy(file: Path) -> NDArray[Any]:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal digits."""
-    with Path(path).open("rb") as stream:
+    """SHA-256 of a file's bytes, or of a folder's by name, in hexadecimal digits."""
+    place = Path(path)
+    if place.is_dir():
+        files = sorted(file for file in place.rglob("*") if file.is_file())
+        return hashlib.sha256("".join(map(sha256, files)).encode()).hexdigest()
+    with place.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

@@ -39,6 +39,10 @@ STEPS = 2
 #: Largest deviation of a quaternion's length from 1, before normalisation [–]
 QUATERNION_TOLERANCE = 0.01
 
+#: Largest departure of a device's matrix from orthonormal that is projected: three
+#: or four digits, as some trackers write them [–]
+DEVICE_ROUNDING = 1e-3
+
 
 class Pose(NamedTuple):
     """Pose of the probe, once or at T times.
@@ -180,6 +184,16 @@ def to_quaternions(matrices: Array) -> Array:
     )
 
 
+def rotation_vectors_to_quaternions(vectors: Array) -> Array:
+    """Unit quaternions w, x, y, z of rotation vectors (T, 3) [rad], shape (T, 4).
+
+    A vector with NaN has a quaternion of NaN.
+    """
+    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+    # sinc keeps the zero turn exact
+    return np.hstack([np.cos(angle / 2), 0.5 * vectors * np.sinc(angle / (2 * np.pi))])
+
+
 def rotations(matrices: Array) -> Array:
     """Rotation matrices, orthonormalised where they were rounded.
 
@@ -211,6 +225,27 @@ def rotations(matrices: Array) -> Array:
         "a reflection (determinant −1): swap two axes or change the sign of one",
     )
     return matrices
+
+
+def nearest_rotations(matrices: Array) -> tuple[Array, float]:
+    """Rotations nearest to what a device sent with few digits.
+
+    Args:
+        matrices: Shape (T, 3, 3) [–].
+
+    Returns:
+        Rotations, and how far the worst matrix was off orthonormal, 0 where it was
+        within `ROUNDING`.
+
+    Raises:
+        InputError: Farther off than `DEVICE_ROUNDING`, not finite, or a reflection.
+    """
+    finite = bool(np.isfinite(matrices).all())
+    worst = float(_off(matrices).max(initial=0.0)) if finite else np.inf
+    if not ROUNDING < worst <= DEVICE_ROUNDING:
+        return rotations(matrices), 0.0
+    U, _, Vt = np.linalg.svd(matrices)
+    return rotations(U @ Vt), worst
 
 
 def _off(matrices: Array) -> Array:

@@ -1,47 +1,43 @@
 """Tables of numbers as text: separators, comments and column names of other programs.
 
-A header names the columns. Comment lines (``#``, ``%``, ``//``) may precede it; the
-header may itself be one. Cells are separated by commas, semicolons, tabs or blanks.
-Names are accepted in any case, and as ROS exports them (``pose.position.x``,
-``/robot/pose/orientation/w``, ``field.wrench.force.z``).
+A header names the columns, in any case and as other programs do
+(`ttus_opt.probe.column_names`), with units in brackets where it states them. Comment
+lines (``#``, ``%``, ``//``) and other text may precede it; the header may itself be a
+comment, and a line of units may follow it. Cells are separated by commas, semicolons,
+tabs or blanks.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core import io
-from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.core.errors import FileError, InputError, warn
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.probe.column_names import ROTATION_VECTOR, Header, named_columns
+from ttus_opt.probe.pose import QUATERNION_TOLERANCE
+from ttus_opt.probe.units import any_unit
 
 #: Marks of a comment line
 COMMENT = re.compile(r"^\s*(#|%|//)\s*")
-
-#: Endings of ROS names, and the columns they stand for
-ROS = {
-    **{f"position.{c}": f"p{c}" for c in "xyz"},
-    **{f"orientation.{c}": f"q{c}" for c in "wxyz"},
-    **{f"translation.{c}": f"p{c}" for c in "xyz"},
-    **{f"rotation.{c}": f"q{c}" for c in "wxyz"},
-    **{f"force.{c}": f"f{c}" for c in "xyz"},
-    **{f"torque.{c}": f"t{c}" for c in "xyz"},
-    "time": "t",
-    "__time": "t",  # PlotJuggler's
-    "timestamp": "t",
-    "stamp": "t",
-}
 
 #: Time stamps above this are in nanoseconds, as ROS writes integers [s]
 NANOSECONDS = 1e14
 
 #: Longest part of a header that an error shows [characters]
 LONGEST_HEADER = 200
+
+#: Most lines of text before a header
+MOST_PREAMBLE = 60
+
+#: A pose without a header, as TUM's benchmark writes it
+TUM = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
@@ -50,15 +46,29 @@ class TextTable:
 
     Attributes:
         file: Their source.
-        names: Names of the columns, the package's names where known.
+        header: Its columns, by the package's names where known.
         cells: One list per row, all of the same length.
         line: Line number of each row, from 1, shape (T,).
+        damaged: What is wrong with a row that had another number of cells, by row.
+        preamble: Lines before the header.
     """
 
     file: Path
-    names: list[str]
-    cells: list[list[str]]
-    line: NDArray[np.int64]
+    header: Header
+    cells: list[list[str]] = field(repr=False)
+    line: NDArray[np.int64] = field(repr=False)
+    damaged: Mapping[int, str] = field(repr=False)
+    preamble: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns, and of those that are sums of several."""
+        return [*self.header.names, *self.header.sums]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken for granted of the columns."""
+        return self.header.notes
 
     def numbers(self, wanted: Sequence[str]) -> Array:
         """Some columns as numbers, shape (T, len(wanted)).
@@ -66,31 +76,55 @@ class TextTable:
         Raises:
             FileError: A cell is not a number; the message names its line.
         """
-        where = [self.names.index(name) for name in wanted]
-        picked = [[row[c] for c in where] for row in self.cells]
-        try:
-            return np.array(picked, dtype=np.float64).reshape(len(picked), len(where))
-        except ValueError:
-            raise self._first_fault(picked, wanted) from None
+        values, unread = self.readable(wanted)
+        if unread:
+            row, what = min(unread.items())
+            raise FileError(
+                f"{self.file}, line {self.line[row]}: {what}: repair or remove the line"
+            )
+        return values
 
-    def _first_fault(
-        self, picked: Sequence[Sequence[str]], wanted: Sequence[str]
-    ) -> FileError:
-        """The error for the first cell that is not a number."""
-        for row, cells in enumerate(picked):
-            for name, cell in zip(wanted, cells, strict=True):
-                try:
-                    float(cell)
-                except ValueError:
-                    found = f"{io.shortened(cell)}, not a number" if cell else "empty"
-                    comma = (
-                        ", with a decimal comma? write a point" if "," in cell else ""
-                    )
-                    return FileError(
-                        f"{self.file}, line {self.line[row]}: {name} is {found}"
-                        f"{comma}: repair or remove the line"
-                    )
-        raise AssertionError("every cell is a number")
+    def readable(self, wanted: Sequence[str]) -> tuple[Array, dict[int, str]]:
+        """The same in SI units with NaN for what is not a number, and why, by row.
+
+        Raises:
+            FileError: A wanted column has an unknown unit.
+        """
+        out = np.zeros((len(self.cells), len(wanted)))
+        unread: dict[int, str] = {}
+        for place, name in enumerate(wanted):
+            for index, scale in self._terms(name):
+                column = self._column(index, name, unread)
+                out[:, place] += column * scale
+        unread.update(self.damaged)
+        out[list(self.damaged)] = np.nan
+        return out, unread
+
+    def _terms(self, name: str) -> list[tuple[int, float]]:
+        """Index and factor to SI of the columns whose sum a column is."""
+        terms = self.header.sums.get(name) or [self.header.names.index(name)]
+        for index in terms:
+            if fault := self.header.faults.get(index):
+                raise FileError(f"{self.file}: {fault}")
+        return [(index, self.header.scale[index]) for index in terms]
+
+    def _column(self, index: int, name: str, unread: dict[int, str]) -> Array:
+        cells = [row[index] for row in self.cells]
+        try:
+            return np.array(cells, dtype=np.float64)
+        except ValueError:
+            return np.array(
+                [self._cell(i, c, name, unread) for i, c in enumerate(cells)]
+            )
+
+    def _cell(self, row: int, cell: str, name: str, unread: dict[int, str]) -> float:
+        try:
+            return float(cell)
+        except ValueError:
+            found = f"{io.shortened(cell)}, not a number" if cell else "empty"
+            comma = ", with a decimal comma? write a point" if "," in cell else ""
+            unread.setdefault(row, f"{name} is {found}{comma}")
+            return np.nan
 
 
 def read_text_table(
@@ -101,11 +135,12 @@ def read_text_table(
     Args:
         file: The file.
         required: Columns that must exist, by the package's names.
-        columns: The file's names of columns, by the package's.
+        columns: The file's names of columns, by the package's: with a unit behind it in
+            brackets where the file states none (``tip_x[mm]``), and two to be added
+            (``sec+nanosec[ns]``).
 
     Raises:
-        FileError: Not text, no such header, no rows, or a row with another number of
-            cells than the header.
+        FileError: Not text, no such header, or no rows.
         InputError: ``columns`` names a column that does not exist.
     """
     try:
@@ -115,30 +150,36 @@ def read_text_table(
             f"{file} is not a readable text file ({type(error).__name__}): export it "
             "as CSV"
         ) from error
-    head, separator, names = _header(file, lines, required, columns or {})
-    cells, numbers = [], []
-    for number, line in enumerate(lines[head + 1 :], start=head + 2):
-        if not line.strip() or COMMENT.match(line):
-            continue
-        cells.append(_split(line, separator))
-        numbers.append(number)
-    if not cells:
+    head, separator, given = _header(file, lines, required, columns or {})
+    numbered = [
+        (number, _split(line, separator))
+        for number, line in enumerate(lines[head + 1 :], start=head + 2)
+        if line.strip() and not COMMENT.match(line)
+    ]
+    if (
+        numbered
+        and any(cells := numbered[0][1])
+        and all(map(any_unit, filter(None, cells)))
+    ):
+        units = numbered.pop(0)[1]
+        given = [
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(given, [*units, *[""] * len(given)], strict=False)
+        ]
+    if not numbered:
         raise FileError(
             f"{file} is empty, it has a header and no rows: record or export it again"
         )
-    for row, number in zip(cells, numbers, strict=True):
-        if len(row) != len(names):
-            cut = number == numbers[-1] and len(row) < len(names)
-            raise FileError(
-                f"{file}, line {number}: {len(row)} cells, the header has "
-                f"{len(names)}: "
-                + (
-                    "the file is truncated, record or copy it again"
-                    if cut
-                    else "repair or remove the line"
-                )
-            )
-    return TextTable(file, names, cells, np.array(numbers, dtype=np.int64))
+    header = TUM_HEADER if head < 0 else named_columns(given, columns or {}, required)
+    rows = [cells for _, cells in numbered]
+    damaged = _even(rows, len(header.names))
+    line = np.array([number for number, _ in numbered], dtype=np.int64)
+    return TextTable(file, header, rows, line, damaged, tuple(lines[: max(head, 0)]))
+
+
+TUM_HEADER = named_columns(TUM, {}, TUM).noted(
+    "no header: read as t px py pz qx qy qz qw, as TUM's benchmark has it"
+)
 
 
 def seconds(time: Array) -> Array:
@@ -146,41 +187,21 @@ def seconds(time: Array) -> Array:
 
     Stamps keep their origin: streams of one clock stay on one clock.
     """
-    return 1e-9 * time if len(time) and time.min() > NANOSECONDS else time
+    known = time[np.isfinite(time)]
+    return 1e-9 * time if len(known) and known.min() > NANOSECONDS else time
 
 
-def first_of_each(rows: Array, file: Path) -> Mask:
-    """Mask of the rows that do not repeat the row before, with a warning of the others.
-
-    A device that sends a reading twice does not measure twice.
-
-    Args:
-        rows: Time and all numbers of every reading, shape (T, k).
-        file: For the warning.
-    """
-    new = np.ones(len(rows), bool)
-    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
-    if not new.all():
-        warn(f"{file}: {(~new).sum()} rows repeat the row before: left out", 2)
-    return new
-
-
-def known_name(name: str) -> str:
-    """The package's name for a column, or its own name where it is unknown.
-
-    >>> known_name("/robot/pose/orientation/w"), known_name("FX"), known_name("gain")
-    ('qw', 'fx', 'gain')
-    >>> {known_name(name) for name in ("stamp", "__time", "field.header.stamp")}
-    {'t'}
-    """
-    plain = name.strip().strip('"').strip()
-    dotted = plain.lower().replace("/", ".").lstrip(".")
-    if dotted in ROS:
-        return ROS[dotted]
-    for end, ours in ROS.items():
-        if dotted.endswith(f".{end}"):
-            return ours
-    return dotted if re.fullmatch(r"t|[pft][xyz]|q[wxyz]|segment", dotted) else plain
+def _even(rows: list[list[str]], n: int) -> dict[int, str]:
+    """Make all rows as long as the header; what was wrong with the others, by row."""
+    damaged = {}
+    for place, row in enumerate(rows):
+        if len(row) != n:
+            cut = place == len(rows) - 1 and len(row) < n
+            damaged[place] = f"{len(row)} cells, the header has {n}" + (
+                ": the file is truncated" if cut else ""
+            )
+            rows[place] = [*row, *[""] * n][:n]
+    return damaged
 
 
 def _header(
@@ -189,49 +210,60 @@ def _header(
     required: Sequence[str],
     columns: Mapping[str, str],
 ) -> tuple[int, str | None, list[str]]:
-    """The header's line index, the separator and the names."""
-    closest: list[str] | None = None
+    """The header's line index (-1 for none), the separator and its words."""
+    closest: list[str] = []
+    missing = list(required)
+    passed = 0
     for place, line in enumerate(lines):
         if not line.strip():
             continue
         text = COMMENT.sub("", line)
         separator = _separator(text)
-        given = [cell.strip().strip('"') for cell in _split(text, separator)]
-        names = _renamed(given, columns)
-        if not [n for n in required if n not in names]:
-            _refuse_absent(given, columns)
-            return place, separator, names
-        if not COMMENT.match(line):
-            closest = names
+        given = _split(text, separator)
+        found = named_columns(given, columns, required)
+        lacking = _lacking(required, [*found.names, *found.sums])
+        if not lacking:
+            _refuse_absent(given, found)
+            return place, separator, given
+        if COMMENT.match(line):
+            continue
+        if "qw" in required and not passed and _is_pose(given):
+            return -1, separator, list(TUM)
+        if not closest or len(lacking) < len(missing):
+            closest, missing = [*found.names, *found.sums], lacking
+        passed += 1
+        if passed > MOST_PREAMBLE:
             break
-    missing = [n for n in required if n not in (closest or [])]
-    found = ",".join(closest or []) or "none"
-    if len(found) > LONGEST_HEADER:
-        found = f"{found[:LONGEST_HEADER]}… ({len(closest or []):,} in all)"
+    shown = ",".join(closest) or "none"
+    if len(shown) > LONGEST_HEADER:
+        shown = f"{shown[:LONGEST_HEADER]}… ({len(closest):,} in all)"
     raise FileError(
         f"{file} has no column {', '.join(missing)}: the header must name "
-        f"{','.join(required)}, got {found}; map them by columns, for instance px=x"
+        f"{','.join(required)}, got {shown}; map them by columns, for instance px=x"
     )
 
 
-def _renamed(given: Sequence[str], columns: Mapping[str, str]) -> list[str]:
-    """The package's names: those that the user maps, then those that are known."""
-    mapped = {theirs: ours for ours, theirs in columns.items()}
-    return [
-        mapped[name]
-        if name in mapped
-        else f"{name} (unused)"  # the user maps another column to this name
-        if known_name(name) in columns
-        else known_name(name)
-        for name in given
-    ]
+def _lacking(required: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Required names that are not there; a rotation vector stands for a quaternion."""
+    turned = all(name in names for name in ROTATION_VECTOR)
+    return [n for n in required if n not in names and not (turned and n[0] == "q")]
 
 
-def _refuse_absent(given: Sequence[str], columns: Mapping[str, str]) -> None:
-    absent = [theirs for theirs in columns.values() if theirs not in given]
-    if absent:
+def _is_pose(cells: Sequence[str]) -> bool:
+    """Whether a line is a time, a position and a unit quaternion."""
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        return False
+    length = float(np.linalg.norm(numbers[4:])) if len(numbers) == len(TUM) else 0.0
+    return abs(length - 1.0) < QUATERNION_TOLERANCE
+
+
+def _refuse_absent(given: Sequence[str], found: Header) -> None:
+    if found.absent:
         raise InputError(
-            f"columns names {', '.join(absent)}, but the header has {', '.join(given)}"
+            f"columns names {', '.join(found.absent)}, but the header has "
+            f"{', '.join(given)}"
         )
 
 

@@ -30,6 +30,9 @@ from ttus_opt.probe.pose import (
     rotations,
     to_quaternions,
 )
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.recording_faults import checked
+from ttus_opt.probe.repair import repaired_aloud
 from ttus_opt.probe.rigid_motion import composed
 from ttus_opt.probe.trajectory_csv import (
     FORCE,
@@ -38,7 +41,7 @@ from ttus_opt.probe.trajectory_csv import (
     SEGMENT,
     TIME,
     TORQUE,
-    read_trajectory_columns,
+    raw_trajectory,
 )
 
 
@@ -365,7 +368,10 @@ class Trajectory:
 
 
 def read_trajectory(
-    path: str | os.PathLike[str], *, columns: Mapping[str, str] | None = None
+    path: str | os.PathLike[str],
+    *,
+    columns: Mapping[str, str] | None = None,
+    repair: bool = False,
 ) -> Trajectory:
     """Read a trajectory.
 
@@ -374,20 +380,37 @@ def read_trajectory(
     integer column ``segment`` keeps several recordings apart; other columns are
     ignored. Quaternions within 1 % of unit length are normalised.
 
-    Names are accepted in any case and as ROS exports them (``pose.position.x``), cells
-    separated by commas, semicolons, tabs or blanks, comment lines before the header.
+    Names are accepted in any case and as other programs write them
+    (``pose.position.x``, ``Fx [N]``, `ttus_opt.probe.column_names`), cells separated by
+    commas, semicolons, tabs or blanks, comment lines before the header.
 
     Args:
         path: The CSV file.
-        columns: Other names of columns, by the names above: ``{"px": "tip_x"}``.
+        columns: Other names of columns, by the names above: ``{"px": "tip_x"}``, with
+            units (``"tip_x[mm]"``), and two to be added (``"sec+nanosec"``).
+        repair: Drop rows without numbers and repeated rows, sort, and split at gaps and
+            jumps, with a warning of what was done (`ttus_opt.probe.repair`).
 
     Raises:
         FileError: Missing, empty or truncated file, a missing column, a cell that is
             not a finite number, times that do not increase, quaternions that are not
             unit, or values in another unit. The message names the line.
     """
-    read = read_trajectory_columns(path, columns)
-    with located(f"trajectory {os.fspath(path)}", FileError):
+    raw = raw_trajectory(path, columns)
+    return trajectory_of(repaired_aloud(raw) if repair else raw)
+
+
+def trajectory_of(raw: RawRecording) -> Trajectory:
+    """A recording of poses, checked.
+
+    Raises:
+        FileError: Anything is wrong with it, or it has no poses.
+    """
+    if raw.position is None or raw.quaternion is None:
+        raise FileError(f"{raw.title} has no poses: position and rotation are needed")
+    read = checked(raw)
+    assert read.position is not None and read.quaternion is not None
+    with located(read.title, FileError):
         return Trajectory(
             read.time,
             read.position,

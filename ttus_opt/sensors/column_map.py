@@ -8,7 +8,9 @@
     torque: [Mx, My, Mz]
 
 Single columns may be named as well (``px: x``), and for netCDF a variable that holds
-all components (``position: tip``).
+all components (``position: tip``). A unit stands behind a name where the file states
+none (``px: tip_x[mm]``, ``t: frame[1/60]``), and two columns are added up where they
+make one (``t: sec+nanosec``, or as a list).
 """
 
 from __future__ import annotations
@@ -25,9 +27,13 @@ ORDERS = ("wxyz", "xyzw")
 ORDER = "quaternion_order"
 
 #: Vectors by the first letter of their components
-VECTORS = {"position": "p", "force": "f", "torque": "t"}
+VECTORS = {"position": "p", "force": "f", "torque": "t", "rotation_vector": "rv"}
 QUATERNION = "quaternion"
-SINGLE = ("t", *(f"{c}{x}" for c in "pft" for x in "xyz"), *(f"q{x}" for x in "wxyz"))
+SINGLE = (
+    "t",
+    *(f"{c}{x}" for c in ("p", "f", "t", "rv") for x in "xyz"),
+    *(f"q{x}" for x in "wxyz"),
+)
 KNOWN = (*SINGLE, *VECTORS, QUATERNION, ORDER, "segment")
 
 
@@ -62,7 +68,7 @@ def column_map(given: Mapping[str, Any]) -> dict[str, str]:
     if unknown:
         raise InputError(
             f"columns has no {unknown[0]!r}: name t, position, quaternion, force, "
-            "torque, segment or a component such as px"
+            "torque, rotation_vector, segment or a component such as px"
         )
     order = given.get(ORDER)
     if ORDER in given and order not in ORDERS:
@@ -70,6 +76,9 @@ def column_map(given: Mapping[str, Any]) -> dict[str, str]:
     out: dict[str, str] = {}
     for name, value in given.items():
         if isinstance(value, list):
+            if name == "t" and len(value) == 2:
+                out[name] = "+".join(_name(name, theirs) for theirs in value)
+                continue
             if name not in (*VECTORS, QUATERNION):
                 raise InputError(f"columns: {name} must be one column, got a list")
             for own, theirs in zip(_parts(name, value, order), value, strict=True):

@@ -21,6 +21,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.cloud import UNITS
+from ttus_opt.sensors.depth_bag import SUFFIX, read_bag_depth
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 
@@ -44,7 +45,8 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
     """The depths of an image.
 
     Args:
-        path: A .png, .tif, .tiff or .npy file of one number per pixel.
+        path: A .png, .tif, .tiff or .npy file of one number per pixel, or a .bag of
+            which the frame in the middle is read in its own unit.
         unit: ``m``, ``cm`` or ``mm``; by default millimetres for whole numbers and
             metres for fractions.
 
@@ -58,13 +60,26 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
     """
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
+    if Path(path).suffix.lower() == SUFFIX:
+        return _of_recording(io.existing_file(path, "recording"))
     file = io.existing_file(path, "depth image", LARGEST_FILE)
     values = _read(file)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     _check_kind(file, values)
     whole = values.dtype.kind in "iu"
-    scale = UNITS[unit or ("mm" if whole else "m")]
+    return _in_metres(file, values, UNITS[unit or ("mm" if whole else "m")])
+
+
+def _of_recording(file: Path) -> Array:
+    """The depths of a recording's middle frame [m]."""
+    found = read_bag_depth(file)
+    return _in_metres(file, found.pixels, found.unit)
+
+
+def _in_metres(file: Path, values: NDArray[Any], scale: float) -> Array:
+    """Depths [m], NaN where nothing was measured; errors as `read_depth`."""
+    whole = values.dtype.kind in "iu"
     with np.errstate(over="ignore", invalid="ignore"):
         depth = values.astype(np.float64) * scale
     lost = ~np.isfinite(depth) | (depth <= 0.0)

@@ -1,9 +1,11 @@
-"""A camera's intrinsics, as OpenCV and ROS write them.
+"""A camera's intrinsics, as OpenCV, ROS, Open3D and RealSense write them.
 
-JSON or YAML with the matrix as ``camera_matrix`` or ``K``/``k`` (nine numbers, three
-rows, or a mapping with ``data``), the distortion as ``distortion_coefficients`` or
-``D``/``d`` (OpenCV's order k1, k2, p1, p2, k3, …; none where absent), and the size as
-``image_width``/``width`` and ``image_height``/``height``.
+JSON, YAML or XML with the matrix as ``camera_matrix`` or ``K``/``k`` (nine numbers,
+three rows, or a mapping with ``data``), as Open3D's ``intrinsic_matrix`` (nine numbers
+column by column), or as ``fx``, ``fy``, ``ppx``, ``ppy`` (``cx``, ``cy``); the
+distortion as ``distortion_coefficients``, ``D``/``d`` or ``coeffs`` (OpenCV's order
+k1, k2, p1, p2, k3, …; none where absent), and the size as ``image_width``/``width`` and
+``image_height``/``height``. A ``.bag`` of RealSense's SDK or of ROS has its own.
 """
 
 from __future__ import annotations
@@ -11,12 +13,15 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
+from ttus_opt.sensors.depth_bag import SUFFIX, read_bag_camera_info
 from ttus_opt.sensors.mapping_file import read_mapping
 
 #: Numbers of distortion coefficients that OpenCV knows
@@ -25,9 +30,19 @@ DISTORTIONS = (0, 4, 5, 8, 12, 14)
 #: Larger focal lengths and sizes are refused [pixel]
 LARGEST = 1e5
 
-MATRIX = ("camera_matrix", "K", "k", "matrix")
-DISTORTION = ("distortion_coefficients", "D", "d", "dist_coeffs", "distortion")
-WIDTH, HEIGHT = ("image_width", "width"), ("image_height", "height")
+# without underscores, in lower case
+MATRIX = ("cameramatrix", "k", "matrix")
+COLUMNS = ("intrinsicmatrix",)
+DISTORTION = (*("distortioncoefficients", "d", "distcoeffs", "distortion", "coeffs"),)
+WIDTH, HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
+NUMBERS = (("fx",), ("fy",), ("ppx", "cx"), ("ppy", "cy"))
+
+#: Names of a mapping within which some programs write it
+WITHIN = ("intrinsic", "intrinsics", "depthintrinsics", "depth")
+
+#: Names of OpenCV's distortion models, and of one that is its inverse
+MODELS = ("plumbbob", "rationalpolynomial", "brownconrady", "none", "")
+INVERSE = ("inversebrownconrady", "modifiedbrownconrady")
 
 
 @dataclass(frozen=True)
@@ -90,16 +105,21 @@ class Intrinsics:
 
 
 def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
-    """Intrinsics from JSON or YAML, as OpenCV or ROS writes them.
+    """Intrinsics from JSON, YAML, XML or a recording, whoever wrote them.
 
     Args:
-        path: The file; YAML needs the extra ``sensors``.
+        path: The file; YAML and .bag need the extra ``sensors``.
 
     Raises:
         FileError: It is missing, damaged, or holds no intrinsics.
         MissingPackageError: PyYAML is not installed.
     """
-    found = read_mapping(path, "camera calibration")
+    if Path(path).suffix.lower() == SUFFIX:
+        found: Mapping[str, Any] = read_bag_camera_info(
+            io.existing_file(path, "camera")
+        )
+    else:
+        found = read_mapping(path, "camera calibration")
     with located(os.fspath(path), FileError):
         try:
             return _from_mapping(found)
@@ -112,12 +132,18 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
             ) from error
 
 
-def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
-    matrix = _numbers(found, MATRIX)
+def _from_mapping(given: Mapping[str, Any]) -> Intrinsics:
+    found = {
+        str(k).lower().replace("_", "").replace(" ", ""): v for k, v in given.items()
+    }
+    inner = _first(found, WITHIN)
+    if isinstance(inner, Mapping) and _matrix(found) is None:
+        return _from_mapping(inner)
+    matrix = _matrix(found)
     if matrix is None or matrix.size != 9:
         raise InputError(
-            f"a camera matrix of nine numbers ({' or '.join(MATRIX[:2])}) is "
-            "expected: give the calibration's file"
+            "a camera matrix of nine numbers (camera_matrix, K, intrinsic_matrix) or "
+            "fx, fy, ppx, ppy is expected: give the calibration's file"
         )
     distortion = _numbers(found, DISTORTION)
     sides = [_first(found, names) for names in (WIDTH, HEIGHT)]
@@ -126,8 +152,11 @@ def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
         size = (int(sides[0]), int(sides[1]))
         if not all(0 < side < LARGEST for side in size):
             raise InputError(f"invalid image size: {size[0]} x {size[1]} pixels")
-    model = str(found.get("distortion_model", "plumb_bob"))
-    if model not in ("plumb_bob", "rational_polynomial", ""):
+    model = str(_first(found, ("distortionmodel", "model")) or "")
+    word = model.rpartition(".")[2].lower().replace("_", "").replace(" ", "")
+    word = word.removeprefix("distortion")
+    straight = distortion is None or not distortion.any()
+    if word not in MODELS and not (straight and word in INVERSE):
         raise InputError(
             f"distortion model {model} is not known: undistort the images, or "
             "calibrate with plumb_bob or rational_polynomial"
@@ -135,6 +164,21 @@ def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
     return Intrinsics(
         matrix.reshape(3, 3), np.zeros(0) if distortion is None else distortion, size
     )
+
+
+def _matrix(found: Mapping[str, Any]) -> Array | None:
+    """The camera matrix, flat; None without one."""
+    by_columns = _numbers(found, COLUMNS)
+    if by_columns is not None and by_columns.size == 9:
+        nested = np.ndim(_first(found, COLUMNS)) == 2  # rows, as one writes by hand
+        return by_columns if nested else by_columns.reshape(3, 3).T.reshape(-1)
+    if (matrix := _numbers(found, MATRIX)) is not None:
+        return matrix
+    values = [_first(found, names) for names in NUMBERS]
+    if None in values:
+        return None
+    fx, fy, cx, cy = map(float, values)
+    return np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
 
 
 def _first(found: Mapping[str, Any], names: tuple[str, ...]) -> Any:

@@ -1,4 +1,4 @@
-"""Small YAML or JSON files that hold a mapping; OpenCV's YAML too."""
+"""Small YAML, JSON or XML files that hold a mapping; OpenCV's YAML and XML too."""
 
 from __future__ import annotations
 
@@ -23,14 +23,19 @@ def read_mapping(path: str | os.PathLike[str], what: str) -> Mapping[str, Any]:
         what: What it should be, for the message ("session").
 
     Raises:
-        FileError: Missing, too large, neither YAML nor JSON, or no mapping.
+        FileError: Missing, too large, of another kind, or no mapping.
         MissingPackageError: PyYAML is not installed.
     """
     file = io.existing_file(path, what, LARGEST_FILE)
     try:
         text = file.read_text(encoding="utf-8-sig")
-        is_json = file.suffix.lower() == ".json" or text.lstrip().startswith("{")
-        found = json.loads(text) if is_json else _yaml(text)
+        begin = text.lstrip()[:1]
+        if begin == "<":
+            found = _xml(text)
+        elif file.suffix.lower() == ".json" or begin == "{":
+            found = json.loads(text)
+        else:
+            found = _yaml(text)
     except MissingPackageError:
         raise
     except Exception as error:  # the parsers raise nearly every class
@@ -58,6 +63,21 @@ def _yaml(text: str) -> Any:
     # the line is emptied, not removed, so that an error names the right one
     plain = f"\n{rest}" if first.startswith("%YAML:") else text
     return yaml.load(plain, Loader=Loader)
+
+
+def _xml(text: str) -> dict[str, Any]:
+    """OpenCV's FileStorage: values as text, matrices as mappings with ``data``."""
+    from xml.etree import ElementTree
+
+    found: dict[str, Any] = {}
+    for node in ElementTree.fromstring(text):
+        data = node.find("data")
+        words = (node if data is None else data).text or ""
+        if data is None:
+            found[node.tag] = words.strip().strip('"')
+        else:
+            found[node.tag] = {"data": [float(word) for word in words.split()]}
+    return found
 
 
 def _place(error: Exception) -> str:

@@ -20,41 +20,17 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.core.io import shortened
-from ttus_opt.probe.pose import from_quaternions
-from ttus_opt.probe.text_table import first_of_each
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.trajectory import Trajectory, trajectory_of
+from ttus_opt.probe.units import UNITS
+from ttus_opt.probe.units import factor as factor_to_si
 from ttus_opt.sensors.column_map import ORDER, ORDERS
 from ttus_opt.sensors.netcdf_child import read_apart
-from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.streams import WrenchStream, wrenches_of
 
 if TYPE_CHECKING:
     import xarray as xr
-
-#: Factor from a file's unit to SI, by quantity
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "force": {"N": 1.0},
-    "torque": {"N m": 1.0, "N mm": 1e-3},
-    "quaternion": {"1": 1.0},
-}
-
-#: Other spellings of units
-SPELLINGS = {
-    **dict.fromkeys(("second", "seconds", "sec"), "s"),
-    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
-    **dict.fromkeys(("microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("nanosecond", "nanoseconds"), "ns"),
-    **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
-    **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
-    **dict.fromkeys(("newton", "newtons"), "N"),
-    **dict.fromkeys(("Nm", "N.m", "N*m", "N·m", "newton metre"), "N m"),
-    **dict.fromkeys(("Nmm", "N.mm", "N*mm", "N·mm"), "N mm"),
-    **dict.fromkeys(("", "-", "–", "dimensionless"), "1"),
-}
-
-#: Positions beyond this are in another unit [m]
-LARGEST_POSITION = 100.0
 
 
 def read_netcdf_poses(
@@ -70,19 +46,8 @@ def read_netcdf_poses(
     Raises:
         FileError: Missing, damaged, or without such variables, units or order.
     """
-    file, data, names = _opened(path, columns)
-    with located(file, FileError):
-        time = _time(data, names)
-        position = _vector(data, "position", names, "xyz")
-        if not np.abs(position).max(initial=0.0) < LARGEST_POSITION:
-            raise InputError(
-                f"positions beyond {LARGEST_POSITION:g} m or not finite: check units"
-            )
-        order = _order(data, names)
-        quaternion = _vector(data, "quaternion", names, order)
-        new = first_of_each(np.c_[time, position, quaternion], file)
-        rotation = from_quaternions(quaternion[new], order)  # type: ignore[arg-type]  # one of both
-        return Trajectory(time[new], position[new], rotation)
+    (raw,) = _read(Path(path), Wanted(columns=columns or {}, kind="poses"))
+    return trajectory_of(raw)
 
 
 def read_netcdf_wrenches(
@@ -97,14 +62,33 @@ def read_netcdf_wrenches(
     Raises:
         FileError: Missing, damaged, or without such variables or units.
     """
-    file, data, names = _opened(path, columns)
+    (raw,) = _read(Path(path), Wanted(columns=columns or {}, kind="wrenches"))
+    return wrenches_of(raw)
+
+
+def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
+    """The file's one stream; errors as `read_netcdf_poses`."""
+    file, data, names = _opened(path, wanted.columns)
+    there = {k for k in UNITS if names.get(k, k) in data.variables}
+    poses = wanted.kind in ("poses", "recording") or (
+        not wanted.kind and "position" in there
+    )
+    forces = wanted.kind == "wrenches" or (wanted.kind != "poses" and "force" in there)
+    vectors: dict[str, Array] = {}
     with located(file, FileError):
-        kinds = [k for k in ("force", "torque") if names.get(k, k) in data.variables]
-        time, kinds = _time(data, names), kinds or ["force"]
-        values = np.hstack([_vector(data, kind, names, "xyz") for kind in kinds])
-        new = first_of_each(np.c_[time, values], file)
-        torque = values[new, 3:] if len(kinds) == 2 else None
-        return WrenchStream(time[new], values[new, :3], torque)
+        time = _time(data, names)
+        if poses or not forces:
+            vectors["position"] = _vector(data, "position", names, "xyz")
+            order = _order(data, names)
+            quaternion = _vector(data, "quaternion", names, order)
+            back = [order.index(axis) for axis in "wxyz"]
+            vectors["quaternion"] = quaternion[:, back]
+        if forces:
+            vectors["force"] = _vector(data, "force", names, "xyz")
+            if "torque" in there:
+                vectors["torque"] = _vector(data, "torque", names, "xyz")
+    raw = RawRecording(str(file), time, units_stated=True)
+    return [raw.replaced(**vectors)]
 
 
 def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) -> None:
@@ -180,7 +164,7 @@ def _factor(found: xr.DataArray, name: str, unit: str | None = None) -> float:
         return 1.0
     word = str(given).strip()
     known = UNITS[name]
-    factor = known.get(SPELLINGS.get(word, word))
+    factor = factor_to_si(name, word)
     if given is None or factor is None:
         raise InputError(
             f"{found.name} has units {given!r}, expected {' or '.join(known)}: set the "
@@ -204,7 +188,7 @@ def _time(data: xr.Dataset, names: Mapping[str, str]) -> Array:
     """Times [s]; in "seconds since …" the epoch is ignored.
 
     Raises:
-        InputError: Not one dimension, no unit, or not finite.
+        InputError: Not one dimension, or no unit.
     """
     found = _variable(data, "time", names)
     if found.ndim != 1:
@@ -212,10 +196,7 @@ def _time(data: xr.Dataset, names: Mapping[str, str]) -> Array:
             f"{found.name} has {found.ndim} dimensions, expected one for times"
         )
     unit, _, origin = str(found.attrs.get("units", "")).partition(" since ")
-    values = _factor(found, "time", unit) * _numbers(found) + _unix(origin)
-    if not np.isfinite(values).all():
-        raise InputError(f"{found.name} contains NaN or infinity: drop those frames")
-    return values
+    return _factor(found, "time", unit) * _numbers(found) + _unix(origin)
 
 
 def _unix(origin: str) -> float:
@@ -257,10 +238,7 @@ def _vector(data: xr.Dataset, name: str, names: Mapping[str, str], order: str) -
             f"components of {found.name} are {', '.join(labels)}, expected "
             f"{', '.join(order)}: reorder them"
         )
-    values = _factor(found, name) * _numbers(found)
-    if not np.isfinite(values).all():
-        raise InputError(f"{found.name} contains NaN or infinity: drop those frames")
-    return values
+    return _factor(found, name) * _numbers(found)
 
 
 def _labels(found: xr.DataArray) -> str:
@@ -293,3 +271,11 @@ def _order(data: xr.Dataset, names: Mapping[str, str]) -> str:
             f"{ORDER}=xyzw or wxyz, or label the components"
         )
     return said.pop()
+
+
+NETCDF = StreamFormat(
+    "netCDF",
+    lambda file, head: file.suffix.lower() in (".nc", ".nc4", ".cdf"),
+    _read,
+    has_columns=True,
+)

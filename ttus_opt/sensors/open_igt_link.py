@@ -1,8 +1,9 @@
 """Live recording over OpenIGTLink, for a given time or until Ctrl-C.
 
-TRANSFORM messages are poses (translations in mm, as PLUS and 3D Slicer send them);
-SENSOR messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are
-the messages' time stamps.
+TRANSFORM, POSITION and TDATA messages are poses (translations in mm, as PLUS and 3D
+Slicer send them), those of TDATA by the names of its tools; SENSOR and NDARRAY messages
+of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are the messages'
+time stamps.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, located, warn
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.sensors.open_igt_message import Message, MessageReader
+from ttus_opt.sensors.open_igt_message import (
+    POSES,
+    READINGS,
+    Message,
+    MessageReader,
+)
 from ttus_opt.sensors.streams import WrenchStream
 
 #: Default port of PLUS
@@ -70,10 +76,10 @@ class Received:
         if message.fault:
             self.dropped[message.fault] += 1
             return
-        if message.kind not in ("TRANSFORM", "SENSOR"):
+        if message.kind not in (*POSES, *READINGS):
             self.others[message.device] = message.kind
             return
-        kind = self.poses if message.kind == "TRANSFORM" else self.readings
+        kind = self.poses if message.kind in POSES else self.readings
         kept = kind.setdefault(message.device, [])
         if kept and len(kept[0][1]) != len(message.values):
             self.dropped["fewer or more numbers than the first"] += 1

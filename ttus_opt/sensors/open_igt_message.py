@@ -3,21 +3,22 @@
 A header of 58 bytes, big-endian: version, type, device, time stamp, size and CRC-64
 (ECMA-182) of the body. From version 2 on the body has an extended header before its
 content, and metadata after it. Source: OpenIGTLink protocol, header of versions 2 and
-3, transform, sensor.
+3, transform, position, tracking data, sensor, and array.
 """
 
 from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.probe.pose import rotations
+from ttus_opt.probe.pose import from_quaternions, nearest_rotations
+from ttus_opt.probe.rigid_motion import homogeneous
 
 HEADER = struct.Struct(">H12s20sIIQQ")
 EXTENDED = struct.Struct(">HHII")
@@ -34,7 +35,7 @@ class Message:
     """A message, as far as it is wanted.
 
     Attributes:
-        kind: TRANSFORM, SENSOR or any other type.
+        kind: Type of message; those of `READ` have values.
         device: Name of its sender.
         time: Time stamp [s].
         values: A pose (4, 4) [–, mm], or a sensor's numbers; empty for other types
@@ -81,6 +82,9 @@ class MessageReader:
             body = bytes(self._unread[HEADER.size : end])
             del self._unread[:end]
             at = second + fraction / 2**32
+            if word == "TDATA":
+                yield from _tools(name, at, version, body, checksum)
+                continue
             try:
                 values, fault = _values(word, version, body, checksum), ""
             except InputError as error:
@@ -94,24 +98,61 @@ def _text(padded: bytes) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
+def _tools(
+    device: str, at: float, version: int, body: bytes, checksum: int
+) -> Iterator[Message]:
+    """One message for every tool of a TDATA message, or one with its fault."""
+    try:
+        found = list(_tracked(_content(version, body, checksum)))
+    except (InputError, struct.error) as error:
+        fault = str(error) or "body of another size"
+        yield Message("TDATA", device, at, np.empty(0), fault)
+        return
+    for tool, pose in found:
+        try:
+            yield Message("TDATA", tool or device, at, _checked(pose))
+        except InputError as error:
+            yield Message("TDATA", tool or device, at, np.empty(0), str(error))
+
+
 def _values(kind: str, version: int, body: bytes, checksum: int) -> Array:
     """Numbers of a body of a type that is wanted.
 
     Raises:
         InputError: They cannot be used; a few words that do not depend on the numbers.
     """
-    read = {"TRANSFORM": _pose, "SENSOR": _readings}.get(kind)
+    read = READ.get(kind)
     if read is None:
         return np.empty(0)
+    try:
+        return _checked(read(_content(version, body, checksum)))
+    except (struct.error, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("body of another size") from error
+
+
+def _content(version: int, body: bytes, checksum: int) -> bytes:
+    """A body without its extended header and metadata.
+
+    Raises:
+        InputError: A wrong checksum.
+        struct.error: Too short.
+    """
     if crc64(body) != checksum:
         raise InputError("wrong checksum")
-    try:
-        if version > 1:
-            begin, head, metadata, _ = EXTENDED.unpack_from(body)
-            body = body[begin : len(body) - head - metadata]
-        values = read(body)
-    except struct.error as error:
-        raise InputError("body of another size") from error
+    if version == 1:
+        return body
+    begin, head, metadata, _ = EXTENDED.unpack_from(body)
+    return body[begin : len(body) - head - metadata]
+
+
+def _checked(values: Array) -> Array:
+    """The numbers, a pose with its rotation made orthonormal.
+
+    Raises:
+        InputError: Not finite, too far, or no rigid motion.
+    """
     if not np.isfinite(values).all():
         raise InputError("NaN or infinite")
     if values.ndim == 1:
@@ -119,10 +160,10 @@ def _values(kind: str, version: int, body: bytes, checksum: int) -> Array:
     if np.abs(values[:3, 3]).max() > FARTHEST:
         raise InputError("shift beyond a kilometre")
     try:
-        rotations(values[:3, :3])
+        turn, _ = nearest_rotations(values[None, :3, :3])
     except InputError as error:
         raise InputError("no rigid motion") from error
-    return values
+    return homogeneous(turn[0], values[:3, 3])
 
 
 def _pose(content: bytes) -> Array:
@@ -131,12 +172,83 @@ def _pose(content: bytes) -> Array:
     return np.vstack([columns.T, [0.0, 0.0, 0.0, 1.0]])
 
 
+def _position(content: bytes) -> Array:
+    """Three numbers, and a quaternion x, y, z, w or its first three, (4, 4).
+
+    Raises:
+        InputError: A position without orientation, or a quaternion that is none.
+    """
+    count = len(content) // 4
+    if count not in (6, 7):
+        raise InputError("a position without orientation")
+    x, y, z, *turn = struct.unpack(f">{count}f", content[: 4 * count])
+    if count == 6:  # compressed: the scalar part is the positive rest
+        turn.append(max(0.0, 1.0 - sum(q * q for q in turn)) ** 0.5)
+    try:
+        rotation = from_quaternions(np.array([turn]), "xyzw")[0]
+    except InputError as error:
+        raise InputError("no rigid motion") from error
+    return homogeneous(rotation, np.array([x, y, z]))
+
+
 def _readings(content: bytes) -> Array:
     """Count, status and unit, then that many doubles: 3 forces, or 3 torques more."""
     count, _, _ = struct.unpack_from(">BBQ", content)
     if count not in (3, 6):
         raise InputError("neither 3 forces nor 3 forces and 3 torques")
     return np.array(struct.unpack(f">{count}d", content[10:]))
+
+
+def _array(content: bytes) -> Array:
+    """Type, dimensions and sizes, then the numbers, 3 or 6 of them.
+
+    Raises:
+        InputError: Another number or type of them.
+    """
+    kind, n_dims = struct.unpack_from(">BB", content)
+    sizes = struct.unpack_from(f">{n_dims}H", content, 2)
+    if kind not in ARRAY_TYPES:
+        raise InputError("an array of an unknown type")
+    if int(np.prod(sizes)) not in (3, 6):
+        raise InputError("neither 3 forces nor 3 forces and 3 torques")
+    numbers = np.frombuffer(content[2 + 2 * n_dims :], ARRAY_TYPES[kind])
+    if len(numbers) != int(np.prod(sizes)):
+        raise InputError("body of another size")
+    return numbers.astype(np.float64)
+
+
+def _tracked(body: bytes) -> Iterator[tuple[str, Array]]:
+    """Name and pose (4, 4) of every tool of a TDATA message.
+
+    Raises:
+        struct.error: A body of another size.
+    """
+    if len(body) % TOOL.size:
+        raise struct.error
+    for name, _, _, *numbers in TOOL.iter_unpack(body):
+        columns = np.array(numbers).reshape(4, 3)
+        yield _text(name), np.vstack([columns.T, [0.0, 0.0, 0.0, 1.0]])
+
+
+#: Element of a TDATA message: name, type, reserved, a pose column by column
+TOOL = struct.Struct(">20sBB12f")
+
+#: Numbers of an NDARRAY message, by their type
+ARRAY_TYPES = {
+    **{2: ">i1", 3: ">u1", 4: ">i2", 5: ">u2", 6: ">i4", 7: ">u4"},
+    **{10: ">f4", 11: ">f8"},
+}
+
+#: Readers of the types that hold one pose or one reading
+READ: dict[str, Callable[[bytes], Array]] = {
+    "TRANSFORM": _pose,
+    "POSITION": _position,
+    "SENSOR": _readings,
+    "NDARRAY": _array,
+}
+
+#: Types that hold poses, the tools of TDATA included, and those that hold readings
+POSES, READINGS = ("TRANSFORM", "POSITION", "TDATA"), ("SENSOR", "NDARRAY")
 
 
 def crc64(data: bytes) -> int:

@@ -20,10 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors.stream_files import read_poses
 
 #: How the phantom's probe is held: z into the patient, y to the feet
 USUAL = ("z", "-y")
@@ -96,8 +97,8 @@ def read_axis(
     """The patient frame of a surface file, or from a probe's recorded poses.
 
     Args:
-        path: A surface (.nc), or poses of a probe held above the sternum (.csv), frame
-            of the scan.
+        path: A surface (.nc), or poses of a probe held above the sternum in any
+            known file, frame of the scan.
         cloud: The scan; ``cloud``, ``held`` and ``depth`` are as in `axis_from_probe`.
         held: Applies to poses only.
         depth: Applies to poses only.
@@ -107,9 +108,9 @@ def read_axis(
         InputError: As `axis_from_probe`.
         GeometryError: As `axis_from_probe`.
     """
-    if Path(path).suffix.lower() != ".csv":
+    if Path(path).suffix.lower() == ".nc":
         return Surface.load(path).axis
-    return axis_from_probe(read_trajectory(path), cloud, held=held, depth=depth)
+    return axis_from_probe(read_poses(path), cloud, held=held, depth=depth)
 
 
 def _axes(held: tuple[str, str]) -> tuple[Array, Array]:

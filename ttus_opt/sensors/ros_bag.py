@@ -1,68 +1,68 @@
-"""Recordings of ROS 1 and 2 (``.bag``, a folder, ``.mcap``): poses and wrenches.
+"""Recordings of ROS 1 and 2 (``.bag``, a folder, ``.mcap``, ``.db3``).
 
-Messages are decoded by the types that ROS defines, never by definitions in the file.
-Times are those of the headers. Needs the extra ``sensors`` (rosbags).
+Poses of PoseStamped, PoseWithCovarianceStamped, TransformStamped, Odometry and ``/tf``,
+wrenches of WrenchStamped. Messages are decoded by the types that ROS defines, never by
+definitions in the file. Times are those of the headers. Needs the extra ``sensors``
+(rosbags).
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable
+import sqlite3
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import (
-    FileError,
-    InputError,
-    MissingPackageError,
-    located,
-    warn,
-)
+from ttus_opt.core.errors import FileError, InputError, TtusError, warn
 from ttus_opt.core.optional import load
-from ttus_opt.probe.pose import from_quaternions
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.trajectory import Trajectory, trajectory_of
+from ttus_opt.sensors.frame_tree import FrameTree
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted, chosen
+from ttus_opt.sensors.streams import WrenchStream, wrenches_of
 
-PREFIX = "geometry_msgs/msg/"
-POSES = ("PoseStamped", "TransformStamped")
-WRENCHES = ("WrenchStamped",)
+SUFFIXES = (".bag", ".mcap", ".db3")
 
 #: Most messages of one topic
 MOST_MESSAGES = 5_000_000
 
-#: Positions beyond this are in another unit [m]
-LARGEST_SHIFT = 100.0
 
+class _Message(NamedTuple):
+    """A message of a recording.
 
-class _Rows(NamedTuple):
-    """Times [s] and numbers of a topic, one row per message."""
+    Attributes:
+        topic: Its topic.
+        kind: Its type.
+        content: Decoded.
+    """
 
-    time: Array
-    values: Array
+    topic: str
+    kind: str
+    content: Any
 
 
 def read_bag_poses(
     path: str | os.PathLike[str], topic: str | None = None
 ) -> Trajectory:
-    """Poses of a topic of PoseStamped or TransformStamped.
+    """Poses of a topic, or of one frame in another.
 
     Args:
-        path: A ``.bag`` or ``.mcap`` file, or the folder of a ROS 2 recording.
-        topic: May be left out where there is only one.
+        path: A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2
+            recording.
+        topic: May be left out where there is only one; of ``/tf`` two frames, the pose
+            of the second in the first: ``base_link:tool0``.
 
     Raises:
         FileError: Missing, damaged, no such topic, or several to choose from.
         MissingPackageError: rosbags is not installed.
     """
-    rows = _read(path, topic, POSES, _pose)
-    with located(os.fspath(path), FileError):
-        if not np.abs(rows.values[:, :3]).max() < LARGEST_SHIFT:
-            raise InputError(f"positions beyond {LARGEST_SHIFT:g} m: in millimetres?")
-        rotation = from_quaternions(rows.values[:, 3:], "xyzw")
-        return Trajectory(rows.time, rows.values[:, :3].copy(), rotation)
+    wanted = Wanted(topic, kind="poses")
+    file = Path(path)
+    return trajectory_of(chosen(file, _read(file, wanted), wanted, ROS.word))
 
 
 def read_bag_wrenches(
@@ -74,107 +74,198 @@ def read_bag_wrenches(
         FileError: As `read_bag_poses`.
         MissingPackageError: rosbags is not installed.
     """
-    rows = _read(path, topic, WRENCHES, _wrench)
-    with located(os.fspath(path), FileError):
-        return WrenchStream(
-            rows.time, rows.values[:, :3].copy(), rows.values[:, 3:].copy()
-        )
+    wanted = Wanted(topic, kind="wrenches")
+    file = Path(path)
+    return wrenches_of(chosen(file, _read(file, wanted), wanted, ROS.word))
 
 
 def _xyz(vector: Any) -> list[float]:
     return [vector.x, vector.y, vector.z]
 
 
-def _pose(message: Any) -> list[float]:
-    """Position and quaternion x, y, z, w of either message type."""
-    if hasattr(message, "pose"):
-        shift, turn = message.pose.position, message.pose.orientation
-    else:
-        shift, turn = message.transform.translation, message.transform.rotation
-    return [*_xyz(shift), *_xyz(turn), turn.w]
+def _pose(position: Any, turn: Any) -> list[float]:
+    """Position and quaternion w, x, y, z."""
+    return [*_xyz(position), turn.w, *_xyz(turn)]
 
 
-def _wrench(message: Any) -> list[float]:
-    return [*_xyz(message.wrench.force), *_xyz(message.wrench.torque)]
+#: Numbers of a message, by its type
+POSES: dict[str, Callable[[Any], list[float]]] = {
+    "geometry_msgs/msg/PoseStamped": lambda m: _pose(
+        m.pose.position, m.pose.orientation
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: _pose(
+        m.pose.pose.position, m.pose.pose.orientation
+    ),
+    "geometry_msgs/msg/TransformStamped": lambda m: _pose(
+        m.transform.translation, m.transform.rotation
+    ),
+    "nav_msgs/msg/Odometry": lambda m: _pose(
+        m.pose.pose.position, m.pose.pose.orientation
+    ),
+}
+WRENCHES: dict[str, Callable[[Any], list[float]]] = {
+    "geometry_msgs/msg/WrenchStamped": lambda m: [
+        *_xyz(m.wrench.force),
+        *_xyz(m.wrench.torque),
+    ],
+}
+#: Types of ``/tf``, of today and of old, and what both hold
+TREES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TREE_FIELDS = "geometry_msgs/TransformStamped[] transforms"
+
+#: Names of a topic of transforms that hold for all times
+STATIC = "tf_static"
 
 
-def _read(
-    path: str | os.PathLike[str],
-    topic: str | None,
-    kinds: tuple[str, ...],
-    row: Callable[[Any], list[float]],
-) -> _Rows:
-    """Messages of a topic as rows, by time, one per time stamp.
+def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
+    """All streams of the wanted kind, those of ``/tf`` last.
 
     Raises:
         FileError: As `read_bag_poses`.
     """
-    place = Path(path)
     if not place.exists():
         raise FileError(f"recording not found: {place}: check the path")
+    types = {} if wanted.kind == "wrenches" else {**POSES}
+    if wanted.kind in ("", "wrenches"):
+        types |= WRENCHES
+    kinds = [*types, *([] if wanted.kind == "wrenches" else TREES)]
     try:
-        rows = _rows(place, topic, kinds, row)
-    except (FileError, MissingPackageError):
+        return _streams(place, types, kinds, wanted)
+    except InputError as error:
+        raise FileError(str(error)) from error
+    except TtusError:
         raise
     except (Exception, MemoryError) as error:  # damaged files raise nearly every class
         raise FileError(
             f"{place} cannot be read as a ROS recording ({type(error).__name__}): "
-            "name a .bag or .mcap file, or the folder of a ROS 2 recording"
+            "name a .bag, .mcap or .db3 file, or the folder of a ROS 2 recording"
         ) from error
-    if not (np.isfinite(rows.time).all() and np.isfinite(rows.values).all()):
-        raise FileError(f"{place}: messages hold NaN or infinity: record it again")
-    time, first = np.unique(rows.time, return_index=True)
-    doubled = len(rows.time) - len(time)
-    if doubled:
-        warn(f"{place.name}: {doubled} messages repeat a time stamp: left out", 2)
-    return _Rows(time, rows.values[first])
 
 
-def _rows(
+def _streams(
     place: Path,
-    topic: str | None,
-    kinds: tuple[str, ...],
-    row: Callable[[Any], list[float]],
-) -> _Rows:
+    types: dict[str, Callable[[Any], list[float]]],
+    kinds: list[str],
+    wanted: Wanted,
+) -> list[RawRecording]:
+    times: dict[str, list[float]] = {}
+    rows: dict[str, list[list[float]]] = {}
+    of: dict[str, str] = {}
+    frames: dict[str, str] = {}
+    tree = FrameTree()
+    for topic, kind, message in _messages(place, kinds):
+        if kind in TREES:
+            for each in message.transforms:
+                pose = POSES["geometry_msgs/msg/TransformStamped"](each)
+                link = each.header.frame_id, each.child_frame_id
+                tree.add(*link, _stamp(each), pose, static=topic.endswith(STATIC))
+            continue
+        times.setdefault(topic, []).append(_stamp(message))
+        rows.setdefault(topic, []).append(types[kind](message))
+        of[topic], frames[topic] = kind, message.header.frame_id
+        if len(times[topic]) > MOST_MESSAGES:
+            raise FileError(f"{place} has too many messages of {topic}: shorten it")
+    out = [
+        _recording(place, topic, times[topic], rows[topic], of[topic], frames[topic])
+        for topic in times
+    ]
+    if wanted.name or not wanted.kind or not out:  # a topic is meant before a frame
+        links = tree.links()
+        pair = (wanted.name or "").split(":")
+        if len(pair) == 2 and not any(raw.name == wanted.name for raw in out):
+            links = sorted({*links, (pair[0], pair[1])})
+        out += [tree.recording(str(place), *link) for link in links]
+    if wanted.kind:
+        out = [_by_time(raw) for raw in out]
+    return out
+
+
+def _stamp(message: Any) -> float:
+    stamp = message.header.stamp
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def _recording(
+    place: Path,
+    topic: str,
+    times: list[float],
+    rows: list[list[float]],
+    kind: str,
+    frame: str,
+) -> RawRecording:
+    time, values = np.array(times, np.float64), np.array(rows, np.float64)
+    note = f"{kind.rpartition('/')[2]} in {frame or 'an unnamed frame'}, SI units"
+    if kind in WRENCHES:
+        return RawRecording(
+            str(place),
+            time,
+            force=values[:, :3],
+            torque=values[:, 3:],
+            name=topic,
+            notes=(note,),
+            units_stated=True,
+        )
+    return RawRecording(
+        str(place),
+        time,
+        values[:, :3],
+        values[:, 3:],
+        name=topic,
+        notes=(note,),
+        units_stated=True,
+    )
+
+
+def _by_time(raw: RawRecording) -> RawRecording:
+    """Sorted, because messages arrive in any order; one for each time stamp."""
+    _, first = np.unique(raw.time, return_index=True)
+    doubled = int(np.isfinite(raw.time).sum()) - len(first)
+    if doubled > 0:
+        warn(f"{raw.title}: {doubled} messages repeat a time stamp: left out", 2)
+    return raw.select(first)
+
+
+def _messages(place: Path, kinds: list[str]) -> Iterator[_Message]:
+    """Messages of some types, decoded."""
     load("rosbags", "sensors")
     ros1 = place.suffix == ".bag"
-    of_version: Any = load(f"rosbags.rosbag{1 if ros1 else 2}", "sensors")
     types: Any = load("rosbags.typesys", "sensors")
     stores = types.Stores
     known = types.get_typestore(stores.ROS1_NOETIC if ros1 else stores.ROS2_HUMBLE)
+    for kind in TREES:  # rosbags knows neither of ROS 1
+        if kind not in known.types:
+            known.register(types.get_types_from_msg(TREE_FIELDS, kind))
     decode = known.deserialize_ros1 if ros1 else known.deserialize_cdr
+    if place.suffix == ".db3":
+        for topic, kind, content in _of_database(place, kinds):
+            yield _Message(topic, kind, decode(content, kind))
+        return
+    of_version: Any = load(f"rosbags.rosbag{1 if ros1 else 2}", "sensors")
     with of_version.Reader(place) as reader:
-        own = [c for c in reader.connections if c.msgtype in map(PREFIX.__add__, kinds)]
-        name = _topic(place, sorted({c.topic for c in own}), topic, kinds)
-        time, values = [], []
-        chosen = [c for c in own if c.topic == name]
-        for connection, _, content in reader.messages(connections=chosen):
-            message = decode(content, connection.msgtype)
-            stamp = message.header.stamp
-            time.append(stamp.sec + 1e-9 * stamp.nanosec)
-            values.append(row(message))
-            if len(time) > MOST_MESSAGES:
-                raise FileError(f"{place} has too many messages of {name}: shorten it")
-    if not time:
-        raise FileError(f"{place} has no message of {name}: was it published?")
-    return _Rows(np.array(time, np.float64), np.array(values, np.float64))
+        own = [c for c in reader.connections if c.msgtype in kinds]
+        if not own:
+            return
+        for connection, _, content in reader.messages(connections=own):
+            kind = connection.msgtype
+            yield _Message(connection.topic, kind, decode(content, kind))
 
 
-def _topic(
-    place: Path, known: list[str], topic: str | None, kinds: tuple[str, ...]
-) -> str:
-    """The topic to read.
-
-    Raises:
-        FileError: No such topic, or several to choose from.
-    """
-    types = " or ".join(kinds)
-    if not known:
-        raise FileError(f"{place} has no topic of {types}: record one")
-    if topic is None and len(known) > 1:
-        raise FileError(f"{place} has several topics of {types}: {', '.join(known)}")
-    if topic is not None and topic not in known:
-        raise FileError(
-            f"{place} has no topic {topic} of {types}: one of {', '.join(known)}"
+def _of_database(file: Path, kinds: list[str]) -> Iterator[tuple[str, str, bytes]]:
+    """Topic, type and content of a ``.db3`` file, which lost its metadata.yaml."""
+    uri = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
+    with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
+        marks = ",".join("?" * len(kinds))
+        yield from database.execute(
+            "SELECT topics.name, topics.type, messages.data FROM messages "
+            "JOIN topics ON messages.topic_id = topics.id "
+            f"WHERE topics.type IN ({marks}) ORDER BY messages.timestamp",
+            kinds,
         )
-    return known[0] if topic is None else topic
+
+
+ROS = StreamFormat(
+    "recording of ROS",
+    lambda file, head: file.is_dir() or file.suffix.lower() in SUFFIXES,
+    _read,
+    "topic",
+)

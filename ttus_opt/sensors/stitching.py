@@ -138,6 +138,7 @@ def read_camera_poses(
             f"{'is' if n == 1 else 'are'} {n} image{'s' * (n != 1)}: write one line "
             "for each image, in their order"
         )
+    assert read.quaternion is not None and read.position is not None
     return homogeneous(from_quaternions(read.quaternion, order), read.position)
 
 

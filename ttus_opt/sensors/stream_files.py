@@ -1,94 +1,145 @@
-"""Readers of pose and wrench streams, chosen by the kind of file."""
+"""Recordings of poses and wrenches of any known format.
+
+`FORMATS` is the list; a file belongs to the first that recognises it. A format of your
+own is a `StreamFormat` more.
+"""
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-from ttus_opt.sensors.column_map import table_columns
-from ttus_opt.sensors.netcdf_stream import read_netcdf_poses, read_netcdf_wrenches
-from ttus_opt.sensors.plus_sequence import read_plus_sequence
-from ttus_opt.sensors.ros_bag import read_bag_poses, read_bag_wrenches
-from ttus_opt.sensors.streams import WrenchStream, read_wrench_stream
+from ttus_opt.core.errors import FileError, InputError, warn
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.repair import repaired_aloud
+from ttus_opt.probe.trajectory import Trajectory, trajectory_of
+from ttus_opt.sensors.ati_log import ATI
+from ttus_opt.sensors.motive_csv import MOTIVE
+from ttus_opt.sensors.ndi_csv import NDI
+from ttus_opt.sensors.netcdf_stream import NETCDF
+from ttus_opt.sensors.plus_sequence import PLUS
+from ttus_opt.sensors.ros_bag import ROS
+from ttus_opt.sensors.stream_format import HEAD, StreamFormat, Wanted, chosen
+from ttus_opt.sensors.stream_table import TABLE
+from ttus_opt.sensors.streams import WrenchStream, wrenches_of
+from ttus_opt.sensors.trc import TRC
+from ttus_opt.sensors.vicon_csv import VICON
 
-NETCDF = (".nc", ".nc4", ".cdf")
+LOG = logging.getLogger(__name__)
+
+#: In the order in which a file is tried; a table is what nothing else is
+FORMATS: tuple[StreamFormat, ...] = (
+    *(ROS, PLUS, NETCDF, MOTIVE, TRC, VICON, NDI, ATI),
+    TABLE,
+)
 
 
 def read_poses(
     path: str | os.PathLike[str],
     name: str | None = None,
     columns: Mapping[str, str] | None = None,
+    *,
+    repair: bool = False,
 ) -> Trajectory:
-    """Poses: a table, netCDF, a PLUS sequence (``.mha``) or a ROS recording.
+    """Poses of a file.
 
     Args:
         path: The file, or the folder of a ROS 2 recording.
-        name: The transform or topic, where there are several.
+        name: The transform, topic, body or marker set, where there are several; of
+            ``/tf`` two frames, ``base:tool``.
         columns: The file's names, by the package's (`read_column_map`).
+        repair: Mend holes, with a warning of what was done (`ttus_opt.probe.repair`).
 
     Raises:
         FileError: The file cannot be read.
         InputError: Such a file has no names or no columns.
     """
-    file = Path(path)
-    if _of_ros(file):
-        _require_none(file, columns=columns)
-        return read_bag_poses(file, name)
-    if file.suffix.lower() == ".mha":
-        _require_none(file, columns=columns)
-        return read_plus_sequence(file, name)
-    _require_none(file, name=name)
-    if file.suffix.lower() in NETCDF:
-        return read_netcdf_poses(file, columns)
-    return read_trajectory(file, columns=_of(columns, "pq"))
+    raw = raw_stream(path, Wanted(name, columns or {}, "poses"), repair=repair)
+    return trajectory_of(raw.replaced(force=None, torque=None))
 
 
 def read_wrenches(
     path: str | os.PathLike[str],
     name: str | None = None,
     columns: Mapping[str, str] | None = None,
+    *,
+    repair: bool = False,
 ) -> WrenchStream:
-    """Wrenches: a table, netCDF or a ROS recording.
+    """Wrenches of a file; arguments and errors as `read_poses`."""
+    raw = raw_stream(path, Wanted(name, columns or {}, "wrenches"), repair=repair)
+    return wrenches_of(raw)
 
-    Args:
-        path: The file, or the folder of a ROS 2 recording.
-        name: The topic, where there are several.
-        columns: As `read_poses`.
+
+def read_recording(
+    path: str | os.PathLike[str],
+    name: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    *,
+    repair: bool = False,
+) -> Trajectory:
+    """Poses of a file with the wrenches that it has beside them in the same rows.
+
+    Arguments and errors as `read_poses`.
+    """
+    raw = raw_stream(path, Wanted(name, columns or {}, "recording"), repair=repair)
+    return trajectory_of(raw)
+
+
+def raw_stream(
+    path: str | os.PathLike[str], wanted: Wanted, *, repair: bool = False
+) -> RawRecording:
+    """A stream as its file has it; a warning tells what was taken for granted.
+
+    Units and frames are logged (``ttus_opt.sensors.stream_files``, INFO).
 
     Raises:
-        FileError: The file cannot be read.
+        FileError: The file cannot be read, or has no such stream.
         InputError: Such a file has no names or no columns.
     """
     file = Path(path)
-    if _of_ros(file):
-        _require_none(file, columns=columns)
-        return read_bag_wrenches(file, name)
-    _require_none(file, name=name)
-    if file.suffix.lower() in NETCDF:
-        return read_netcdf_wrenches(file, columns)
-    return read_wrench_stream(file, _of(columns, "ft"))
+    kind = format_of(file)
+    _require_none(file, kind, wanted)
+    raw = chosen(file, kind.read(file, wanted), wanted, kind.word)
+    LOG.info("%s, %s: %s", raw.title, kind.title, "; ".join(raw.notes) or "SI units")
+    if raw.cautions:
+        warn(f"{raw.title}: {'; '.join(raw.cautions)}", 2)
+    return repaired_aloud(raw) if repair else raw
 
 
-def _of_ros(file: Path) -> bool:
-    return file.is_dir() or file.suffix.lower() in (".bag", ".mcap")
+def raw_recordings(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+) -> Sequence[RawRecording]:
+    """All streams of a file; errors as `raw_stream`."""
+    file = Path(path)
+    kind = format_of(file)
+    wanted = Wanted(columns=columns or {})
+    _require_none(file, kind, wanted)
+    return kind.read(file, wanted)
 
 
-def _require_none(
-    file: Path, *, name: str | None = None, columns: Mapping[str, str] | None = None
-) -> None:
-    if columns:
+def format_of(file: Path) -> StreamFormat:
+    """The format of a file, by its name and the text it begins with.
+
+    Raises:
+        FileError: It cannot be opened.
+    """
+    head = ""
+    if file.is_file():
+        try:
+            with file.open("rb") as stream:
+                head = stream.read(HEAD).decode("utf-8-sig", errors="replace")
+        except OSError as error:
+            raise FileError(f"{file} cannot be opened: {error.strerror}") from error
+    return next(kind for kind in FORMATS if kind.recognises(file, head))
+
+
+def _require_none(file: Path, kind: StreamFormat, wanted: Wanted) -> None:
+    """Refuse columns and names for a file that has none."""
+    if wanted.columns and not kind.has_columns:
         raise InputError(f"{file.name} has no columns: leave the column map out")
-    if name is not None:
+    if wanted.name is not None and not kind.word:
         raise InputError(
-            f"{file.name} has no transform or topic {name}: leave the name out"
+            f"{file.name} has no transform or topic {wanted.name}: leave the name out"
         )
-
-
-def _of(columns: Mapping[str, str] | None, kinds: str) -> Mapping[str, str] | None:
-    """The columns of one stream, from a map for both."""
-    own = ("t", "segment", *(f"{kind}{x}" for kind in kinds for x in "wxyz"))
-    named = table_columns(columns or {})
-    return {ours: theirs for ours, theirs in named.items() if ours in own}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,12 @@ from scipy.spatial.transform import Rotation, Slerp
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
-from ttus_opt.probe.text_table import first_of_each, read_text_table, seconds
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.recording_faults import checked
+from ttus_opt.probe.repair import repaired_aloud
+from ttus_opt.probe.text_table import read_text_table
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory_csv import recording_of
 
 FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 
@@ -79,25 +84,43 @@ class WrenchStream:
 
 
 def read_wrench_stream(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+    path: str | os.PathLike[str],
+    columns: Mapping[str, str] | None = None,
+    *,
+    repair: bool = False,
 ) -> WrenchStream:
     """Wrenches without poses, from a table ``t,fx,fy,fz[,tx,ty,tz]``.
 
     Args:
         path: The file; separators, comments and names as in a trajectory.
         columns: The file's names, by these.
+        repair: As in `ttus_opt.probe.trajectory.read_trajectory`.
 
     Raises:
         FileError: Missing, damaged, or without such columns.
     """
     file = io.existing_file(path, "wrench")
-    table = read_text_table(file, ("t", *FORCE), columns)
-    with_torque = all(name in table.names for name in TORQUE)
-    values = table.numbers(["t", *FORCE, *(TORQUE if with_torque else ())])
-    values = values[first_of_each(values, file)]
-    torque = values[:, 4:7] if with_torque else None
-    with located(file, FileError):
-        return WrenchStream(seconds(values[:, 0]), values[:, 1:4], torque)
+    raw = raw_wrenches(file, columns)
+    return wrenches_of(repaired_aloud(raw) if repair else raw)
+
+
+def raw_wrenches(file: Path, columns: Mapping[str, str] | None = None) -> RawRecording:
+    """The same as the file has it; errors as `read_wrench_stream`."""
+    return recording_of(read_text_table(file, ("t", *FORCE), columns), "", FORCE)
+
+
+def wrenches_of(raw: RawRecording) -> WrenchStream:
+    """The wrenches of a recording, checked.
+
+    Raises:
+        FileError: Anything is wrong with it, or it has none.
+    """
+    if raw.force is None:
+        raise FileError(f"{raw.title} has no forces")
+    read = checked(raw.replaced(position=None, quaternion=None))
+    assert read.force is not None
+    with located(read.title, FileError):
+        return WrenchStream(read.time, read.force, read.torque)
 
 
 def with_wrenches(

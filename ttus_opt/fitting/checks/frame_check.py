@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 from ttus_opt.probe.conventions import Conventions
+from ttus_opt.probe.jumps import jumps
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
@@ -27,10 +28,6 @@ NEAR = 0.1
 #: Shares of frames near the skin: below the first there is a warning, above the second
 #: another frame is suggested [–]
 FEW, MANY = 0.2, 0.6
-
-#: A step that differs from both its neighbours by more than this [m], than this
-#: acceleration makes it [m/s²], and than so many times the median, is a jump
-JUMP, BRISK, JUMPS = 0.01, 15.0, 10.0
 
 
 def share_near_skin(
@@ -115,29 +112,6 @@ def warn_of_jumps(recorded: Trajectory) -> None:
             2,
             MistakeWarning,
         )
-
-
-def jumps(position: Array, time: Array) -> tuple[Mask, Array]:
-    """Steps of a path that no hand or robot makes, given the steps around them.
-
-    Args:
-        position: Shape (T, 3) [m].
-        time: Increasing, shape (T,) [s].
-
-    Returns:
-        Mask of the frames after such a step, shape (T,), and by how much every step
-        differs from those before and after it, the lesser of both, shape (T,) [m].
-    """
-    off = np.zeros(len(time))
-    if len(time) < 4:
-        return off > 0.0, off
-    steps = np.diff(time)
-    velocity = np.diff(position, axis=0) / steps[:, None]
-    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    change = np.pad(change, 1, mode="edge")
-    off[1:] = np.minimum(change[:-1], change[1:]) * steps
-    plausible = np.maximum(JUMP, BRISK * np.r_[0.0, steps] ** 2)
-    return off > np.maximum(plausible, JUMPS * np.median(off[1:])), off
 
 
 def scene_in_contact(

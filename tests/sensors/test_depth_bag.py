@@ -1,0 +1,105 @@
+"""A recording as RealSense's SDK writes it: depth images, intrinsics, depth units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.hostile import only_our_errors
+from ttus_opt.core.errors import FileError
+from ttus_opt.sensors.depth import read_depth_image
+from ttus_opt.sensors.depth_files import read_depth
+from ttus_opt.sensors.intrinsics import read_intrinsics
+
+rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
+
+SENSOR = "/device_0/sensor_0"
+K = [60.0, 0.0, 16.0, 0.0, 60.0, 12.0, 0.0, 0.0, 1.0]
+
+#: A depth camera's unit that is not a millimetre, as a D405 has it [m]
+UNIT = 1e-4
+
+
+def depth(i: int) -> np.ndarray:
+    """Whole units; a hole, and a slope that grows by a unit a frame."""
+    image = 5000 + 7 * np.arange(32)[None, :] + np.zeros((24, 1)) + i
+    image[3, 4] = 0
+    return image.astype(np.uint16)
+
+
+def recorded(file: Path, *, encoding: str = "mono16", unit: bool = True) -> Path:
+    from rosbags import rosbag1
+    from rosbags.typesys import Stores, get_typestore
+
+    store: Any = get_typestore(Stores.ROS1_NOETIC)
+    T = store.types
+
+    def header(i: int) -> Any:
+        stamp = T["builtin_interfaces/msg/Time"](sec=1, nanosec=i)
+        return T["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="0")
+
+    image, info = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+    number = "std_msgs/msg/Float32"
+    topics = {
+        f"{SENSOR}/Depth_0/image/data": image,
+        f"{SENSOR}/Depth_0/info/camera_info": info,
+        f"{SENSOR}/option/Depth Units/value": number,
+    }
+    with rosbag1.Writer(file) as writer:
+        open_ = {
+            t: writer.add_connection(t, k, typestore=store) for t, k in topics.items()
+        }
+
+        def write(topic: str, time: int, message: Any) -> None:
+            kind = topics[topic]
+            writer.write(open_[topic], time, store.serialize_ros1(message, kind))
+
+        roi = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        camera = T[info](
+            *(header(0), 24, 32, "Brown Conrady", np.zeros(5)),
+            *(np.array(K), np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
+        )
+        write(f"{SENSOR}/Depth_0/info/camera_info", 0, camera)
+        if unit:
+            write(f"{SENSOR}/option/Depth Units/value", 0, T[number](UNIT))
+        for i in range(5):
+            pixels = depth(i).view(np.uint8).ravel()
+            sent = T[image](header(i), 24, 32, encoding, 0, 64, pixels)
+            write(f"{SENSOR}/Depth_0/image/data", i, sent)
+    return file
+
+
+def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
+    file = recorded(tmp_path / "scan.bag")
+    found = read_depth(file)
+    expected = UNIT * depth(2)
+    expected[3, 4] = np.nan
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    camera = read_intrinsics(file)
+    np.testing.assert_array_equal(camera.matrix.ravel(), K)
+    assert camera.size == (32, 24)
+    image = read_depth_image(file, camera)
+    assert image.depth.shape == (24, 32)
+
+
+def test_millimetres_where_no_unit_is_stated(tmp_path: Path) -> None:
+    file = recorded(tmp_path / "scan.bag", encoding="16UC1", unit=False)
+    np.testing.assert_allclose(read_depth(file)[0, 0], 5.002)
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    file = recorded(tmp_path / "scan.bag", encoding="rgb8")
+    with pytest.raises(FileError, match="images of rgb8"):
+        read_depth(file)
+    (tmp_path / "no.bag").write_text("none")
+    for read in (read_depth, read_intrinsics):
+        with pytest.raises(FileError, match="cannot be read as a recording"):
+            read(tmp_path / "no.bag")
+
+
+@pytest.mark.parametrize("n", [30, pytest.param(1000, marks=pytest.mark.slow)])
+def test_mutations(tmp_path: Path, n: int) -> None:
+    only_our_errors([recorded(tmp_path / "scan.bag")], read_depth, n)

@@ -1,0 +1,267 @@
+"""Names that other programs give to columns, and the units that they write there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from ttus_opt.probe.units import UNITS, factor, quantity_of
+
+POSITION, TORQUE = ("px", "py", "pz"), ("tx", "ty", "tz")
+ROTATION_VECTOR = ("rvx", "rvy", "rvz")
+
+#: Endings of ROS names, and the columns they stand for
+ROS = {
+    **{f"position.{c}": f"p{c}" for c in "xyz"},
+    **{f"orientation.{c}": f"q{c}" for c in "wxyz"},
+    **{f"translation.{c}": f"p{c}" for c in "xyz"},
+    **{f"rotation.{c}": f"q{c}" for c in "wxyz"},
+    **{f"force.{c}": f"f{c}" for c in "xyz"},
+    **{f"torque.{c}": f"t{c}" for c in "xyz"},
+    "time": "t",
+    "__time": "t",  # PlotJuggler's
+    "timestamp": "t",
+    "stamp": "t",
+}
+
+#: Endings of two columns that make one time
+WHOLE = re.compile(r"(?:.*[._])?(?:secs?|seconds)")
+FRACTION = re.compile(r"(?:.*[._])?(?:nanosecs?|nsecs?|nanoseconds)")
+
+#: Universal Robots' RTDE: position and rotation vector, force and torque
+RTDE = {
+    f"actual_tcp_{kind}_{i}": name
+    for kind, names in (
+        ("pose", ("px", "py", "pz", "rvx", "rvy", "rvz")),
+        ("force", ("fx", "fy", "fz", "tx", "ty", "tz")),
+    )
+    for i, name in enumerate(names)
+}
+
+#: EuRoC's p_RS_R_x and q_RS_w
+EUROC = re.compile(r"(p)_\w+_([xyz])|(q)_\w+_([wxyz])")
+
+#: The package's own names
+OWN = re.compile(r"t|[pft][xyz]|q[wxyz]|rv[xyz]|segment")
+
+#: A name with its unit
+WITH_UNIT = re.compile(
+    r"(?P<name>.*?\S)\s*(?:\[(?P<unit>[^\[\]]*)\]|\((?P<also>[^()]*)\))"
+)
+
+
+class NamedColumn(NamedTuple):
+    """A column's name and unit.
+
+    Attributes:
+        name: Without its unit.
+        unit: As written; None where there is none.
+    """
+
+    name: str
+    unit: str | None
+
+
+def split_unit(name: str) -> NamedColumn:
+    """A column's name and the unit behind it in brackets.
+
+    >>> split_unit("tip_x [mm]"), split_unit("Fx (N)").unit, split_unit("px").unit
+    (NamedColumn(name='tip_x', unit='mm'), 'N', None)
+    """
+    found = WITH_UNIT.fullmatch(name.strip())
+    if found is None:
+        return NamedColumn(name.strip(), None)
+    unit = found["unit"] if found["unit"] is not None else found["also"]
+    return NamedColumn(found["name"], unit.strip())
+
+
+def known_name(name: str) -> str:
+    """The package's name for a column, or its own name where it is unknown.
+
+    >>> known_name("/robot/pose/orientation/w"), known_name("FX"), known_name("gain")
+    ('qw', 'fx', 'gain')
+    >>> {known_name(name) for name in ("stamp", "__time", "field.header.stamp")}
+    {'t'}
+    >>> known_name("Mz [Nm]"), known_name("actual_TCP_pose_3"), known_name("q_RS_w []")
+    ('tz', 'rvx', 'qw')
+    """
+    plain = name.strip().strip('"').strip()
+    dotted = split_unit(plain).name.lower().replace("/", ".").lstrip(".")
+    if dotted in ROS:
+        return ROS[dotted]
+    for end, ours in ROS.items():
+        if dotted.endswith(f".{end}"):
+            return ours
+    if dotted in RTDE:
+        return RTDE[dotted]
+    if euroc := EUROC.fullmatch(split_unit(plain).name):
+        return "".join(part for part in euroc.groups() if part).lower()
+    if re.fullmatch(r"m[xyz]", dotted):
+        return f"t{dotted[1]}"
+    return dotted if OWN.fullmatch(dotted) else plain
+
+
+@dataclass(frozen=True)
+class Header:
+    """The columns of a table.
+
+    Attributes:
+        names: The package's name of every column, or its own.
+        scale: Factor from its unit to SI, by column.
+        sums: Columns that are the sum of several, by name.
+        stated: Names whose unit the file or the user states.
+        faults: What is wrong with a column's unit, by column.
+        absent: Names that the user maps and the header does not have.
+        notes: What was taken for granted.
+    """
+
+    names: list[str]
+    scale: list[float]
+    sums: dict[str, list[int]] = field(default_factory=dict)
+    stated: frozenset[str] = frozenset()
+    faults: dict[int, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def noted(self, *notes: str) -> Header:
+        """The same with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+
+def named_columns(
+    given: Sequence[str], columns: Mapping[str, str], required: Sequence[str]
+) -> Header:
+    """What the columns of a header are.
+
+    Args:
+        given: Its words.
+        columns: The file's names by the package's, as the user maps them.
+        required: Columns that the caller needs.
+    """
+    names, units = (
+        [known_name(word) for word in given],
+        [split_unit(w).unit for w in given],
+    )
+    sums: dict[str, list[int]] = {}
+    absent: list[str] = []
+    for index, name in enumerate(names):
+        if name in columns:  # the user maps another column to this name
+            names[index] = f"{given[index]} (unused)"
+    for ours, theirs in columns.items():
+        terms = _terms(theirs, given)
+        absent += [word for word, index, _ in terms if index is None]
+        places = [index for _, index, _ in terms if index is not None]
+        for word, place, unit in terms:
+            if place is not None:
+                index = place
+                names[index] = ours if len(terms) == 1 else f"{given[index]} (part)"
+                units[index] = _unit_of_term(word, unit, units[index], len(terms))
+        if len(places) == len(terms) > 1:
+            sums[ours] = places
+    notes = _adjusted(names, units, sums, given, required)
+    return _scaled(names, units, sums, tuple(absent), notes)
+
+
+def _terms(
+    theirs: str, given: Sequence[str]
+) -> list[tuple[str, int | None, str | None]]:
+    """Word, column and unit of the columns that are added up."""
+    bare = [split_unit(word).name for word in given]
+    out: list[tuple[str, int | None, str | None]] = []
+    for word in [theirs] if theirs in (*given, *bare) else theirs.split("+"):
+        name, unit = word.strip(), None
+        if name not in given and name not in bare:
+            name, unit = split_unit(name)
+        index = next(
+            (names.index(name) for names in (list(given), bare) if name in names), None
+        )
+        out.append((name, index, unit))
+    return out
+
+
+def _unit_of_term(
+    word: str, told: str | None, written: str | None, n_terms: int
+) -> str | None:
+    """The user's unit, the file's, or nanoseconds for what is named so."""
+    unit = written if told is None else told
+    if unit is None and n_terms > 1 and FRACTION.fullmatch(_dotted(word)):
+        return "ns"
+    return unit
+
+
+def _dotted(word: str) -> str:
+    return split_unit(word).name.lower().replace("/", ".").lstrip(".")
+
+
+def _adjusted(
+    names: list[str],
+    units: list[str | None],
+    sums: dict[str, list[int]],
+    given: Sequence[str],
+    required: Sequence[str],
+) -> tuple[str, ...]:
+    """Settle what names alone leave open, in place; notes of it."""
+    times = [i for i, name in enumerate(names) if name == "t"]
+    words = [_dotted(given[i]) for i in times]
+    if len(set(words)) == len(words) > 1:  # of several clocks, the message's own
+        best = min(times, key=lambda i: _rank(_dotted(given[i])))
+        for i in times:
+            names[i] = "t" if i == best else f"{given[i]} (unused)"
+    if not times and "t" not in sums and "t" in required:
+        dotted = [_dotted(word) for word in given]
+        whole = [i for i, word in enumerate(dotted) if WHOLE.fullmatch(word)]
+        fraction = [i for i, word in enumerate(dotted) if FRACTION.fullmatch(word)]
+        if len(whole) == len(fraction) == 1:
+            sums["t"] = [*whole, *fraction]
+            units[whole[0]] = units[whole[0]] or "s"
+            units[fraction[0]] = units[fraction[0]] or "ns"
+    alike = all(name in names for name in (*TORQUE, "qw")) and "fx" not in names
+    if alike and "px" in required and not any(name in names for name in POSITION):
+        for theirs, ours in zip(TORQUE, POSITION, strict=True):
+            names[names.index(theirs)] = ours
+        return ("tx,ty,tz beside a quaternion and no force are positions",)
+    return ()
+
+
+def _rank(word: str) -> int:
+    """Lower for a better clock: the header's stamp before the time of arrival."""
+    order = ("t", "stamp", "timestamp", "time", "__time")
+    return next((i for i, end in enumerate(order) if word.split(".")[-1] == end), 9)
+
+
+def _scaled(
+    names: list[str],
+    units: list[str | None],
+    sums: dict[str, list[int]],
+    absent: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> Header:
+    """The header with factors to SI."""
+    scale, faults = [1.0] * len(names), {}
+    ours = dict(enumerate(names)) | {i: n for n, terms in sums.items() for i in terms}
+    stated = set()
+    for index, name in ours.items():
+        quantity, unit = quantity_of(name), units[index]
+        if quantity is None or unit is None or not OWN.fullmatch(name):
+            continue
+        found = _factor(quantity, unit)
+        if found is None:
+            faults[index] = (
+                f"{name} has the unit {unit!r}, expected one of "
+                f"{', '.join(UNITS[quantity])}: state it by columns, {name}=NAME[UNIT]"
+            )
+        else:
+            scale[index] = found
+            stated.add(name)
+    return Header(names, scale, sums, frozenset(stated), faults, absent, notes)
+
+
+def _factor(quantity: str, unit: str) -> float | None:
+    """Factor to SI of a unit, a number or a quotient of two ("1/60")."""
+    over, _, under = unit.partition("/")
+    try:
+        return float(over) / float(under or 1.0)
+    except (ValueError, ZeroDivisionError):
+        return factor(quantity, unit)

@@ -1,0 +1,165 @@
+"""The tree of frames that ``/tf`` tells: poses of any frame in any other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
+from ttus_opt.probe.pose import from_quaternions
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.streams import poses_at
+
+#: Longest time between transforms that is interpolated over [s]
+LONGEST_GAP = 0.5
+
+
+@dataclass
+class _Link:
+    """A frame's poses in its parent.
+
+    Attributes:
+        static: Whether one pose holds for all times.
+        time: Stamps [s].
+        rows: Positions [m] and quaternions w, x, y, z.
+    """
+
+    static: bool
+    time: list[float] = field(default_factory=list)
+    rows: list[Sequence[float]] = field(default_factory=list)
+
+    def poses(self) -> Trajectory:
+        """By time, one for each stamp.
+
+        Raises:
+            InputError: A pose that is none.
+        """
+        time, first = np.unique(np.array(self.time), return_index=True)
+        values = np.array(self.rows)[first]
+        return Trajectory(
+            time, values[:, :3].copy(), from_quaternions(values[:, 3:], "wxyz")
+        )
+
+
+class FrameTree:
+    """Transforms by parent and child."""
+
+    def __init__(self) -> None:
+        self._links: dict[tuple[str, str], _Link] = {}
+
+    def add(
+        self,
+        parent: str,
+        child: str,
+        time: float,
+        pose: Sequence[float],
+        *,
+        static: bool,
+    ) -> None:
+        """Take a transform: the child's pose in the parent.
+
+        Args:
+            parent: Name of the frame.
+            child: Name of the frame.
+            time: Its stamp [s].
+            pose: Position [m] and quaternion w, x, y, z.
+            static: Whether it holds for all times.
+        """
+        key = parent.lstrip("/"), child.lstrip("/")
+        link = self._links.setdefault(key, _Link(static))
+        link.time.append(time)
+        link.rows.append(pose)
+
+    def links(self) -> list[tuple[str, str]]:
+        """Parents and children whose transform changes."""
+        return [key for key, link in self._links.items() if not link.static]
+
+    def recording(self, source: str, base: str, frame: str) -> RawRecording:
+        """Poses of a frame in another, at the stamps of the link with most of them.
+
+        Args:
+            source: The file.
+            base: Name of the frame in which the poses are.
+            frame: Name of the frame whose poses they are.
+
+        Raises:
+            FileError: No path of transforms leads from one to the other, or none of
+                them overlap in time.
+            InputError: A pose that is none, or no common times.
+        """
+        path = self._path(base, frame)
+        if path is None:
+            known = ", ".join(sorted({name for key in self._links for name in key}))
+            raise FileError(
+                f"{source}: no transforms lead from {base} to {frame}: the frames are "
+                f"{known or 'none'}"
+            )
+        name = f"{base}:{frame}"
+        (key, up), *rest = path
+        if not rest and not up:  # as it was sent, faults and all
+            link = self._links[key]
+            values = np.array(link.rows)
+            time = np.array(link.time)
+            return _recording(source, name, time, values[:, :3], values[:, 3:])
+        moving = [self._links[key] for key, _ in path if not self._links[key].static]
+        if not moving:
+            raise FileError(f"{source}: {frame} does not move in {base}: it is static")
+        time = max((link.poses().time for link in moving), key=len)
+        for link in moving:
+            time = poses_at(link.poses(), time, largest_gap=LONGEST_GAP).time
+        motion = np.tile(np.eye(4), (len(time), 1, 1))
+        for key, up in path:
+            step = self._at(key, time)
+            motion = motion @ (inverse(step) if up else step)
+        turns = Rotation.from_matrix(motion[:, :3, :3]).as_quat(scalar_first=True)
+        return _recording(source, name, time, motion[:, :3, 3].copy(), turns)
+
+    def _at(self, key: tuple[str, str], time: Array) -> Array:
+        """Poses of a link at times within its own, shape (T, 4, 4)."""
+        link = self._links[key]
+        poses = link.poses()
+        if link.static:
+            last = homogeneous(poses.rotation[-1], poses.position[-1])
+            return np.tile(last, (len(time), 1, 1))
+        poses = poses_at(poses, time, largest_gap=LONGEST_GAP)
+        return homogeneous(poses.rotation, poses.position)
+
+    def _path(self, base: str, frame: str) -> list[tuple[tuple[str, str], bool]] | None:
+        """Links from the base to the frame, and whether each is taken upwards."""
+        steps: dict[str, list[tuple[str, tuple[str, str], bool]]] = {}
+        for parent, child in self._links:
+            steps.setdefault(parent, []).append((child, (parent, child), False))
+            steps.setdefault(child, []).append((parent, (parent, child), True))
+        begin, end = base.lstrip("/"), frame.lstrip("/")
+        paths: dict[str, list[tuple[tuple[str, str], bool]]] = {begin: []}
+        front = [begin]
+        while front and end not in paths:
+            new = []
+            for name in front:
+                for other, key, up in steps.get(name, []):
+                    if other not in paths:
+                        paths[other] = [*paths[name], (key, up)]
+                        new.append(other)
+            front = new
+        return paths.get(end) or None
+
+
+def _recording(
+    source: str, name: str, time: Array, position: Array, quaternion: Array
+) -> RawRecording:
+    base, _, frame = name.partition(":")
+    return RawRecording(
+        source,
+        time,
+        position,
+        quaternion,
+        name=name,
+        notes=(f"/tf: {frame} in {base}, SI units",),
+        units_stated=True,
+    )

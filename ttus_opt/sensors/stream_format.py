@@ -1,0 +1,84 @@
+"""What a format of recordings is: how it is recognised, and its reader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ttus_opt.core.errors import FileError
+from ttus_opt.probe.raw_recording import RawRecording
+
+#: Begin of a file by which formats are told apart [byte]
+HEAD = 8192
+
+
+class Wanted(NamedTuple):
+    """What is read of a file.
+
+    Attributes:
+        name: The only stream that is needed; None for all.
+        columns: The file's names of columns, by the package's.
+        kind: ``poses``, ``wrenches``, ``recording`` for poses with the wrenches beside
+            them, or empty for all.
+    """
+
+    name: str | None = None
+    columns: Mapping[str, str] = {}
+    kind: str = ""
+
+
+class StreamFormat(NamedTuple):
+    """A format of recordings.
+
+    Attributes:
+        title: Its name, as a person is told.
+        recognises: Whether a file is of it, from its path and the text it begins with.
+        read: The file's streams.
+        word: What names a stream in it; empty where there is one only.
+        has_columns: Whether its columns have names of the user's choice.
+    """
+
+    title: str
+    recognises: Callable[[Path, str], bool]
+    read: Callable[[Path, Wanted], Sequence[RawRecording]]
+    word: str = ""
+    has_columns: bool = False
+
+
+def chosen(
+    file: Path, found: Sequence[RawRecording], wanted: Wanted, word: str
+) -> RawRecording:
+    """The stream to read.
+
+    Args:
+        file: Its file.
+        found: All streams.
+        wanted: Its kind, and its name where there are several.
+        word: What names a stream: topic, transform, …
+
+    Raises:
+        FileError: No such stream, or several to choose from.
+    """
+    word, kind = word or "stream", wanted.kind.replace("recording", "poses")
+    of_kind = [
+        raw
+        for raw in found
+        if (raw.has_wrenches if wanted.kind == "wrenches" else raw.has_poses)
+    ]
+    names = [raw.name for raw in of_kind]
+    if not of_kind:
+        listed = ", ".join(raw.name or "a stream" for raw in found)
+        but = f", but {listed}" if listed else ""
+        raise FileError(f"{file} has no {word} of {kind}{but}: record one")
+    if wanted.name is None:
+        if len(of_kind) > 1:
+            raise FileError(
+                f"{file} has several {word}s of {kind}: name one of {', '.join(names)}"
+            )
+        return of_kind[0]
+    if wanted.name not in names:
+        raise FileError(
+            f"{file} has no {word} {wanted.name} of {kind}: one of {', '.join(names)}"
+        )
+    return of_kind[names.index(wanted.name)]
