@@ -28,8 +28,8 @@ from ttus_opt.benchmark.performance_profile import (
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import seconds, was_run, worst_relative
 from ttus_opt.benchmark.summary import solved as in_time
+from ttus_opt.report.document import Table
 from ttus_opt.report.plots.canvas import save_picture
-from ttus_opt.report.tables import table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -150,7 +150,7 @@ def shelf_table(rows: Sequence[Row]) -> str:
         body.append([*line, f"{max(worst):.0e}" if worst else "–"])
     header = ["formulation", "auto took"]
     header += [word for case in CASES for word in (f"{case} [s]", "× eq. 10")]
-    return table([*header, "V^x", "KKT"], body)
+    return str(Table([*header, "V^x", "KKT"], body))
 
 
 def general_table(rows: Sequence[Row]) -> str:
@@ -165,7 +165,7 @@ def general_table(rows: Sequence[Row]) -> str:
         ahead = best / mine["cpu_first"] if mine and solved(mine) else math.nan
         told = [cpu(other.get(name)) for other in others.values()]
         body.append([name, cpu(mine), *told, factor(ahead)])
-    return table(["formulation", AUTO, *others, "best of them / auto"], body)
+    return str(Table(["formulation", AUTO, *others, "best of them / auto"], body))
 
 
 def perturbed_table(rows: Sequence[Row]) -> str:
@@ -184,7 +184,7 @@ def perturbed_table(rows: Sequence[Row]) -> str:
         body.append(line)
     parts = ["× eq. 10", "active limits", "KKT"]
     header = ["formulation", "a fifth reversed [s]", *parts, "2 N of noise [s]", *parts]
-    return table(header, body)
+    return str(Table(header, body))
 
 
 def missed(rows: Sequence[Row]) -> list[str]:

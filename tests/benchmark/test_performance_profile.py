@@ -44,7 +44,7 @@ def test_ratios_by_hand() -> None:
 def test_the_table_ranks_who_is_near_the_best() -> None:
     found = ranked(ROWS)
     assert list(found) == ["a", "b"]
-    lines = profile_table(found).splitlines()
+    lines = str(profile_table(found)).splitlines()
     assert [cell.strip() for cell in lines[0].split("|")[2:4]] == ["τ = 1", "τ = 2"]
     assert lines[2].split("|")[2].strip() == "67%"
     assert lines[3].split("|")[-2].strip() == "67%"

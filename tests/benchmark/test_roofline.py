@@ -62,7 +62,7 @@ def test_what_is_measured_is_told() -> None:
     assert told["bytes_solve"] > told["cycles"] * told["bytes_cycle"]
     assert told["seconds_solve"] > told["seconds_cycle"] > 0.0
     known = told | {"bandwidth": 1e9, "bytes_cycle": 2_000_000, "seconds_cycle": 8e-3}
-    text = "\n".join(roofline.summary(known))
+    text = "\n".join(map(str, roofline.summary(known)))
     # 2 MB at 1 GB/s are 2 ms, a quarter of 8 ms
     assert "| V-cycle " in text
     line = next(each for each in text.splitlines() if each.startswith("| V-cycle "))

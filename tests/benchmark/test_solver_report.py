@@ -10,6 +10,7 @@ from tests.benchmark.rows import row
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.solver_report import FEWEST, MANY, sections, terminal
+from ttus_opt.report.document import text
 
 QUIET = Settings(closed_form="")
 
@@ -27,16 +28,16 @@ def problems(count: int) -> list[Row]:
 @pytest.mark.parametrize("count", [1, FEWEST, MANY, MANY + 1])
 def test_the_terminal_has_a_table_for_each_of_few_problems(count: int) -> None:
     """And a line for each of many; a profile from two of them on."""
-    text = terminal(problems(count), QUIET)
-    each = [f"C{k}, eq10, {1000 * (k + 1):,} voxels:" in text for k in range(count)]
+    said = terminal(problems(count), QUIET)
+    each = [f"C{k}, eq10, {1000 * (k + 1):,} voxels:" in said for k in range(count)]
     assert all(each) if count <= MANY else not any(each)
-    assert ("Solved of those run, and the fastest:" in text) == (count > MANY)
-    profiled = f"Share of {count} problems solved within τ times the fastest" in text
+    assert ("Solved of those run, and the fastest:" in said) == (count > MANY)
+    profiled = f"Share of {count} problems solved within τ times the fastest" in said
     assert profiled == (count >= FEWEST)
-    assert "Memory by stage" not in text
+    assert "Memory by stage" not in said
     told = terminal(problems(count), Settings(closed_form="", memory=True))
     assert "Memory by stage" in told
-    assert "Against the closed form" not in text
+    assert "Against the closed form" not in said
 
 
 def test_the_reference_comes_first_where_there_is_one() -> None:
@@ -50,7 +51,7 @@ def test_sections_of_one_and_of_two_problems(count: int, tmp_path: Path) -> None
     rows = problems(count)
     rows[0]["seconds_assembly"], rows[1]["seconds_assembly"] = 0.5, 0.3
     rows[0]["poses"] = rows[1]["poses"] = None
-    lines = sections(rows, QUIET, tmp_path)
+    lines = text(sections(rows, QUIET, tmp_path)).splitlines()
     assert ("## Every problem" in lines) == (count > 1)
     assert ("## Performance profile" in lines) == (count > 1)
     assert (tmp_path / "profile.png").exists() == (count > 1)

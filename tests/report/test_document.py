@@ -6,9 +6,7 @@ from ttus_opt.report.document import (
     Picture,
     Table,
     Text,
-    markdown,
-    write_html,
-    write_markdown,
+    write_report,
 )
 
 
@@ -18,24 +16,24 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
     (tmp_path / "figures" / "a.png").write_bytes(data)
     blocks = [
         Heading("Errors & aims", 1),
-        Text("A **bold** word and `code` < 3."),
+        Text("A **bold** word, *this* and `code` < 3: [see](a.csv)"),
         Items(["one", "two **b**"]),
         Table(["", "N"], [["press", "**0.3**"]]),
         Picture("figures/a.png", "a caption"),
     ]
-    write_markdown(tmp_path / "report.md", blocks)
-    write_html(tmp_path / "report.html", "Errors", blocks)
+    assert write_report(tmp_path, blocks) == tmp_path / "report.md"
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert text.startswith("# Errors & aims\n\nA **bold**")
     assert "![a caption](figures/a.png)" in text
     assert "| press | **0.3** |" in text
     assert "<h1>Errors &amp; aims</h1>" in page
-    assert "A <b>bold</b> word and <code>code</code> &lt; 3." in page
+    assert "A <b>bold</b> word, <i>this</i> and <code>code</code> &lt; 3" in page
+    assert '<a href="a.csv">see</a>' in page and "<title>Errors &amp; aims<" in page
     assert "<td><b>0.3</b></td>" in page and "<li>two <b>b</b></li>" in page
     assert base64.b64encode(data).decode() in page
     assert "figures/a.png" not in page  # self-contained
 
 
 def test_markdown_of_a_list():
-    assert markdown(Items(["a", "b"])) == "- a\n- b"
+    assert str(Items(["a", "b"])) == "- a\n- b"

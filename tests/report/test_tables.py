@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from ttus_opt.report.document import Table, text
 from ttus_opt.report.metrics import Errors, Evaluation
-from ttus_opt.report.tables import Comparison, error_table, table, write_report
+from ttus_opt.report.tables import Comparison, error_section, error_table
 
 NAN = float("nan")
 
@@ -32,18 +31,18 @@ def cells(line: str) -> list[str]:
 
 
 def test_table_columns_are_aligned_and_complete() -> None:
-    lines = table(["name", "n"], [["a", "1"], ["longer", "22"]]).splitlines()
+    lines = str(Table(["name", "n"], [["a", "1"], ["longer", "22"]])).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert [cells(line) for line in lines[2:]] == [["a", "1"], ["longer", "22"]]
 
 
 def test_table_refuses_rows_of_another_length() -> None:
     with pytest.raises(ValueError, match="zip"):
-        table(["a", "b"], [["1", "2", "3"]])
+        str(Table(["a", "b"], [["1", "2", "3"]]))
 
 
 def test_error_table_shows_before_and_after_in_the_stated_units() -> None:
-    lines = error_table(COMPARISONS).splitlines()
+    lines = str(error_table(COMPARISONS)).splitlines()
     header, first, second = cells(lines[0]), cells(lines[2]), cells(lines[3])
     assert first[0] == "press_fit (same)" and second[0] == "press_test (new)"
     assert first[1] == "30/40"
@@ -53,13 +52,7 @@ def test_error_table_shows_before_and_after_in_the_stated_units() -> None:
     assert first[-1] == "– → –"  # no torque direction: NaN is never printed
 
 
-def test_report_holds_facts_table_and_pictures(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "report.md"
-    write_report(
-        path, COMPARISONS, facts={"Grid": "small"}, pictures={"a.png": "A picture"}
-    )
-    text = path.read_text(encoding="utf-8")
-    assert "- Grid: small" in text
-    assert error_table(COMPARISONS) in text
-    assert "![A picture](a.png)" in text
-    assert "force above 0.5 N" in text
+def test_the_section_has_the_table_and_the_threshold() -> None:
+    said = text(error_section(COMPARISONS))
+    assert str(error_table(COMPARISONS)) in said
+    assert "force above 0.5 N" in said

@@ -57,7 +57,13 @@ def test_every_file_is_there_and_readable(
     result: demo.DemoResult, folder: Path
 ) -> None:
     written = {path.name for path in folder.iterdir()}
-    assert written == {*demo.PICTURES, "surface.nc", "field.nc", "report.md"}
+    assert written == {
+        *demo.PICTURES,
+        "surface.nc",
+        "field.nc",
+        "report.md",
+        "report.html",
+    }
     field = PotentialField.load(folder / "field.nc")
     np.testing.assert_array_equal(field.values, result.after.field.values)
     surface = Surface.load(folder / "surface.nc")

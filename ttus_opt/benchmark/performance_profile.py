@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import group, solved
-from ttus_opt.report.tables import table
+from ttus_opt.report.document import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,13 +70,13 @@ def ranked(rows: Sequence[Row]) -> dict[str, list[float]]:
     return {solver: found[solver] for solver in order}
 
 
-def profile_table(found: Mapping[str, Sequence[float]]) -> str:
-    """ρ_s at `FACTORS` as a Markdown table; `found` from `ranked`."""
+def profile_table(found: Mapping[str, Sequence[float]]) -> Table:
+    """ρ_s at `FACTORS` as a table; `found` from `ranked`."""
     body = [
         [solver, *(f"{share(own, f):.0%}" for f in (*FACTORS, 1e300))]
         for solver, own in found.items()
     ]
-    return table(["solver", *(f"τ = {f:g}" for f in FACTORS), "ever"], body)
+    return Table(["solver", *(f"τ = {f:g}" for f in FACTORS), "ever"], body)
 
 
 def profile_picture(found: Mapping[str, Sequence[float]]) -> Figure:

@@ -1,4 +1,4 @@
-"""The benchmark's report in Markdown, and its tables as CSV."""
+"""The benchmark's report, and its tables as CSV."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.core import io
-
-#: File name of the report in the output folder
-REPORT = "report.md"
+from ttus_opt.report import document
+from ttus_opt.report.document import Block, Heading, Items, Text
 
 
 def write_report(
@@ -39,15 +38,13 @@ def write_report(
     Raises:
         FileError: The folder cannot be written to.
     """
-    lines = ["# Benchmark", "", f"`{command}`", ""]
+    blocks: list[Block] = [Heading("Benchmark", 1), Text(f"`{command}`")]
     for name, rows in found.items():
         if rows:
-            lines += parts()[name].report(rows, settings, folder)
+            blocks += parts()[name].report(rows, settings, folder)
             write_csv(folder / f"{name}.csv", rows)
-    lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
-    report = folder / REPORT
-    io.write_text(report, "\n".join([*lines, ""]))
-    return report
+    facts = [f"{name}: {it}" for name, it in machine.items()]
+    return document.write_report(folder, [*blocks, Heading("Machine"), Items(facts)])
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

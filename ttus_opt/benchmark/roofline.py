@@ -20,7 +20,7 @@ from ttus_opt.benchmark.row import Row
 from ttus_opt.laplace.multigrid import Multigrid
 from ttus_opt.laplace.multigrid.solver import REDUCTION
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.report.tables import table
+from ttus_opt.report.document import Block, Table, Text
 
 #: Colours of arrays that a V-cycle streams on the finest level: four sweeps of a colour
 #: (3, 3, 3, 4: right side, inverse pivots, both colours of x; the right side of one is
@@ -90,8 +90,8 @@ def cycle_bytes(multigrid: Multigrid) -> tuple[int, int]:
     return sizes[0], colours // 2 + hierarchy.inverse.nbytes
 
 
-def summary(found: Row) -> list[str]:
-    """The result of `roofline` in Markdown."""
+def summary(found: Row) -> list[Block]:
+    """The result of `roofline`."""
     header = ["", "bytes [MB]", "copying them [ms]", "measured [ms]", "of the limit"]
     body = []
     for name, work in (
@@ -103,12 +103,12 @@ def summary(found: Row) -> list[str]:
         figures = f"{moved / 1e6:.3g}", f"{1e3 * limit:.3g}", f"{1e3 * taken:.3g}"
         body.append([work, *figures, f"{limit / taken:.0%}"])
     return [
-        "A copy on one core, reads and writes counted, runs at "
-        f"{found['bandwidth'] / 1e9:.1f} GB/s for an array of "
-        f"{found['bytes_level'] / 1e6:.2g} MB, the size of the finest level's.",
-        "",
-        table(header, body),
-        "",
+        Text(
+            "A copy on one core, reads and writes counted, runs at "
+            f"{found['bandwidth'] / 1e9:.1f} GB/s for an array of "
+            f"{found['bytes_level'] / 1e6:.2g} MB, the size of the finest level's."
+        ),
+        Table(header, body),
     ]
 
 

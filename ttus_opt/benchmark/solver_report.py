@@ -25,6 +25,7 @@ from ttus_opt.benchmark.summary import (
     score_table,
     time_table,
 )
+from ttus_opt.report.document import Block, Heading, Picture, Text
 
 #: With more problems the terminal shows only a line for each
 MANY = 4
@@ -89,36 +90,34 @@ def terminal(rows: Sequence[Row], settings: Settings) -> str:
     return "\n\n".join(parts)
 
 
-def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]:
-    """All finished rows as Markdown lines; writes pictures into ``folder``."""
+def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[Block]:
+    """All finished rows as parts of the report; writes pictures into ``folder``."""
     from ttus_opt.benchmark.pictures import save_pictures
 
-    reference = settings.reference
-    against = closed_form_table(rows, reference)
-    lines = ["## Against the closed form Q p = d", ""] if reference else []
-    if against:
-        lines += [AGAINST.format(reference), "", against]
-    elif reference:
-        lines += [NO_REFERENCE.format(reference)]
+    blocks: list[Block] = []
+    if reference := settings.reference:
+        against = closed_form_table(rows, reference)
+        blocks += [Heading("Against the closed form Q p = d")]
+        blocks += [Text((AGAINST if against else NO_REFERENCE).format(reference))]
+        blocks += [against] if against else []
     groups = _groups(rows)
     if len(groups) > 1:
-        lines += ["", "## Every problem", "", problem_table(rows), ""]
-        lines += [TIMES, "", time_table(rows)]
-    lines += _profile_section(rows, folder)
+        blocks += [Heading("Every problem"), problem_table(rows)]
+        blocks += [Text(TIMES), time_table(rows)]
+    blocks += _profile_section(rows, folder)
     for (case, formulation), own in groups:
         size = f"{own[0]['voxels']:,} voxels, {own[0]['poses'] or 'all'} poses"
         taken = [r["seconds_assembly"] for r in own if r["seconds_assembly"]]
         made = f", assembly {min(taken):.2g} s" if taken else ""
-        lines += ["", f"## {case} ({size}{made}): {formulation}", "", row_table(own)]
-    lines += ["", "## Over all", "", MEANS, "", score_table(rows), "", LEGEND]
+        blocks += [Heading(f"{case} ({size}{made}): {formulation}"), row_table(own)]
+    blocks += [Heading("Over all"), Text(MEANS), score_table(rows), Text(LEGEND)]
     if settings.memory:
-        lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
-    laws = growth_table(rows)
-    lines += ["", "## Time, memory and residual", ""]
-    lines += [GROWTH, "", laws, ""] if laws else []
-    for name, caption in save_pictures(rows, folder).items():
-        lines += [f"![{caption}]({name})", ""]
-    return lines
+        blocks += [Heading("Memory by stage [MiB]"), memory_table(rows)]
+    blocks += [Heading("Time, memory and residual")]
+    if laws := growth_table(rows):
+        blocks += [Text(GROWTH), laws]
+    pictures = save_pictures(rows, folder).items()
+    return [*blocks, *(Picture(name, caption) for name, caption in pictures)]
 
 
 def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
@@ -128,7 +127,7 @@ def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
     return (found if n_problems >= FEWEST else {}), n_problems
 
 
-def _profile_section(rows: Sequence[Row], folder: Path) -> list[str]:
+def _profile_section(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Performance profile as table and picture; nothing with too few problems."""
     found, n_problems = _profile(rows)
     if not found:
@@ -136,8 +135,9 @@ def _profile_section(rows: Sequence[Row], folder: Path) -> list[str]:
     from ttus_opt.report.plots.canvas import save_picture
 
     save_picture(profile_picture(found), folder / "profile.png")
-    lines = ["", "## Performance profile", "", PROFILE.format(n=n_problems), ""]
-    return [*lines, profile_table(found), "", "![performance profile](profile.png)"]
+    head = [Heading("Performance profile"), Text(PROFILE.format(n=n_problems))]
+    picture = Picture("profile.png", "performance profile")
+    return [*head, profile_table(found), picture]
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ttus_opt.benchmark.row import Row
-from ttus_opt.report.tables import table
+from ttus_opt.report.document import Table
 
 #: Shift of the geometric mean; much shorter runs count as equal [s]
 SHIFT = 1.0
@@ -74,16 +74,16 @@ def _counted(row: Row, kind: str) -> float:
     return float(row["time_limit"] if taken is None else taken)
 
 
-def score_table(rows: Sequence[Row]) -> str:
-    """`scores` as a Markdown table."""
+def score_table(rows: Sequence[Row]) -> Table:
+    """`scores` as a table."""
     body = []
     for score in scores(rows):
         times = seconds(score["first"]), seconds(score["again"])
         body.append([score["solver"], f"{score['solved']}/{score['run']}", *times])
-    return table(["solver", "solved", "first [s]", "again [s]"], body)
+    return Table(["solver", "solved", "first [s]", "again [s]"], body)
 
 
-def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
+def closed_form_table(rows: Sequence[Row], closed_form: str) -> Table:
     """Every solver against the closed form: difference of fields, time and memory.
 
     Args:
@@ -91,7 +91,7 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
         closed_form: Name of the reference.
 
     Returns:
-        A Markdown table; empty if the reference has no answer.
+        A table; empty if the reference has no answer.
     """
     keys = ("seconds_first", "seconds_again", "solver_memory_bytes")
     body = []
@@ -109,10 +109,10 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
                 cells += [ratio(row[key], reference[key]) for key in keys]
             body.append([*group(row), row["solver"], *cells])
     header = ["case", "formulation", "solver", "difference of p", "time: first"]
-    return table([*header, "again", "memory"], body) if body else ""
+    return Table([*header, "again", "memory"], body)
 
 
-def problem_table(rows: Sequence[Row]) -> str:
+def problem_table(rows: Sequence[Row]) -> Table:
     """A line per problem: how many solvers solved it, and the three fastest."""
     body = []
     for problem in dict.fromkeys(map(group, rows)):
@@ -122,10 +122,10 @@ def problem_table(rows: Sequence[Row]) -> str:
         count = f"{len(best)}/{sum(map(was_run, own))}"
         body.append([*problem, count, *named, *["–"] * (3 - len(named))])
     header = ["case", "formulation", "solved", "fastest [s]", "2.", "3."]
-    return table(header, body)
+    return Table(header, body)
 
 
-def time_table(rows: Sequence[Row]) -> str:
+def time_table(rows: Sequence[Row]) -> Table:
     """Seconds of the first solve: a line per problem, a column per solver.
 
     Failures have their reason in brackets; a dash is a solver that was not run.
@@ -135,7 +135,7 @@ def time_table(rows: Sequence[Row]) -> str:
     for problem in dict.fromkeys(map(group, rows)):
         own = {row["solver"]: row for row in rows if group(row) == problem}
         body.append([*problem, *(_time(own.get(name)) for name in names)])
-    return table(["case", "formulation", *names], body)
+    return Table(["case", "formulation", *names], body)
 
 
 def _time(row: Row | None) -> str:
@@ -144,7 +144,7 @@ def _time(row: Row | None) -> str:
     return seconds(row["seconds_first"]) if solved(row) else f"({row['status']})"
 
 
-def row_table(rows: Sequence[Row]) -> str:
+def row_table(rows: Sequence[Row]) -> Table:
     """All rows of one case and formulation, fastest verified answer first."""
     header = ["solver", "status", "first [s]", "again [s]", "peak [MiB]"]
     header += ["solver [MiB]", "KKT", "objective", "gap", "iterations", "active limits"]
@@ -169,10 +169,10 @@ def row_table(rows: Sequence[Row]) -> str:
         ]
         for row in sorted(rows, key=place)
     ]
-    return table(header, body)
+    return Table(header, body)
 
 
-def memory_table(rows: Sequence[Row]) -> str:
+def memory_table(rows: Sequence[Row]) -> Table:
     """Largest size of the process per stage [MiB]."""
     known = [row for row in rows if row["memory_by_stage"]]
     stages = list(dict.fromkeys(s for row in known for s in row["memory_by_stage"]))
@@ -180,7 +180,7 @@ def memory_table(rows: Sequence[Row]) -> str:
     for row in known:
         sizes = [mebibytes(row["memory_by_stage"].get(stage)) for stage in stages]
         body.append([*group(row), row["solver"], *sizes])
-    return table(["case", "formulation", "solver", *stages], body)
+    return Table(["case", "formulation", "solver", *stages], body)
 
 
 def exponent(rows: Sequence[Row], key: str) -> float:
@@ -197,7 +197,7 @@ def exponent(rows: Sequence[Row], key: str) -> float:
     return float(np.polyfit(sizes, taken, 1)[0])
 
 
-def growth_table(rows: Sequence[Row]) -> str:
+def growth_table(rows: Sequence[Row]) -> Table:
     """Exponents of solvers with two sizes of a formulation; empty without any."""
     found = []
     rows = sorted(filter(solved, rows), key=lambda row: row["voxels"])
@@ -210,7 +210,7 @@ def growth_table(rows: Sequence[Row]) -> str:
             found.append((place[0], powers[0], [*place, cases, *laws]))
     found.sort(key=lambda each: each[:2])
     header = ["formulation", "solver", "cases", "first", "again"]
-    return table(header, [line for *_, line in found]) if found else ""
+    return Table(header, [line for *_, line in found])
 
 
 def _failure(row: Row) -> str:

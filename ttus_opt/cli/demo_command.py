@@ -32,4 +32,4 @@ def demo(
             output, shape=voxel_counts(shape), weights=weights, progress=begin
         )
     line = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
-    tell(result.as_dict(), error_table(result.comparisons), line, json=json)
+    tell(result.as_dict(), str(error_table(result.comparisons)), line, json=json)

@@ -142,7 +142,7 @@ def _table(each: list[RecordingLine], far: list[Bin], deep: list[Bin]) -> list[s
     for one in deep:
         rows[f"{_between(one, 1.0, ' of')} the deepest fitted"] = one.errors
     known = {name: errors for name, errors in rows.items() if errors is not None}
-    lines = [errors_by_name(known)] if known else []
+    lines = [str(errors_by_name(known))] if known else []
     if not far:
         lines.append(
             "near and far: unknown, the field file does not say where it was fitted: "

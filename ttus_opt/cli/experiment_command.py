@@ -56,7 +56,7 @@ def experiment(
     """
     from ttus_opt.experiment import Plan, n_stages, run
     from ttus_opt.experiment.report import summary
-    from ttus_opt.report.document import markdown
+    from ttus_opt.report.document import text
 
     plan = Plan(
         voxel_counts(shape),
@@ -79,6 +79,6 @@ def experiment(
         except InputError as error:
             raise InputError(as_options(str(error), unit="--torso-unit")) from error
     facts = {**result.as_dict(), "report": str(output / "report.md")}
-    text = "" if json else "\n\n".join(map(markdown, summary(result)))
+    said = "" if json else text(summary(result))
     where = f"\nreport.md, report.html, results.json and figures in {output}/"
-    tell(facts, text, where, json=json)
+    tell(facts, said, where, json=json)

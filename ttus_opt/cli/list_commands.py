@@ -16,7 +16,7 @@ def solvers(json: bool = False) -> None:
     Example:
         ttus-opt solvers --json
     """
-    from ttus_opt.report.tables import table
+    from ttus_opt.report.document import Table
     from ttus_opt.solvers import registry
 
     known, order = registry.solvers(), registry.estimating()
@@ -36,7 +36,7 @@ def solvers(json: bool = False) -> None:
         "\nauto picks the installed solver with the lowest time estimate for the "
         f"problem, from {', '.join(order)}"
     )
-    tell(facts, table(header, body), auto, json=json)
+    tell(facts, str(Table(header, body)), auto, json=json)
 
 
 def formulations(json: bool = False) -> None:
@@ -46,12 +46,12 @@ def formulations(json: bool = False) -> None:
         ttus-opt formulations --json
     """
     from ttus_opt.problem import formulation
-    from ttus_opt.report.tables import table
+    from ttus_opt.report.document import Table
 
     known = formulation.available()
     rows = [{"name": f.name, "summary": f.summary, "options": f.options} for f in known]
     body = [[f.name, f.summary, ", ".join(map(str, f.options)) or "–"] for f in known]
-    listed = table(["formulation", "about", "options"], body)
+    listed = str(Table(["formulation", "about", "options"], body))
     own = "\nName your own file, with a function build(scene, **options), by its path."
     tell({"formulations": rows}, listed, own, json=json)
 

@@ -37,7 +37,7 @@ def session(
         return
     if output is None:
         raise InputError("--output is missing: give a folder for the results")
-    from ttus_opt.report.document import markdown
+    from ttus_opt.report.document import text
     from ttus_opt.session import run_session
     from ttus_opt.session.report import summary
     from ttus_opt.session.results import STEPS, complete_steps
@@ -57,9 +57,9 @@ def session(
         typer.echo(f"complete in {output}: {steps}", err=True)
         raise
     facts = {"output": str(output), **result.figures, "report": f"{output}/report.md"}
-    text = "\n\n".join(map(markdown, summary(result)[2:]))
+    said = text(summary(result)[2:])
     where = f"\nreport.md, report.html, session.json and all steps in {output}/"
-    tell(facts, text, where, json=json)
+    tell(facts, said, where, json=json)
 
 
 def _write_example(folder: Path, output: Path | None, json: bool) -> None:

@@ -22,6 +22,7 @@ from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import metrics
+from ttus_opt.report.document import Table
 from ttus_opt.scan.surface import Surface
 
 #: Length and speed of the slide, and the window of its smooth part
@@ -220,22 +221,20 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     own = [row.ms_per_frame for row in timed if row.comparator == reference]
     unit = float(np.mean(own)) if own else math.nan
     recordings = list(dict.fromkeys(row.recording for row in rows))
-    lines = [
-        f"| {' / '.join(recordings)} | force [N] | angle [°] | torque [mN·m] "
-        f"| angle [°] | ripple [%] | frame / {reference} |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    header = [" / ".join(recordings), "force [N]", "angle [°]", "torque [mN·m]"]
+    header += ["angle [°]", "ripple [%]", f"frame / {reference}"]
+    body: list[list[str]] = []
     shares: dict[str, list[Row]] = {}
     for row in rows:
         shares.setdefault(row.comparator, []).append(row)
     for name, shown in sorted(shares.items(), key=lambda share: _error(share[1])):
         failures = {row.failure for row in shown if row.failure}
         if failures:
-            lines.append(f"| `{name}` | {'; '.join(sorted(failures))} ||||||")
+            body.append([f"`{name}`", "; ".join(sorted(failures)), *[""] * 5])
             continue
         cells = zip(*(_cells(row, unit) for row in shown), strict=True)
-        lines.append(f"| `{name}` | {' | '.join(' / '.join(c) for c in cells)} |")
-    return "\n".join(lines)
+        body.append([f"`{name}`", *(" / ".join(c) for c in cells)])
+    return str(Table(header, body))
 
 
 def _error(rows: Sequence[Row]) -> float:

@@ -26,8 +26,7 @@ from ttus_opt.report.document import (
     Items,
     Table,
     Text,
-    write_html,
-    write_markdown,
+    write_report,
 )
 
 TITLE = "The paper's experiment on three phantom patients"
@@ -41,8 +40,7 @@ def write_reports(folder: Path, result: ExperimentResult) -> None:
     """
     best = best_setting(result)
     blocks = [*summary(result), Heading("Figures"), *draw(folder, result, best)]
-    write_markdown(folder / "report.md", blocks)
-    write_html(folder / "report.html", TITLE, blocks)
+    write_report(folder, blocks)
 
 
 def best_setting(result: ExperimentResult) -> str:

@@ -1,16 +1,15 @@
-"""A report as a list of blocks, written as Markdown and as one self-contained page."""
+"""A report as a list of blocks: on a terminal, as Markdown, as one page of HTML."""
 
 from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
 from ttus_opt.core import html_card, io
-from ttus_opt.report.tables import table
 
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:64em;margin:2em auto;"
@@ -20,110 +19,154 @@ _STYLE = (
 )
 
 
+class Block:
+    """A part of a report; as text it is Markdown, which a terminal shows as well."""
+
+    def html(self, folder: Path) -> str:
+        """As HTML; pictures are read from ``folder`` and embedded."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Heading:
-    """A heading; level 1 is the title."""
+class Heading(Block):
+    """A heading; level 1 is the title.
+
+    >>> print(Heading("Errors"))
+    ## Errors
+    """
 
     text: str
     level: int = 2
 
+    def __str__(self) -> str:
+        return f"{'#' * self.level} {self.text}"
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        return f"<h{self.level}>{_inline(self.text)}</h{self.level}>"
+
 
 @dataclass(frozen=True)
-class Text:
-    """A paragraph; the only markup is ``**bold**`` and ``code`` in backquotes."""
+class Text(Block):
+    """A paragraph; its markup is ``**bold**``, ``*italic*``, links and ``code``."""
 
     text: str
 
+    def __str__(self) -> str:
+        return self.text
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        return f"<p>{_inline(self.text)}</p>"
+
 
 @dataclass(frozen=True)
-class Items:
+class Items(Block):
     """A list of lines with the markup of `Text`."""
 
     lines: Sequence[str]
 
+    def __str__(self) -> str:
+        return "\n".join(f"- {line}" for line in self.lines)
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        lines = "".join(f"<li>{_inline(line)}</li>" for line in self.lines)
+        return f"<ul>{lines}</ul>"
+
 
 @dataclass(frozen=True)
-class Table:
-    """A table of cells with the markup of `Text`."""
+class Table(Block):
+    """A table of cells with the markup of `Text`; false without rows.
+
+    >>> print(Table(["a", "number"], [["x", "1"]]))
+    | a | number |
+    |---|--------|
+    | x | 1      |
+    """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
 
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+    def __str__(self) -> str:
+        lines = [list(self.header), *map(list, self.rows)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.header))]
+        text = [
+            f"| {' | '.join(c.ljust(w) for c, w in zip(line, widths, strict=True))} |"
+            for line in lines
+        ]
+        text.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+        return "\n".join(text)
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        return _styled(html_card.table(self.header, self.rows))
+
 
 @dataclass(frozen=True)
-class Picture:
+class Picture(Block):
     """A PNG file, by its path relative to the report."""
 
     path: str
     caption: str
 
+    def __str__(self) -> str:
+        return f"![{self.caption}]({self.path})\n\n*{self.caption}*"
 
-Block = Heading | Text | Items | Table | Picture
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        data = base64.b64encode((folder / self.path).read_bytes()).decode()
+        return (
+            f'<figure><img alt="{escape(self.caption)}" '
+            f'src="data:image/png;base64,{data}">'
+            f"<figcaption>{_inline(self.caption)}</figcaption></figure>"
+        )
 
 
-def write_markdown(path: Path, blocks: Sequence[Block]) -> None:
-    """Write the blocks as Markdown, replacing ``path`` only on success."""
-    io.write_text(path, "\n\n".join(map(markdown, blocks)) + "\n")
+def text(blocks: Iterable[Block]) -> str:
+    """The blocks as Markdown."""
+    return "\n\n".join(map(str, blocks))
 
 
-def write_html(path: Path, title: str, blocks: Sequence[Block]) -> None:
-    """Write the blocks as one HTML page, replacing ``path`` only on success.
+def write_report(folder: Path, blocks: Sequence[Block]) -> Path:
+    """Write ``report.md`` and the page ``report.html``, which needs no other file.
 
-    Pictures are read from the folder of ``path`` and embedded.
+    Args:
+        folder: Where they are written, and where pictures are.
+        blocks: The report; its first block is its title.
+
+    Returns:
+        Path of the Markdown.
+
+    Raises:
+        FileError: The folder cannot be written to.
     """
-    body = "\n".join(_html(block, path.parent) for block in blocks)
+    title = str(blocks[0]).lstrip("# ")
+    body = "\n".join(block.html(folder) for block in blocks)
     page = (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head>\n"
         f"<body>\n{body}\n</body></html>\n"
     )
-    io.write_text(path, page)
+    io.write_text(folder / "report.html", page)
+    io.write_text(folder / "report.md", text(blocks) + "\n")
+    return folder / "report.md"
 
 
-def markdown(block: Block) -> str:
-    """One block as Markdown.
-
-    >>> markdown(Heading("Errors"))
-    '## Errors'
-    """
-    match block:
-        case Heading():
-            return f"{'#' * block.level} {block.text}"
-        case Text():
-            return block.text
-        case Items():
-            return "\n".join(f"- {line}" for line in block.lines)
-        case Table():
-            return table(block.header, block.rows)
-        case Picture():
-            return f"![{block.caption}]({block.path})\n\n*{block.caption}*"
-
-
-def _html(block: Block, folder: Path) -> str:
-    match block:
-        case Heading():
-            return f"<h{block.level}>{_inline(block.text)}</h{block.level}>"
-        case Text():
-            return f"<p>{_inline(block.text)}</p>"
-        case Items():
-            lines = "".join(f"<li>{_inline(line)}</li>" for line in block.lines)
-            return f"<ul>{lines}</ul>"
-        case Table():
-            return _styled(html_card.table(block.header, block.rows))
-        case Picture():
-            data = base64.b64encode((folder / block.path).read_bytes()).decode()
-            return (
-                f'<figure><img alt="{escape(block.caption)}" '
-                f'src="data:image/png;base64,{data}">'
-                f"<figcaption>{_inline(block.caption)}</figcaption></figure>"
-            )
-
-
-def _inline(text: str) -> str:
-    """Text with its bold and code markup as HTML."""
-    return _styled(escape(text))
+def _inline(words: str) -> str:
+    """Text with its markup as HTML."""
+    return _styled(escape(words))
 
 
 def _styled(escaped: str) -> str:
-    bold = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escaped)
-    return re.sub(r"`(.+?)`", r"<code>\1</code>", bold)
+    for markup, tags in (
+        (r"\*\*(.+?)\*\*", r"<b>\1</b>"),
+        (r"\*(\S[^*]*)\*", r"<i>\1</i>"),
+        (r"`(.+?)`", r"<code>\1</code>"),
+        (r"\[([^]]+)\]\(([^)]+)\)", r'<a href="\2">\1</a>'),
+    ):
+        escaped = re.sub(markup, tags, escaped)
+    return escaped

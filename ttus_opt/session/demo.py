@@ -25,8 +25,9 @@ from ttus_opt.laplace.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
+from ttus_opt.report.document import Heading, Items, Picture, write_report
 from ttus_opt.report.metrics import evaluate
-from ttus_opt.report.tables import Comparison, write_report
+from ttus_opt.report.tables import Comparison, error_section
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.surface import Surface
@@ -155,8 +156,10 @@ def run(
     _draw(out, cloud, before.field, after.field, comparisons)
     error = surface_error(surface, truth)
     result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
-    facts = _facts(scene, result)
-    write_report(out / "report.md", comparisons, facts=facts, pictures=PICTURES)
+    facts = [f"{name}: {what}" for name, what in _facts(scene, result).items()]
+    pictures = [Picture(name, caption) for name, caption in PICTURES.items()]
+    head = [Heading("Report", 1), Items(facts), *error_section(comparisons)]
+    write_report(out, [*head, Heading("Pictures"), *pictures])
     return result
 
 

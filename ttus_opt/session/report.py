@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.report.document import (
-    Block,
-    Heading,
-    Table,
-    Text,
-    write_html,
-    write_markdown,
-)
-from ttus_opt.report.tables import error_cells
+from ttus_opt.report.document import Block, Heading, Table, Text, write_report
+from ttus_opt.report.tables import error_section
 from ttus_opt.session.figures import draw
 
 if TYPE_CHECKING:
@@ -39,8 +32,8 @@ def write_reports(
     """
     pictures = draw(result, shell, path)
     blocks = [*summary(result), Heading("Pictures"), *pictures]
-    write_markdown(path("report.md"), blocks)
-    write_html(path("report.html"), result.session.title, blocks)
+    path("report.html")
+    write_report(path("report.md").parent, blocks)
 
 
 def summary(result: SessionResult) -> list[Block]:
@@ -53,14 +46,7 @@ def summary(result: SessionResult) -> list[Block]:
         ),
         Heading("What was found"),
         Table(["step", "found"], _steps(result)),
-        Heading("Errors before → after fitting"),
-        Table(*error_cells(result.comparisons)),
-        Text(
-            "Before: the Laplace prior alone, its boundary scaled to the measured "
-            "forces. After: the fitted field. *Same*: stretches it was fitted to; "
-            "*new*: motion it has not seen. A person feels about 0.36 N or 7 % of a "
-            "force, and 18 to 26° of its direction."
-        ),
+        *error_section(result.comparisons),
     ]
 
 

@@ -29,7 +29,7 @@ def test_figures_are_complete_and_told(part: Part, tmp_path: Path) -> None:
             assert missing in ([], ["sampling"])  # L and b have no sampling
             ratios = [v for k, v in row.items() if k.startswith("ratio_")]
             assert all(v > 0.0 and math.isfinite(v) for v in ratios)
-    assert len(part.table(rows).splitlines()) == 2 + len(rows)
+    assert len(str(part.table(rows)).splitlines()) == 2 + len(rows)
     assert (tmp_path / "stages.jsonl").read_text()
 
 

@@ -26,7 +26,7 @@ def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     # compiled kernels are told as well
     assert {"_fit", "solve", "v_cycle", "contact_rows"} <= names
     rows.append({"case": "gone", "status": "refused", "detail": "no file"})
-    text = "\n".join(part.below(rows))
+    text = "\n".join(map(str, part.below(rows)))
     assert "GB/s" in text
     assert "profile-tiny.prof" in text
     assert "gone" not in text

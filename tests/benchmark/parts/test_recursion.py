@@ -43,4 +43,4 @@ def test_recursion_out_of_time_says_how_far_it_came(tmp_path: Path) -> None:
     assert row["held"] == 1
     assert row["detail"] == "stopped after 1 of 30 updates by the time limit"
     whole = {"case": "tiny", "status": MEASURED} | row
-    assert "stopped after 1 of 30" in part.table([whole])
+    assert "stopped after 1 of 30" in str(part.table([whole]))

@@ -15,7 +15,7 @@ from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
-from ttus_opt.report.tables import table
+from ttus_opt.report.document import Block, Heading, Table, Text
 
 #: Points of the probe's shell in parts whose time depends on their number
 SHELL_POINTS = 5000
@@ -100,30 +100,30 @@ class Part(abc.ABC):
         """Rows completed with values that depend on all rows; by default unchanged."""
         return list(rows)
 
-    def table(self, rows: Sequence[Row]) -> str:
-        """All rows as a Markdown table, with failures explained in the last column."""
+    def table(self, rows: Sequence[Row]) -> Table:
+        """All rows, with failures explained in the last column."""
         header = ["case", *(column.header for column in self.columns), "remark"]
         body = [
             [row["case"], *(_cell(c, row) for c in self.columns), _remark(row)]
             for row in rows
         ]
-        return table(header, body)
+        return Table(header, body)
 
-    def below(self, rows: Sequence[Row]) -> list[str]:
-        """Markdown below the table; nothing by default."""
+    def below(self, rows: Sequence[Row]) -> list[Block]:
+        """What the report has below the table; nothing by default."""
         return []
 
     def text(self, rows: Sequence[Row], settings: Settings) -> str:
         """All rows as text for the terminal."""
-        below = ["", *self.below(rows)]
-        return "\n".join([f"{self.title}:", self.table(rows), *below]).rstrip()
+        below = [str(block) for block in self.below(rows)]
+        return "\n\n".join([f"{self.title}:\n{self.table(rows)}", *below])
 
     def report(
         self, rows: Sequence[Row], settings: Settings, folder: Path
-    ) -> list[str]:
-        """Its sections of the report, in Markdown; writes pictures into ``folder``."""
-        head = [f"## {self.title}", "", self.legend, "", self.table(rows), ""]
-        return head + self.below(rows)
+    ) -> list[Block]:
+        """Its sections of the report; writes pictures into ``folder``."""
+        head = [Heading(self.title), Text(self.legend), self.table(rows)]
+        return [*head, *self.below(rows)]
 
 
 def _cell(column: Column, row: Row) -> str:

@@ -20,6 +20,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.report.document import Block, Heading, Text
 from ttus_opt.solvers.base import Request
 
 #: Least fraction of the fit's time for a function to be listed [–]
@@ -83,19 +84,16 @@ class ProfilePart(Part):
         }
         return rows
 
-    def below(self, rows: Sequence[Row]) -> list[str]:
+    def below(self, rows: Sequence[Row]) -> list[Block]:
         """The roofline summary of every case."""
-        lines = []
+        blocks: list[Block] = []
         for row in rows:
             if row["status"] == MEASURED and "roofline" in row:
-                file = _file(row["case"])
-                lines += [f"### Roofline of multigrid, case {row['case']}", ""]
-                lines += summary(row["roofline"])
-                lines += [
-                    f"All functions: [{file}]({file}), for `python -m pstats`.",
-                    "",
-                ]
-        return lines
+                file, case = _file(row["case"]), row["case"]
+                functions = f"All functions: [{file}]({file}), for `python -m pstats`."
+                blocks.append(Heading(f"Roofline of multigrid, case {case}", 3))
+                blocks += [*summary(row["roofline"]), Text(functions)]
+        return blocks
 
 
 def _file(case: str) -> str:

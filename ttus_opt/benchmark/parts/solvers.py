@@ -31,6 +31,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
+from ttus_opt.report.document import Block, Table
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 
@@ -153,7 +154,7 @@ class SolversPart(Part):
             result.append(row | filled)
         return result
 
-    def table(self, rows: Sequence[Row]) -> str:
+    def table(self, rows: Sequence[Row]) -> Table:
         """All rows, fastest verified answer first."""
         return row_table(rows)
 
@@ -163,7 +164,7 @@ class SolversPart(Part):
 
     def report(
         self, rows: Sequence[Row], settings: Settings, folder: Path
-    ) -> list[str]:
+    ) -> list[Block]:
         """Its sections, the closed form first."""
         return sections(rows, settings, folder)
 
