@@ -212,7 +212,7 @@ TARGETS = (
     Target("contact/boundary_scale.py", ("contact/test_boundary_scale.py",)),
     Target("laplace/system.py", ("laplace/test_system.py", "laplace/test_stencil.py")),
     Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
-    Target("problem/terms/matern.py", ("problem/terms/test_matern.py",)),
+    Target("gaussian/matern.py", ("gaussian/test_matern.py",)),
     Target(
         "problem/terms/depth_map_estimate.py",
         ("problem/terms/test_depth_map_estimate.py",),

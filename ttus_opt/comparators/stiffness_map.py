@@ -22,13 +22,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
 from scipy.spatial.distance import cdist
 
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem.terms.matern import matern as of_distances
-from ttus_opt.problem.terms.posterior_mode import posterior_mode
+from ttus_opt.gaussian.conditioned import ByCovariance, Conditioned
+from ttus_opt.gaussian.matern import matern as of_distances
+from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
 MEDIANS = np.log([1.3, 0.03, 0.4, 0.15])
@@ -77,21 +77,13 @@ class Palpation:
         power = self.depth**exponent
         return power, float(power @ self.force) / float(power @ power)
 
-    def covariance(self, law: PowerLaw) -> Array:
-        """C, shape (n, n) [N²]."""
+    def given(self, law: PowerLaw) -> Conditioned:
+        """The forces less K₀ hᵃ, of covariance C [N]."""
         power, stiffness = self.base(law.exponent)
         scaled = stiffness * law.deviation * power
         cov = scaled[:, None] * scaled * matern(self.place, self.place, law.length)
         cov[np.diag_indices_from(cov)] += law.noise**2
-        return np.asarray(cov)
-
-    def log_evidence(self, law: PowerLaw) -> float:
-        """Logarithm of the density of the forces, up to a constant."""
-        power, stiffness = self.base(law.exponent)
-        factor = scipy.linalg.cholesky(self.covariance(law), lower=True)
-        rest = self.force - stiffness * power
-        white = scipy.linalg.solve_triangular(factor, rest, lower=True)
-        return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+        return ByCovariance.of(cov, self.force - stiffness * power)
 
 
 class StiffnessMap(PatchModel):
@@ -135,8 +127,7 @@ class StiffnessMap(PatchModel):
         )
         law = chosen_law(data)
         power, stiffness = data.base(law.exponent)
-        rest = data.force - stiffness * power
-        solved = scipy.linalg.solve(data.covariance(law), rest, assume_a="pos")
+        solved = data.given(law).multipliers
         self.law, self.mean_stiffness, self._places = law, stiffness, data.place
         self._weights = (stiffness * law.deviation) ** 2 * power * solved
 
@@ -156,7 +147,7 @@ def chosen_law(data: Palpation) -> PowerLaw:
             float(exponent), float(length), float(deviation), max(float(noise), least)
         )
 
-    mode = posterior_mode(lambda steps: data.log_evidence(law(steps)), 4, 200)
+    mode = posterior_mode(lambda steps: data.given(law(steps)).log_density, 4, 200)
     return law(mode.steps)
 
 

@@ -24,10 +24,11 @@ import scipy.optimize
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.gaussian.conditioned import conditioned
+from ttus_opt.gaussian.prior import Columns
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
-    CovarianceColumns,
     KnownCovariance,
     known_covariance,
 )
@@ -97,7 +98,7 @@ class Covariance(Solver):
 
 
 class _Loaded(Prepared):
-    _columns: CovarianceColumns
+    _columns: Columns
     _tag: KnownCovariance | None = None
 
     def __init__(self, program: Program) -> None:
@@ -140,19 +141,16 @@ class _Loaded(Prepared):
         self._root = square_root(self._columns.among, neglected)
 
     def _factorise(self) -> None:
-        """Nearly S: I + B Bᵀ, or I + BᵀB where that is smaller."""
-        B = self._touching @ self._root
-        self._low = B if B.shape[1] < B.shape[0] else None
-        small = B.T @ B if self._low is not None else B @ B.T
-        small[np.diag_indices_from(small)] += 1.0
-        self._factor = scipy.linalg.cho_factor(small, lower=True)
+        """Nearly S, by its factor or that of the root's columns."""
+        images = np.ascontiguousarray((self._touching @ self._root).T)
+        self._nearly = conditioned(images, self._target)
 
     def _inverse(self, right_side: Array) -> Array:
         """S⁻¹ of every column, shape (m,) or (m, k), by preconditioned CG."""
         if right_side.ndim == 2:
             return np.stack([self._inverse(column) for column in right_side.T], axis=1)
         y, r = np.zeros_like(right_side), right_side.copy()
-        z = d = self._nearly(r)
+        z = d = self._nearly.solve(r)
         size, square = float(np.linalg.norm(r)), float(r @ z)
         for _ in range(MOST_STEPS):
             if np.linalg.norm(r) <= ACCURACY * size:
@@ -160,7 +158,7 @@ class _Loaded(Prepared):
             Sd = d + self._touching @ (self._columns.among @ (self._touching.T @ d))
             step = square / float(d @ Sd)
             y, r = y + step * d, r - step * Sd
-            z = self._nearly(r)
+            z = self._nearly.solve(r)
             before, square = square, float(r @ z)
             d = z + square / before * d
         if self._neglected == NEGLECTED[-1]:
@@ -168,13 +166,6 @@ class _Loaded(Prepared):
         self._take_root(NEGLECTED[-1])
         self._factorise()
         return self._inverse(right_side)
-
-    def _nearly(self, right_side: Array) -> Array:
-        """The inverse of the factorised approximation of S."""
-        if self._low is None:
-            return np.asarray(scipy.linalg.cho_solve(self._factor, right_side))
-        inner = scipy.linalg.cho_solve(self._factor, self._low.T @ right_side)
-        return np.asarray(right_side - self._low @ inner)
 
     def solve(self) -> Candidate:
         """The unknowns beside the field, the multipliers, the field."""

@@ -19,14 +19,14 @@ def test_places_left_out_are_not_known() -> None:
     problem = PoseErrorProblem.of(examined()[0], NOISE)
     state = problem.step(problem.start(), estimate=False)
     found = problem._left_out(state)
-    target = state.covariance @ state.dual
+    covariance = state.given.factor @ state.given.factor.T
     normal = problem.normal[problem.frames]
     for number in np.unique(problem.place)[:2]:
         own = problem.place == number
         others = np.flatnonzero(~own)
-        dual = np.zeros_like(target)
+        dual = np.zeros(len(covariance))
         dual[others] = np.linalg.solve(
-            state.covariance[np.ix_(others, others)], target[others]
+            covariance[np.ix_(others, others)], state.given.data[others]
         )
         predicted = problem.reported @ state.prior.field(dual)
         error = (normal @ (problem.scene.f - predicted))[own]

@@ -97,7 +97,8 @@ def test_the_mean_given_measurements_is_the_minimiser() -> None:
     """Two solves and no fields, for draws where the basis is not kept."""
     posterior, D, _ = made()
     said = np.random.default_rng(1).normal(size=len(D))
-    found = posterior._estimate(said, None)
+    elsewhere = replace(posterior, voxels=np.arange(3))
+    (found,) = elsewhere._estimate(said[None], None)
     L = SCENE.L.toarray()
     expected = np.linalg.solve(L.T @ L + D.T @ D, D.T @ said)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -1,22 +1,11 @@
-"""Weighted rows against dense algebra."""
+"""Rows of a field over some of its voxels."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import scipy.sparse as sp
 
-from ttus_opt.fitting.uncertainty.posterior import WeightedData, kept_rows
-
-
-def test_solve_is_the_dense_inverse() -> None:
-    rng = np.random.default_rng(1)
-    B, values = 0.5 * rng.normal(size=(6, 80)), rng.normal(size=80)
-    measured = WeightedData.of(B, values)
-    dense = np.linalg.solve(np.eye(80) + B.T @ B, values)
-    np.testing.assert_allclose(measured.solve(values), dense, atol=1e-9)
-    sign, size = np.linalg.slogdet(np.eye(80) + B.T @ B)
-    assert sign == 1.0 and measured.log_determinant == pytest.approx(size)
+from ttus_opt.fitting.uncertainty.posterior import kept_rows
 
 
 def test_blocks_that_touch_other_voxels_are_told() -> None:

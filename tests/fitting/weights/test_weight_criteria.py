@@ -13,7 +13,6 @@ from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.presses import presses
-from ttus_opt.fitting.weights import weight_criteria
 from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
 
 FORCE, TORQUE = 30.0, 3.0
@@ -91,16 +90,6 @@ def test_presses_left_out_are_fits_without_them(path: object) -> None:
     expected = np.concatenate(off).mean()
     assert float(at["left_out_force_error"]) == pytest.approx(expected, rel=1e-3)
     assert at["left_out_force_error"].attrs["units"] == "N"
-
-
-def test_a_large_press_is_solved_by_the_smaller_system() -> None:
-    rng = np.random.default_rng(0)
-    half, rest = 0.1 * rng.normal(size=(3, 8)), rng.normal(size=8)
-    expected = np.linalg.solve(np.eye(8) - half.T @ half, rest)
-    np.testing.assert_allclose(weight_criteria._without(half, rest), expected)
-    wide, few = half.T, rest[:3]
-    expected = np.linalg.solve(np.eye(3) - wide.T @ wide, few)
-    np.testing.assert_allclose(weight_criteria._without(wide, few), expected)
 
 
 def test_one_press_cannot_be_left_out() -> None:

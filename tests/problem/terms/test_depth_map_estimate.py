@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.gaussian.posterior_mode import PosteriorMode
 from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.depth_map_estimate import (
     _Chosen,
@@ -24,7 +25,6 @@ from ttus_opt.problem.terms.depth_map_estimate import (
 )
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import PartNoise, contact_directions
-from ttus_opt.problem.terms.posterior_mode import PosteriorMode
 
 
 def with_forces(scene: Scene, force: np.ndarray) -> Scene:

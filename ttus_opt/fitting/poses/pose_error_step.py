@@ -27,6 +27,9 @@ from ttus_opt.contact.places import runs, touched_places
 from ttus_opt.contact.pose_rows import PoseRows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.gaussian.conditioned import ByCovariance
+from ttus_opt.gaussian.matern import SeparableCovariance, matern
+from ttus_opt.gaussian.prior import KnownPrior, Multiples, Sum
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.problem.terms.depth_map import voxel_profile
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -36,7 +39,6 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.matern import SeparableCovariance, matern
 from ttus_opt.problem.terms.part_noise import contact_directions
 
 #: Relative standard deviation of the whole profile φ [–]
@@ -84,17 +86,15 @@ class State(NamedTuple):
         p: The field, shape (V,).
         depth_map: Hyperparameters of the field.
         prior: Of the field.
-        covariance: Of the used forces, shape (m, m) [N²].
-        dual: Its inverse times what the prior leaves of them, shape (m,).
+        given: The used forces less what the priors say, and their covariance [N].
     """
 
     xi: Array
     std: Array
     p: Array
     depth_map: DepthMapEstimate
-    prior: Prior
-    covariance: Array
-    dual: Array
+    prior: FieldPrior
+    given: ByCovariance
 
 
 @dataclass(frozen=True)
@@ -152,11 +152,11 @@ class PoseErrorProblem:
         """
         found = estimate_depth_map(self.scene, self.reported, depth_error=0.0)
         none = np.zeros((len(self.alike), 6))
-        prior = Prior.of(self, found, self.reported, [])
-        inner = prior.of_rows + prior.noise
+        prior = FieldPrior.of(self, found, self.reported, [])
         misfit = (self.normal @ self.scene.f)[self.frames] - prior.rows @ prior.mean
-        dual = scipy.linalg.solve(inner, misfit, assume_a="pos")
-        return State(none, none, prior.field(dual), found, prior, inner, dual)
+        given = ByCovariance.of(prior.of_rows + prior.noise, misfit)
+        p = prior.field(given.multipliers)
+        return State(none, none, p, found, prior, given)
 
     def step(self, last: State, *, estimate: bool) -> State:
         """The next estimate; ``estimate`` finds the field's hyperparameters again."""
@@ -175,18 +175,17 @@ class PoseErrorProblem:
                 errors=lambda frames: self._pose_covariance(slope, frames),
                 depth_error=0.0,
             )
-        prior = Prior.of(self, depth_map, rows, changes)
+        prior = FieldPrior.of(self, depth_map, rows, changes)
         expected = self.alike @ prior.shrinkage()
         seen = (self.normal @ slope.reshape(-1, 6))[self.frames]
         inner = prior.of_rows + prior.noise
         inner += (seen @ seen.T) * self.alike[self.frames]
-        factor = scipy.linalg.cholesky(inner, lower=True)
         misfit = (self.normal @ force)[self.frames] - prior.rows @ prior.mean
         misfit += np.einsum("ti,ti->t", seen, expected[self.frames])
-        dual = scipy.linalg.cho_solve((factor, True), misfit)
-        xi = expected - self.alike @ (seen * dual[:, None])
-        std = self._std(seen, factor)
-        return State(xi, std, prior.field(dual), depth_map, prior, inner, dual)
+        given = ByCovariance.of(inner, misfit)
+        xi = expected - self.alike @ (seen * given.multipliers[:, None])
+        p = prior.field(given.multipliers)
+        return State(xi, self._std(seen, given), p, depth_map, prior, given)
 
     def depth(self, xi: Array) -> Array:
         """By how much every frame is reported too deep, over the noise, (T,) [–]."""
@@ -212,18 +211,16 @@ class PoseErrorProblem:
         """Errors |e| by the field of all other places, at poses as reported, (k,) [N].
 
         Errors of the poses there are not known then, so that they cannot hide errors
-        of the field. With a the dual and S the covariance, a place F left out leaves
-        a - S⁻¹_F (S⁻¹_FF)⁻¹ a_F [Rasmussen and Williams 2006, 5.4.2].
+        of the field. A place whose forces are what all others predict has no
+        multipliers.
         """
-        inverse = scipy.linalg.inv(state.covariance)
         reported = sp.csr_array(self.normal @ self.reported)[self.frames]
         force = (self.normal @ self.scene.f)[self.frames]
-        errors = np.empty(len(self.frames))
+        given, errors = state.given, np.empty(len(self.frames))
+        news = given.left_out(self.place)
         for number in np.unique(self.place):
-            own = np.flatnonzero(self.place == number)
-            within = inverse[np.ix_(own, own)]
-            share = scipy.linalg.solve(within, state.dual[own], assume_a="pos")
-            dual = state.dual - inverse[:, own] @ share
+            own = self.place == number
+            dual = given.solve(given.data - np.where(own, news, 0.0))
             dual[own] = 0.0  # exactly, not by rounding
             errors[own] = force[own] - reported[own] @ state.prior.field(dual)
         return np.abs(errors)
@@ -235,30 +232,27 @@ class PoseErrorProblem:
         flat = own.reshape(-1, 6)
         return np.asarray((flat @ flat.T) * np.kron(alike, np.ones((3, 3))))
 
-    def _std(self, seen: Array, factor: Array) -> Array:
+    def _std(self, seen: Array, given: ByCovariance) -> Array:
         """Posterior standard deviations of ξ, shape (T, 6)."""
         left = np.empty((len(self.alike), 6))
         for first in range(0, len(left), AT_ONCE):
             some = slice(first, first + AT_ONCE)
             alike = self.alike[some].T
             for j in range(6):
-                both = seen[:, j, None] * alike  # J K of a component
-                white = scipy.linalg.solve_triangular(
-                    factor, both, lower=True, overwrite_b=True
-                )
+                white = given.white(seen[:, j, None] * alike)  # J K of a component
                 left[some, j] = 1.0 - np.einsum("ij,ij->j", white, white)
         return np.sqrt(np.maximum(left, 0.0))
 
 
 @dataclass(frozen=True)
-class Prior:
+class FieldPrior:
     """The field's prior over the rows of the used frames.
 
     Attributes:
         rows: D, shape (m, V).
         changes: Change of these rows per component of ξ, over the touched voxels.
         mean: φ, shape (V,).
-        covariance: C without the spread of the whole profile.
+        covariance: C, with the spread of the whole profile.
         columns: D C over the touched voxels, shape (m, n).
         of_rows: D C Dᵀ, shape (m, m).
         noise: Σ, with errors that frames of a press share, shape (m, m) [N²].
@@ -267,7 +261,7 @@ class Prior:
     rows: sp.csr_array = field(repr=False)
     changes: list[sp.csr_array] = field(repr=False)
     mean: Array = field(repr=False)
-    covariance: SeparableCovariance = field(repr=False)
+    covariance: KnownPrior = field(repr=False)
     columns: Array = field(repr=False)
     of_rows: Array = field(repr=False)
     noise: Array = field(repr=False)
@@ -284,18 +278,17 @@ class Prior:
         scene, frames = problem.scene, problem.frames
         own, *moved = ((problem.normal @ each)[frames] for each in (rows, *changes))
         mean = voxel_profile(scene, found.profile)
-        covariance = SeparableCovariance.over(
+        varied = SeparableCovariance.over(
             scene.voxmap,
             found.deviation * mean,
             found.surface_length,
             found.depth_length,
             found.length_ratio,
         )
+        covariance = Sum((varied, Multiples(PROFILE_SPREAD * mean[:, None])))
         touched = np.unique(np.concatenate([m.indices for m in (own, *moved)]))
         few = sp.csr_array(own[:, touched])
-        among = covariance.columns(touched).among
-        among += PROFILE_SPREAD**2 * np.outer(mean[touched], mean[touched])
-        columns = few @ among
+        columns = few @ covariance.columns(touched).among
         return cls(
             own,
             [sp.csr_array(each[:, touched]) for each in moved],
@@ -319,9 +312,7 @@ class Prior:
 
     def field(self, dual: Array) -> Array:
         """φ + C Dᵀ y, shape (V,)."""
-        back = self.rows.T @ dual
-        whole = 1.0 + PROFILE_SPREAD**2 * float(self.mean @ back)
-        return np.asarray(whole * self.mean + self.covariance.times(back))
+        return np.asarray(self.mean + self.covariance.times(self.rows.T @ dual))
 
 
 def _noise(problem: PoseErrorProblem, found: DepthMapEstimate, force: Array) -> Array:

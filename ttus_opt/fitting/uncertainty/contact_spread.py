@@ -10,7 +10,8 @@ from scipy.spatial.distance import cdist
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import TtusWarning
-from ttus_opt.problem.terms.matern import matern
+from ttus_opt.gaussian.conditioned import ByCovariance
+from ttus_opt.gaussian.matern import matern
 from ttus_opt.problem.terms.structure import UncertainMean
 
 #: Contacts within this distance of their centre, along the surface, are one spot [m]
@@ -75,7 +76,7 @@ def independent_places(scene: Scene, length: float) -> float:
     at = at[:: -(-len(at) // MOST_FRAMES)]
     among = matern(cdist(at, at), length)
     among[np.diag_indices_from(among)] += OWN_ERROR
-    return float(np.linalg.solve(among, np.ones(len(at))).sum())
+    return ByCovariance.of(among, np.ones(len(at))).square
 
 
 def told_variance(scene: Scene, mean: UncertainMean) -> float:

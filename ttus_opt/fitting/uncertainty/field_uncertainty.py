@@ -289,13 +289,13 @@ def _errors(
         return np.asarray(inverse.solve(whole).T[..., at])
 
     seen = MeasuredWrenches(
-        unmixed(own.weighted),
-        unmixed(own.misfit),
+        unmixed(posterior.images),
+        unmixed(own.data),
         wrench[touching],
         places(presses(scene)[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
-    likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
+    likeliest = own.square / len(own.data)
     known = None if mean is None else told_variance(scene, mean)
     variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE), known)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])

@@ -1,8 +1,14 @@
-"""A Gaussian prior with weighted measured rows, and the error of its fit.
+"""The error of a field fitted to measured rows, of any prior.
 
-With C the prior's covariance, D the measured rows times the square roots of their
-weights and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = E⁻¹B, E Eᵀ = 1 + BBᵀ. B has
-as many rows as there are independent measurements of the field.
+With the prior p ~ N(p̄, C) and weighted rows D the estimate is p̄ + C Dᵀ S⁻¹d, S = 1 +
+D C Dᵀ (`gaussian.conditioned`). If the true covariances are v C of the prior and Σ of
+the rows' noise, its error has, with X = N C Dᵀ and Q = X S⁻¹, the covariance
+
+    Cov[N p] = v (N C Nᵀ − Q Xᵀ − Q Qᵀ) + Q Σ Qᵀ.
+
+A draw is a draw of the prior minus its estimate from its own noisy measurements
+(Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See
+docs/method/identification.md, Uncertainty.
 """
 
 from __future__ import annotations
@@ -12,48 +18,19 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.fitting.uncertainty.wrench_noise import ErrorModel
+from ttus_opt.gaussian.conditioned import Conditioned
+from ttus_opt.gaussian.prior import Prior
 
 Float32Array = NDArray[np.float32]
 
-#: 95 % of a normal distribution lie within so many standard deviations [–]
-NORMAL = 1.959964
-
-
-@dataclass(frozen=True)
-class WeightedData:
-    """Measurements in terms of B.
-
-    Attributes:
-        weighted: B, shape (k, rows).
-        misfit: Measurement minus the prior's mean, times the square roots of the
-            weights, (rows,).
-        half: X, shape (k, rows).
-        log_determinant: log det(1 + BBᵀ) [–].
-    """
-
-    weighted: Array = field(repr=False)
-    misfit: Array = field(repr=False)
-    half: Array = field(repr=False)
-    log_determinant: float
-
-    @classmethod
-    def of(cls, weighted: Array, misfit: Array) -> WeightedData:
-        """Factorise 1 + BBᵀ."""
-        gram = weighted @ weighted.T
-        gram[np.diag_indices_from(gram)] += 1.0
-        lower = np.linalg.cholesky(gram)
-        half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
-        return cls(weighted, misfit, half, 2.0 * float(np.log(np.diag(lower)).sum()))
-
-    def solve(self, values: Array) -> Array:
-        """(1 + BᵀB)⁻¹ values, shape (rows,)."""
-        return np.asarray(values - self.half.T @ (self.half @ values))
+#: Rows, and draws, that are corrected by all measurements at once: a pass over what
+#: these are stored as costs more than the sums
+ROWS_AT_ONCE, DRAWS_AT_ONCE = 192, 32
 
 
 @dataclass(frozen=True)
@@ -61,24 +38,56 @@ class Posterior(abc.ABC):
     """The error of a fit, given the errors of its prior and its measurements.
 
     Attributes:
+        prior: C.
         informative: Rows of the problem that depend on the field, shape (m,).
+        rows: D, these rows times the square roots of their weights, shape (rows, V).
+        images: B with BᵀB = D C Dᵀ, shape (k, rows).
         measured: Their measurements.
         errors: Prior variance and noise of the rows; None until they are known.
     """
 
+    prior: Prior = field(repr=False)
     informative: Mask = field(repr=False)
-    measured: WeightedData = field(repr=False)
+    rows: sp.csr_array = field(repr=False)
+    images: Array = field(repr=False)
+    measured: Conditioned = field(repr=False)
     errors: ErrorModel | None = field(default=None, repr=False, kw_only=True)
 
     def with_errors(self, errors: ErrorModel) -> Self:
         """The same with known errors of prior and measurements."""
         return replace(self, errors=errors)
 
-    @abc.abstractmethod
+    @property
+    def _known_errors(self) -> ErrorModel:
+        assert self.errors is not None
+        return self.errors
+
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """Covariance of blocks of rows of the field, (k, height, height)."""
+        """Covariance of blocks of rows of the field, (k, height, height).
+
+        NaN where a block touches voxels at which nothing is stored.
+        """
+        filled = np.asarray(np.diff(rows.indptr).reshape(-1, height).any(axis=1))
+        missing = self._missing(rows, height)
+        out = np.zeros((len(filled), height, height))
+        out[missing] = np.nan
+        (blocks,) = np.nonzero(filled & ~missing)
+        own = sp.csr_array(rows[_rows_of(blocks, height)])
+        out[blocks] = self._known_errors.variance * self.prior.among_rows(own, height)
+        step = max(ROWS_AT_ONCE // height, 1)
+        for some in (blocks[i : i + step] for i in range(0, len(blocks), step)):
+            own = sp.csr_array(rows[_rows_of(some, height)])
+            out[some] += self._gained(own, height)
+        return out
+
+    def _missing(self, rows: sp.csr_array, height: int) -> Mask:
+        """Blocks that touch voxels at which nothing is stored."""
+        return np.zeros(rows.shape[0] // height, dtype=bool)
 
     @abc.abstractmethod
+    def _gained(self, rows: sp.csr_array, height: int) -> Array:
+        """Blocks of Q Σ Qᵀ − v (Q Xᵀ + Q Qᵀ), shape (k, height, height)."""
+
     def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
         """Draws of the fit's error, shape (count, n).
 
@@ -86,6 +95,35 @@ class Posterior(abc.ABC):
             count: Number of draws [–].
             voxels: Voxels of the draws, shape (n,); None for all.
         """
+        rng, at = np.random.default_rng(0), slice(None) if voxels is None else voxels
+        n = self.rows.shape[1] if voxels is None else len(voxels)
+        out = np.empty((count, n), dtype=np.float32)
+        samples = np.empty((count, self.rows.shape[0]))
+        for k in range(count):
+            p, samples[k] = self._drawn(rng)
+            out[k] = p[at]
+        for first in range(0, count, DRAWS_AT_ONCE):
+            some = slice(first, first + DRAWS_AT_ONCE)
+            out[some] -= self._estimate(samples[some], voxels)
+        return out
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """A draw of the prior, (V,), and its noisy measurements, (rows,)."""
+        errors = self._known_errors
+        p = np.sqrt(errors.variance) * self._draw_prior(rng)
+        return p, self.rows @ p + errors.draw(rng)
+
+    @abc.abstractmethod
+    def _draw_prior(self, rng: np.random.Generator) -> Array:
+        """A draw of the prior, what is unknown of its mean included, shape (V,)."""
+
+    @abc.abstractmethod
+    def _estimate(self, samples: Array, voxels: IntArray | None) -> Array:
+        """C Dᵀ S⁻¹ samples at some voxels, of shape (k, rows), shape (k, n)."""
+
+
+def _rows_of(blocks: IntArray, height: int) -> IntArray:
+    return (blocks[:, None] * height + np.arange(height)).ravel()
 
 
 def kept_rows(

@@ -19,7 +19,6 @@ import numpy as np
 from ttus_opt.contact.places import places, runs
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.posterior import NORMAL
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.calibration_curve import CalibrationCurve
@@ -27,6 +26,9 @@ from ttus_opt.report.metrics import Evaluation
 
 #: Fewest frames, or places, for a rank correlation [–]
 LEAST = 3
+
+#: 95 % of a normal distribution lie within so many standard deviations [–]
+NORMAL = 1.959964
 
 
 class StatesUncertainty(Protocol):

@@ -24,12 +24,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError, TtusWarning
-from ttus_opt.problem.terms.posterior_mode import posterior_mode
+from ttus_opt.gaussian.conditioned import ByImages
+from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Priors of the noise: median, and standard deviation of the logarithm
 PRIORS = {
@@ -225,7 +225,7 @@ class MeasuredWrenches:
             variance: Prior variance of the fields' coefficients [–].
             noise: Noise of the measurements.
         """
-        k, m = len(self.images), self.misfit.size
+        k = len(self.images)
         frames, n_places = np.arange(len(self.place)), int(self.place.max()) + 1
         lower = np.linalg.cholesky(self._own(noise))
         columns = np.zeros((k + 7 * n_places + 1, *self.misfit.shape))
@@ -234,14 +234,10 @@ class MeasuredWrenches:
         of_place[self.place, :, frames] = self._shared(noise).transpose(0, 2, 1)
         columns[-1] = self.misfit
         white = np.linalg.solve(lower, np.moveaxis(columns, 0, 2))
-        gram = np.tensordot(white, white, axes=([0, 1], [0, 1]))
-        inner = gram[:-1, :-1] + np.eye(len(gram) - 1)
-        factor = np.linalg.cholesky(inner)
-        half = scipy.linalg.solve_triangular(factor, gram[:-1, -1], lower=True)
-        size = float(np.log(np.diag(factor)).sum())
+        white = np.ascontiguousarray(white.reshape(-1, len(columns)).T)
+        size = 0.5 * self.misfit.size * math.log(2.0 * math.pi)
         size += float(np.log(np.einsum("nii->ni", lower)).sum())
-        square = float(gram[-1, -1] - half @ half)
-        return -0.5 * (square + m * math.log(2.0 * math.pi)) - size
+        return ByImages.of(white[:-1], white[-1]).log_density - size
 
     def estimate(
         self, variance: float, known: float | None = None

@@ -1,8 +1,8 @@
 """How well weights predict what was measured at places left out.
 
 With the rows' misfit d = t - s u to the prior's mean times a scale s, the prediction of
-the rows of one place from all others has a closed form (`weight_criteria`); s is that
-of generalised least squares. A place counts as one observation of a term's error,
+the rows of one place from all others has a closed form (`gaussian.conditioned`); s is
+that of generalised least squares. A place counts as one observation of a term's error,
 whatever its number of frames, so that over P places
 
     log p = -½ Σ P log (mean square of the errors of a term)
@@ -22,10 +22,9 @@ from functools import cached_property
 import numpy as np
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.fitting.uncertainty.posterior import WeightedData
 from ttus_opt.fitting.weights.tuning_rows import BasisRows
-from ttus_opt.fitting.weights.weight_criteria import left_out_errors
-from ttus_opt.problem.terms.posterior_mode import posterior_mode
+from ttus_opt.gaussian.conditioned import ByImages
+from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Prior variance of a force row over that of its noise: median, and standard deviation
 #: of its logarithm. Tissue varies by 40 %, which is 1 N of 3 N, and a frame is accurate
@@ -102,10 +101,10 @@ class PlaceLeftOut:
         """
         own = self.rows.at(coefficient)
         root = np.sqrt(np.maximum(weights, 1e-300)[own.term] * own.every)
-        data = WeightedData.of(own.images * root, root)
         both = root[:, None] * np.stack([own.target, own.base], axis=1)
+        data = ByImages.of(own.images * root, both[:, 0])
         rest = data.solve(both)
-        off = left_out_errors(data.half, rest, own.place)
+        off = data.left_out(own.place, rest)
         t, u = (off / root[:, None]).T
         if not self.free_scale:
             return Prediction(t - u, 1.0, 0.0)

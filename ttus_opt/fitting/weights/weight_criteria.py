@@ -2,7 +2,8 @@
 
 With the rows' misfit d = t - D p₀ to the prior, W the roots of their weights, and
 C = D L⁻¹Ω L⁻ᵀDᵀ in the form KᵀK of a reduced basis, the marginal covariance of d is
-σ²(W⁻² + C). All criteria follow from B = K W and R = (1 + WCW)⁻¹ = 1 - Bᵀ(1 + BBᵀ)⁻¹B:
+σ²(W⁻² + C). All criteria follow from B = K W and R = (1 + BᵀB)⁻¹
+(`gaussian.conditioned`):
 
 - evidence: with σ² = J/m, the most likely for these weights, and J = dᵀW R W d,
   log p(d) = -½ (m log(2π J/m) + log det(W⁻² + C) + m)
@@ -21,12 +22,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.fitting.uncertainty.posterior import WeightedData
 from ttus_opt.fitting.uncertainty.presses import presses
+from ttus_opt.gaussian.conditioned import ByImages
 
 #: Unit and meaning of every criterion, by name, in the order of `Criteria.values`
 CRITERIA = {
@@ -64,53 +64,23 @@ class Criteria:
         m = len(misfit)
         if m == 0:
             return dict.fromkeys(CRITERIA, np.nan)
-        data = WeightedData.of(images * root, root * misfit)
-        rest = data.solve(data.misfit)
-        size = float(rest @ data.misfit)
-        determinant = data.log_determinant - 2.0 * float(np.log(root).sum())
+        data = ByImages.of(images * root, root * misfit)
+        rest, log_root = data.multipliers, np.log(root)
+        size = m * np.log(2.0 * np.pi * data.square / m) + data.log_determinant
+        evidence = -0.5 * float(size - 2.0 * log_root.sum() + m)
         trace = m - float((data.half**2).sum())
-        evidence = -0.5 * (m * np.log(2.0 * np.pi * size / m) + determinant + m)
-        scale = np.exp(2.0 * np.log(root).mean())
-        gcv = m * float(rest @ rest) / trace**2 / scale
-        left_out = self._magnitude_error(data.half, rest, root)
-        return dict(zip(CRITERIA, (float(evidence), gcv, left_out), strict=True))
+        gcv = m * float(rest @ rest) / trace**2 / np.exp(2.0 * log_root.mean())
+        left_out = self._magnitude_error(data, root)
+        return dict(zip(CRITERIA, (evidence, float(gcv), left_out), strict=True))
 
-    def _predicted(self, half: Array, rest: Array, root: Array) -> Array:
-        error = left_out_errors(half, rest, self.press) / root
-        return (self.force - error[self.force_rows]).reshape(-1, 3)
-
-    def _magnitude_error(self, half: Array, rest: Array, root: Array) -> float:
+    def _magnitude_error(self, data: ByImages, root: Array) -> float:
         """Mean | ‖f‖ - ‖f̂‖ | over frames of presses left out; NaN with one press."""
         if len(np.unique(self.press)) < 2 or not len(self.force):
             return np.nan
-        predicted = self._predicted(half, rest, root)
-        both = self.force.reshape(-1, 3), predicted
-        measured, rendered = (np.linalg.norm(v, axis=1) for v in both)
+        error = (data.left_out(self.press) / root)[self.force_rows]
+        both = self.force, self.force - error
+        measured, rendered = (np.linalg.norm(v.reshape(-1, 3), axis=1) for v in both)
         return float(np.abs(measured - rendered).mean())
-
-
-def left_out_errors(half: Array, rest: Array, press: IntArray) -> Array:
-    """Weighted errors of predicting every row from all other presses, shape (m,).
-
-    Args:
-        half: X with R = 1 - XᵀX, shape (k, m).
-        rest: R W d, shape (m,) or (m, n).
-        press: Which press a row belongs to, shape (m,) [–].
-    """
-    error = np.empty_like(rest)
-    for number in np.unique(press):
-        at = np.flatnonzero(press == number)
-        error[at] = _without(half[:, at], rest[at])
-    return error
-
-
-def _without(half: Array, rest: Array) -> Array:
-    """Solve (1 - XᵀX) e = r by the smaller of two systems, X of shape (k, n)."""
-    k, n = half.shape
-    if n <= k:
-        return np.asarray(scipy.linalg.solve(np.eye(n) - half.T @ half, rest))
-    inner = scipy.linalg.solve(np.eye(k) - half @ half.T, half @ rest)
-    return np.asarray(rest + half.T @ inner)
 
 
 def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Criteria:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
+from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.depth_map_estimate import PRIOR, DepthMapEstimate
 from ttus_opt.problem.terms.depth_map_limits import check_depth_map
@@ -26,7 +27,6 @@ from ttus_opt.problem.terms.depth_profile import (
     DepthProfile,
     voxel_depths,
 )
-from ttus_opt.problem.terms.matern import SeparableCovariance
 from ttus_opt.problem.terms.structure import KnownCovariance, UncertainMean
 
 #: Smallest depth at which φ is evaluated, over a layer's thickness [–]: rows must be

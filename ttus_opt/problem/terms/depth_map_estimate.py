@@ -29,7 +29,6 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 from scipy.spatial.distance import cdist
@@ -38,6 +37,9 @@ from ttus_opt.contact.places import runs
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
+from ttus_opt.gaussian.conditioned import ByCovariance
+from ttus_opt.gaussian.matern import matern
+from ttus_opt.gaussian.posterior_mode import posterior_mode
 from ttus_opt.problem.terms.depth_map_limits import check_depth_map, depth_map_limits
 from ttus_opt.problem.terms.depth_profile import (
     EXPONENTS,
@@ -46,7 +48,6 @@ from ttus_opt.problem.terms.depth_profile import (
     slopes_of,
     voxel_depths,
 )
-from ttus_opt.problem.terms.matern import matern
 from ttus_opt.problem.terms.part_noise import (
     RELATIVE,
     SENSOR,
@@ -56,7 +57,6 @@ from ttus_opt.problem.terms.part_noise import (
     lasting,
     normal_rows,
 )
-from ttus_opt.problem.terms.posterior_mode import posterior_mode
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Median and logarithmic standard deviation of the priors. The length along the surface
@@ -417,9 +417,7 @@ class _Problem:
         slope = c * (self.rows @ slopes_of(self.depth, (chosen.exponent,))[:, 0])
         cov += chosen.depth_error**2 * self.late * slope[:, None] * slope
         cov[np.diag_indices_from(cov)] += self.variances(chosen, mean)
-        factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
-        white = scipy.linalg.solve_triangular(factor, self.force - mean, lower=True)
-        return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+        return ByCovariance.of(cov, self.force - mean).log_density
 
     def _modes(self, length: float) -> Array:
         """Columns B with B Bᵀ the correlation of the voxels' depths, (n, modes)."""

@@ -10,13 +10,13 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.gaussian.prior import KnownPrior
 from ttus_opt.laplace.system import LaplaceSystem
 
 #: Relative difference of two products up to rounding
@@ -53,40 +53,6 @@ class LaplaceRows:
     system: LaplaceSystem | None = field(default=None, repr=False)
 
 
-class FieldCovariance(Protocol):
-    """A covariance over the voxels that can be evaluated at single voxels."""
-
-    def columns(self, voxels: IntArray) -> CovarianceColumns:
-        """Its columns at some voxels."""
-
-    def times(self, values: Array) -> Array:
-        """Covariance @ values, shape (V,)."""
-
-    def among_rows(self, rows: sp.csr_array, height: int) -> Array:
-        """Covariance of blocks of rows of a field, (k, height, height)."""
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """A field of this covariance and mean zero, shape (V,)."""
-
-
-class CovarianceColumns(Protocol):
-    """Some columns of a covariance, in factored form."""
-
-    @property
-    def voxels(self) -> IntArray:
-        """Their voxels, shape (n,)."""
-
-    @property
-    def among(self) -> Array:
-        """The covariance between these voxels, shape (n, n)."""
-
-    def times(self, values: Array) -> Array:
-        """The columns times values of shape (n,), shape (V,)."""
-
-    def of_rows(self, rows: sp.csr_array) -> Array:
-        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
-
-
 @dataclass(frozen=True, eq=False)
 class KnownCovariance:
     """Square rows R over p alone whose covariance (RᵀR)⁻¹ is known.
@@ -96,7 +62,7 @@ class KnownCovariance:
         mean: What is uncertain about the mean of the prior; None for nothing.
     """
 
-    covariance: FieldCovariance = field(repr=False)
+    covariance: KnownPrior = field(repr=False)
     mean: UncertainMean | None = field(default=None, repr=False)
 
 

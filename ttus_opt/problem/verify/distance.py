@@ -34,11 +34,11 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import NumericalError
+from ttus_opt.gaussian.prior import KnownPrior
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
-    FieldCovariance,
     LaplaceRows,
     known_covariance,
 )
@@ -140,7 +140,7 @@ class _KnownField(_Field):
         covariance: (RᵀR)⁻¹ of the term's rows.
     """
 
-    covariance: FieldCovariance = field(repr=False)
+    covariance: KnownPrior = field(repr=False)
 
     def square(self, r: Array, rtol: float) -> float:
         """The field's part of rᵀA⁻¹r; ``rtol`` is ignored."""

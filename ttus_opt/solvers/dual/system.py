@@ -13,12 +13,13 @@ positive definite; a product with it takes one solve with Lᵀ and one with L.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.laplace.square_system import RTOL, SquareSystem
 
 
@@ -46,6 +47,11 @@ class DualSystem:
         """Transpose the rows once."""
         object.__setattr__(self, "adjoint", sp.csr_array(self.rows.T))
 
+    @property
+    def field_prior(self) -> LaplacePrior:
+        """The prior of p."""
+        return LaplacePrior(self.laplace, self.compliance)
+
     def measure(self, p: Array) -> Array:
         """Weighted measurements D p of a field, shape (m,)."""
         return np.asarray(self.root_weights * (self.rows @ p))
@@ -53,8 +59,7 @@ class DualSystem:
     def response(self, y: Array, rtol: float = RTOL) -> Array:
         """The response field L⁻¹ ω L⁻ᵀ Dᵀ y of multipliers y, shape (V,)."""
         load = self.adjoint @ (self.root_weights * y)
-        slope = self.laplace.solve_adjoint(load, rtol=rtol)
-        return self.laplace.solve(self.compliance * slope, rtol=rtol)
+        return replace(self.field_prior, rtol=rtol).times(load)
 
     def apply(self, y: Array, rtol: float = RTOL) -> Array:
         """S y with solves to a relative residual, shape (m,)."""

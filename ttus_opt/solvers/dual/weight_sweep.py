@@ -20,10 +20,10 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
@@ -263,14 +263,9 @@ class WeightSweep:
 
     def _best(self, root: Array) -> tuple[Array, Array]:
         """Coefficients of the best combination, and ρ, shape (rows,)."""
-        weighted = self._images * root
-        gram = weighted @ weighted.T
-        gram[np.diag_indices_from(gram)] += 1.0
-        c = scipy.linalg.solve(
-            gram, weighted @ (root * self._misfit), assume_a="pos", check_finite=False
-        )
-        rest = root * (root * self._misfit - c @ weighted) - c @ self._multipliers
-        return c, rest
+        weighted, misfit = self._images * root, root * self._misfit
+        c = ByImages.of(weighted, misfit).coefficients(misfit)
+        return c, root * (misfit - c @ weighted) - c @ self._multipliers
 
     def _without(self, multipliers: Array, since: int = 0) -> Array:
         """Multipliers less their part in the basis from ``since`` on, (..., rows)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.problem.terms.posterior_mode import posterior_mode
+from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 
 def test_a_gaussian_evidence() -> None:

@@ -8,8 +8,8 @@ import scipy.sparse as sp
 from scipy.special import gamma, k1, kv
 
 from tests.conftest import small_scene
-from ttus_opt.problem.terms import matern as matern_module
-from ttus_opt.problem.terms.matern import (
+from ttus_opt.gaussian import matern as matern_module
+from ttus_opt.gaussian.matern import (
     MaternFactor,
     SeparableCovariance,
     kronecker,

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg
 
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.gaussian.prior import Columns, KnownPrior
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Columns of the surface's covariance computed at once
@@ -150,7 +151,7 @@ class MaternFactor:
 
 
 @dataclass(frozen=True)
-class SeparableCovariance:
+class SeparableCovariance(KnownPrior):
     """Covariance of s_v g_v over voxels, with g separable in depth and spoke.
 
     Every spoke is turned by whole layers, so that the skin lies in the same one: places
@@ -218,7 +219,7 @@ class SeparableCovariance:
         return sp.csr_array((data, columns, both.indptr), shape=both.shape)
 
     def columns(self, voxels: IntArray) -> VoxelColumns:
-        """Its columns at some voxels, in factored form."""
+        """Implements `KnownPrior`."""
         n_spokes = len(self.surface.volumes)
         layers, layer = np.unique(self._layer(voxels), return_inverse=True)
         spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
@@ -239,7 +240,7 @@ class SeparableCovariance:
         return self.turned[voxels] // len(self.surface.volumes)
 
     def times(self, values: Array) -> Array:
-        """Covariance @ values, shape (V,)."""
+        """Implements `Prior`."""
         shape = (len(self.radial.volumes), len(self.surface.volumes))
         g = np.empty(len(values))
         g[self.turned] = self.scale * values
@@ -248,21 +249,13 @@ class SeparableCovariance:
         return np.asarray(self.scale * g[self.turned])
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """A field of this covariance and mean zero, shape (V,)."""
+        """Implements `Prior`."""
         shape = (len(self.radial.volumes), len(self.surface.volumes))
         g = self.surface.draw(rng.standard_normal(shape).T).T
         return np.asarray(self.scale * self.radial.draw(g).ravel()[self.turned])
 
     def among_rows(self, rows: sp.csr_array, height: int) -> Array:
-        """Covariance of consecutive rows of a field.
-
-        Args:
-            rows: Shape (k · height, V).
-            height: Rows of a block [–].
-
-        Returns:
-            The blocks, shape (k, height, height).
-        """
+        """Implements `Prior`."""
         if rows.shape[0] == height:  # a block of many poses touches too many voxels
             return self._among_all(rows)[None]
         n_spokes = len(self.surface.volumes)
@@ -304,7 +297,7 @@ class SeparableCovariance:
 
 
 @dataclass(frozen=True)
-class VoxelColumns:
+class VoxelColumns(Columns):
     """Columns of a separable covariance at n voxels.
 
     Attributes:
@@ -328,7 +321,7 @@ class VoxelColumns:
     among: Array = field(repr=False)
 
     def of_rows(self, rows: sp.csr_array) -> Array:
-        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
+        """Implements `Columns`."""
         voxels, column = np.unique(rows.indices, return_inverse=True)
         n_spokes = self.surface.shape[0]
         cov = self.radial[self.turned[voxels] // n_spokes][:, self.layer]
@@ -338,7 +331,7 @@ class VoxelColumns:
         return np.asarray(sp.csr_array((rows.data, column, rows.indptr), few) @ cov)
 
     def times(self, values: Array) -> Array:
-        """The columns times values of shape (n,), shape (V,)."""
+        """Implements `Columns`."""
         w = np.zeros((self.radial.shape[1], self.surface.shape[1]))
         np.add.at(w, (self.layer, self.spoke), self.scale[self.voxels] * values)
         g = (self.radial @ w @ self.surface.T).ravel()

@@ -1,0 +1,112 @@
+"""Laws of every prior: products, rows, draws and columns are of one covariance."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.gaussian.laplace_prior import LaplacePrior
+from ttus_opt.gaussian.matern import SeparableCovariance
+from ttus_opt.gaussian.prior import KnownPrior, Multiples, Prior, Sum
+
+SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
+V = SCENE.n_voxels
+
+
+def multiples() -> Multiples:
+    return Multiples(np.random.default_rng(3).normal(size=(V, 2)))
+
+
+def matern() -> SeparableCovariance:
+    scale = np.random.default_rng(4).uniform(0.5, 2.0, V)
+    return SeparableCovariance.over(SCENE.voxmap, scale, 0.06, 0.02)
+
+
+def laplace() -> LaplacePrior:
+    compliance = np.where(SCENE.laplace.free, 0.5, 0.0)  # hard boundary values
+    return LaplacePrior(SCENE.laplace, compliance)
+
+
+PRIORS = {
+    "laplace": laplace,
+    "matern": matern,
+    "multiples": multiples,
+    "sum": lambda: Sum((matern(), multiples(), multiples())),
+}
+every = pytest.mark.parametrize("name", PRIORS)
+known = pytest.mark.parametrize("name", ["matern", "multiples", "sum"])
+
+
+@functools.cache
+def prior_of(name: str) -> Prior:
+    return PRIORS[name]()
+
+
+@functools.cache
+def dense(name: str) -> np.ndarray:
+    """C from matrices, not from the prior's products."""
+    if name == "laplace":
+        inverse = np.linalg.inv(SCENE.L.toarray())
+        return np.asarray(inverse * laplace().compliance @ inverse.T)
+    H = multiples().fields
+    if name == "multiples":
+        return np.asarray(H @ H.T)
+    R = matern().rows.toarray()
+    C = np.linalg.inv(R.T @ R)
+    return np.asarray(C if name == "matern" else C + 2.0 * H @ H.T)
+
+
+def close(found: np.ndarray, expected: np.ndarray) -> None:
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-8)
+
+
+def some_rows() -> sp.csr_array:
+    """Three blocks of two rows, one of them empty."""
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(6, V)) * (rng.uniform(size=(6, V)) < 0.1)
+    rows[2:4] = 0.0
+    return sp.csr_array(rows)
+
+
+@every
+def test_products_are_those_of_the_covariance(name: str) -> None:
+    values = np.random.default_rng(6).normal(size=V)
+    close(prior_of(name).times(values), dense(name) @ values)
+
+
+@every
+@pytest.mark.parametrize("height", [1, 2, 6])
+def test_rows_have_its_covariance(name: str, height: int) -> None:
+    rows, found = some_rows(), prior_of(name).among_rows(some_rows(), height)
+    expected = rows @ dense(name) @ rows.T
+    assert found.shape == (6 // height, height, height)
+    for k, block in enumerate(found):
+        own = slice(k * height, (k + 1) * height)
+        np.testing.assert_allclose(
+            block, expected[own, own], atol=1e-8 * np.abs(expected).max()
+        )
+
+
+@every
+def test_draws_have_its_covariance(name: str) -> None:
+    """Of 2,000 draws a standard deviation is off by 1/√4000."""
+    rng, rows = np.random.default_rng(7), some_rows().toarray()[[0, 1, 4, 5]]
+    seen = rows @ np.stack([prior_of(name).draw(rng) for _ in range(2000)], axis=1)
+    expected = rows @ dense(name) @ rows.T
+    found, size = seen @ seen.T / 2000, np.sqrt(np.diag(expected))
+    assert np.abs((found - expected) / np.outer(size, size)).max() < 0.1
+
+
+@known
+def test_columns_are_those_of_the_covariance(name: str) -> None:
+    prior, voxels = prior_of(name), np.array([3, 17, 18, 90, V - 1])
+    assert isinstance(prior, KnownPrior)
+    columns, values = prior.columns(voxels), np.arange(5.0)
+    close(columns.among, dense(name)[np.ix_(voxels, voxels)])
+    close(columns.times(values), dense(name)[:, voxels] @ values)
+    close(columns.of_rows(some_rows()), some_rows() @ dense(name)[:, voxels])

@@ -1,0 +1,1 @@
+"""Gaussian fields, and what measurements say of them."""
