@@ -18,6 +18,7 @@ from ttus_opt.cli.command import add_command
 from ttus_opt.cli.compensate_command import compensate
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
 from ttus_opt.cli.demo_command import demo
+from ttus_opt.cli.doctor_command import doctor
 from ttus_opt.cli.evaluate_command import evaluate
 from ttus_opt.cli.experiment_command import experiment
 from ttus_opt.cli.fit_command import fit
@@ -60,7 +61,18 @@ UNLIMITED = (benchmark, record, solvers, formulations, warm_up)
 
 # in the order in which help lists them
 for function in (
-    *(demo, record, synchronise, compensate, surface, refine_poses, fit, tune, path),
+    *(
+        demo,
+        doctor,
+        record,
+        synchronise,
+        compensate,
+        surface,
+        refine_poses,
+        fit,
+        tune,
+        path,
+    ),
     *(
         next_press,
         evaluate,

@@ -1,0 +1,76 @@
+"""``ttus-opt doctor``: whatever a file is, what it holds is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.cli.conftest import Run
+from tests.conftest import torso
+from tests.probe.test_repair import broken, written
+from tests.sensors.test_stream_formats import SAMPLES
+from ttus_opt import example
+
+
+def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
+    """Recordings of all makers, a cloud, a surface, a depth image, intrinsics."""
+    import cv2
+
+    made = [make(tmp_path / name) for name, make in SAMPLES.items()]
+    cv2.imwrite(str(tmp_path / "d.png"), np.full((40, 50), 812, np.uint16))
+    camera = {"fx": 50, "fy": 50, "ppx": 25, "ppy": 20, "width": 50, "height": 40}
+    (tmp_path / "k.json").write_text(json.dumps(camera))
+    points = example.path("scan.ply")
+    others = [tmp_path / "d.png", tmp_path / "k.json", points, files / "surface.nc"]
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(8, 12, 6), r_inner=0.03)
+    field = tt.PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
+    field.save(tmp_path / "f.nc")
+    others.append(tmp_path / "f.nc")
+    words = " ".join(map(str, [*made, *others]))
+    answer = run(f"doctor {words} --picture {tmp_path / 'all.png'}")
+    assert answer.status == 0 and not answer.errors
+    for said in (
+        "Probe: poses, 6 rows over 0.35 s in 2 recordings, 20 Hz",
+        "2 of 8 frames are missing: gaps",
+        "counts, 1e+06 per N and 1000 per Nmm",
+        "frame numbers at 60 Hz",
+        "50 x 40 pixels, 100 % with a depth",
+        "camera fx 50.00",
+        "8,956 points",
+        "surface\n    Surface(",
+        "f.nc: field\n    PotentialField(",
+    ):
+        assert said in answer.out
+    assert max(map(len, answer.out.splitlines())) <= 80 + len(str(tmp_path))
+    assert (tmp_path / "all.png").stat().st_size > 10_000
+    told = json.loads(run(f"doctor {words} --json").out)
+    assert [Path(f["file"]).name for f in told["files"]][:2] == list(SAMPLES)[:2]
+    assert told["files"][0]["streams"][0]["rate_Hz"] == pytest.approx(20)
+
+
+def test_faults_and_files_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
+    file = written(tmp_path / "press.csv", broken())
+    answer = run(f"doctor {file}")
+    assert answer.status == 1
+    for said in ("fault: line 4: px is nan", "--repair: dropped 4 rows", "split at"):
+        assert said in answer.out
+    (tmp_path / "photo.trc").write_text("PathFileType\t4\n")
+    answer = run(f"doctor {tmp_path / 'photo.trc'} {file} {tmp_path / 'none.csv'}")
+    assert answer.status == 2
+    assert answer.out.count("cannot be used") == 2
+    assert "fault: line 4" in answer.out  # the others are told all the same
+
+
+def test_units_of_a_cloud_and_of_columns(run: Run, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(0, 400, (500, 3))
+    np.savetxt(tmp_path / "cloud.xyz", points)
+    assert "likely in mm: --unit mm" in run(f"doctor {tmp_path / 'cloud.xyz'}").out
+    rows = broken()[:1] + [[0.05 * i, 100.0 + i, 0, 0, 1, 0, 0, 0] for i in range(1, 9)]
+    file = written(tmp_path / "mm.csv", rows)
+    assert "likely in mm: px=NAME[mm]" in " ".join(run(f"doctor {file}").out.split())
+    told = run(f"doctor {file} --columns px=px[mm],py=py[mm],pz=pz[mm]")
+    assert told.status == 0 and "units?" not in told.out

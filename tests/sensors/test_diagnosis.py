@@ -1,0 +1,78 @@
+"""Figures of a stream against what it was made with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.sensors.diagnosis import diagnosis
+
+
+def recording(n: int = 2000) -> RawRecording:
+    """Slow motion at 100 Hz with noise of 0.2 mm, 0.1 N and 3 mN m."""
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(n)
+    position = 0.05 * np.sin(np.outer(time, [0.3, 0.5, 0.2]))
+    turn = Rotation.from_rotvec(np.outer(np.sin(time), [0.3, 0, 0]))
+    force = 5.0 * np.sin(np.outer(time, [0.1, 0.2, 0.3]))
+    return RawRecording(
+        "x",
+        time,
+        position + rng.normal(0, 2e-4, position.shape),
+        turn.as_quat(scalar_first=True),
+        force + rng.normal(0, 0.1, force.shape),
+        0.02 * force + rng.normal(0, 3e-3, force.shape),
+    )
+
+
+def test_rate_span_noise_and_ranges() -> None:
+    found = diagnosis(recording())
+    assert found.holds == "poses and wrenches"
+    assert found.rate == pytest.approx(100.0)
+    assert found.seconds == pytest.approx(19.99)
+    assert found.noise["position"] == pytest.approx(2e-4, rel=0.05)
+    assert found.noise["force"] == pytest.approx(0.1, rel=0.05)
+    assert found.noise["torque"] == pytest.approx(3e-3, rel=0.05)
+    assert found.turned == pytest.approx(0.3, abs=1e-3)
+    assert found.position is not None
+    np.testing.assert_allclose(found.position[1], 0.05, atol=2e-3)
+    assert not found.faults and not found.units and not found.repair
+    assert found.lines()[-1] == "no faults"
+
+
+def test_holes_are_counted() -> None:
+    raw = recording()
+    assert raw.position is not None and raw.force is not None
+    raw.position[700:710] += 0.4  # out and back
+    raw.force[5] = np.nan
+    time = raw.time.copy()
+    time[1000:] += 2.0
+    time[1500] = time[1499]
+    found = diagnosis(raw.replaced(time=time))
+    assert found.gaps == (1, pytest.approx(2.01))
+    assert (found.missing, found.repeated, found.late, found.jumps) == (1, 1, 0, 2)
+    assert any("frame 5: fx is nan" in fault for fault in found.faults)
+    assert any("split at jumps" in word for word in found.repair)
+    facts = found.facts()
+    assert facts["longest_gap_s"] == pytest.approx(2.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("time", 1e3, "rows are 10 s apart, so t is likely in ms"),
+        ("position", 1e3, "likely in mm: px=NAME"),
+        ("force", 1e6, "counts or mN"),
+        ("torque", 1e3, "likely in N mm: tx=NAME"),
+    ],
+)
+def test_units_are_doubted_with_the_reason(
+    name: str, factor: float, words: str
+) -> None:
+    raw = recording()
+    bad = raw.replaced(**{name: factor * getattr(raw, name)})
+    (doubt,) = diagnosis(bad).units
+    assert words in doubt
+    assert not diagnosis(bad.replaced(units_stated=True)).units

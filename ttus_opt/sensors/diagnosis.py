@@ -1,0 +1,259 @@
+"""What a stream of poses or wrenches is like, in figures a person asks for."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.probe.jumps import jumps
+from ttus_opt.probe.raw_recording import RawRecording, parts
+from ttus_opt.probe.recording_faults import (
+    MOST_FORCE,
+    MOST_POSITION,
+    SLOW,
+    bad_quaternions,
+    faults,
+    missing,
+)
+from ttus_opt.probe.repair import gaps, repaired
+
+#: Noise of the second difference of white noise, and of its median absolute value
+SECOND_DIFFERENCE, MEDIAN = 6.0**0.5, 1.4826
+
+#: Less is the rounding of numbers [m, N, N·m]
+ROUNDING = 1e-9
+
+#: A lever longer than this makes torques of another unit likely [m]
+LONGEST_LEVER = 2.0
+
+#: What is said of a file that states nothing
+UNSTATED = ("SI units, as no other are stated",)
+
+#: Forces below this say nothing of the lever [N]
+LEAST_FORCE = 0.5
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A stream.
+
+    Attributes:
+        name: In its file; empty where it is the only one.
+        holds: poses, wrenches, forces, or poses and wrenches.
+        rows: Their number.
+        rate: Median [Hz]; NaN for one row.
+        seconds: From first to last [s].
+        segments: Recordings in it.
+        gaps: Number of pauses unlike the steps around them, and the longest [s].
+        missing: Rows without a number somewhere.
+        late: Rows whose time goes back.
+        repeated: Rows whose time repeats the one before.
+        jumps: Steps that no hand or robot makes.
+        position: Least and largest of each axis, shape (2, 3) [m]; None without poses.
+        turned: Largest rotation from the first pose [rad]; None without poses.
+        force: Largest magnitude [N]; None without forces.
+        torque: Largest magnitude [N·m]; None without torques.
+        noise: Standard deviation of white noise on each, by name [m, N, N·m].
+        notes: Units and frames as stated, and what was taken for granted.
+        units: Doubts about units, each with its reason.
+        faults: What is wrong, with the place of the first.
+        repair: What `ttus_opt.probe.repair` would do.
+    """
+
+    name: str
+    holds: str
+    rows: int
+    rate: float
+    seconds: float
+    segments: int
+    gaps: tuple[int, float]
+    missing: int
+    late: int
+    repeated: int
+    jumps: int
+    position: Array | None
+    turned: float | None
+    force: float | None
+    torque: float | None
+    noise: dict[str, float]
+    notes: tuple[str, ...]
+    units: tuple[str, ...]
+    faults: tuple[str, ...]
+    repair: tuple[str, ...]
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON, with units in the names."""
+        facts = asdict(self)
+        number, longest = facts.pop("gaps")
+        renamed = {
+            "rate": "rate_Hz",
+            "position": "position_m",
+            "turned": "turned_rad",
+            "force": "largest_force_N",
+            "torque": "largest_torque_Nm",
+        }
+        return {renamed.get(k, k): v for k, v in facts.items()} | {
+            "gaps": number,
+            "longest_gap_s": longest,
+        }
+
+    def lines(self) -> list[str]:
+        """As a person would say it."""
+        named = f"{self.name}: " if self.name else ""
+        several = f" in {self.segments} recordings" if self.segments > 1 else ""
+        lines = [
+            f"{named}{self.holds}, {self.rows:,} rows over {self.seconds:.4g} s"
+            f"{several}, {self.rate:.4g} Hz"
+        ]
+        if self.position is not None and self.turned is not None:
+            spans = ", ".join(
+                f"{axis} {low:.3f} to {high:.3f}"
+                for axis, low, high in zip("xyz", *self.position, strict=True)
+            )
+            noise = 1e3 * self.noise["position"]
+            lines.append(f"position {spans} m, noise {noise:.2g} mm")
+            lines.append(
+                f"rotation up to {np.rad2deg(self.turned):.0f}° from the first"
+            )
+        for name, most, unit in (
+            ("force", self.force, "N"),
+            ("torque", self.torque, "N m"),
+        ):
+            if most is not None:
+                lines.append(
+                    f"{name} up to {most:.3g} {unit}, noise "
+                    f"{self.noise[name]:.2g} {unit} a component"
+                )
+        lines += [f"as {note}" for note in self.notes]
+        lines += [f"units? {doubt}" for doubt in self.units]
+        number, longest = self.gaps
+        if number:
+            lines.append(f"{number} gaps, the longest {longest:.3g} s")
+        if self.jumps:
+            lines.append(f"{self.jumps} jumps of the position")
+        lines += [f"fault: {fault}" for fault in self.faults]
+        if self.repair:
+            lines.append(f"--repair: {', '.join(self.repair)}")
+        elif not self.faults:
+            lines.append("no faults")
+        return lines
+
+
+def diagnosis(raw: RawRecording) -> Diagnosis:
+    """The figures of a stream, whatever is wrong with it."""
+    lost = missing(raw) | bad_quaternions(raw)
+    sound = raw.select(~lost)
+    together = np.diff(sound.segment) == 0
+    steps = np.diff(sound.time)
+    usual = steps[together & (steps > 0)]
+    after = np.flatnonzero(gaps(sound.time, sound.segment))
+    kinds = [
+        "poses" if raw.has_poses else "",
+        "" if raw.force is None else "forces" if raw.torque is None else "wrenches",
+    ]
+    try:
+        repair = repaired(raw).done
+    except OSError as error:
+        repair = (str(error),)
+    span = float(np.ptp(sound.time)) if len(sound) else 0.0
+    return Diagnosis(
+        raw.name,
+        " and ".join(filter(None, kinds)) or "positions",
+        len(raw),
+        1.0 / float(np.median(usual)) if len(usual) else np.nan,
+        span,
+        len(parts(raw.segment)),
+        (len(after), float((sound.time[after] - sound.time[after - 1]).max(initial=0))),
+        int(missing(raw).sum()),
+        int((together & (steps < 0)).sum()),
+        int((together & (steps == 0)).sum()),
+        _jumps(sound),
+        _range(sound.position),
+        _turned(sound.quaternion),
+        _largest(sound.force),
+        _largest(sound.torque),
+        _noise(sound),
+        (*(raw.notes or UNSTATED), *raw.cautions),
+        tuple(_doubts(sound, usual)),
+        tuple(f"{raw.place(f.first)}: {f.what}" for f in faults(raw)),
+        repair,
+    )
+
+
+def _range(values: Array | None) -> Array | None:
+    if values is None or not len(values):
+        return None
+    return np.stack([values.min(axis=0), values.max(axis=0)])
+
+
+def _turned(quaternion: Array | None) -> float | None:
+    if quaternion is None or not len(quaternion):
+        return None
+    turns = Rotation.from_quat(quaternion, scalar_first=True)
+    return float((turns * turns[0].inv()).magnitude().max())
+
+
+def _largest(values: Array | None) -> float | None:
+    if values is None or not len(values):
+        return None
+    return float(np.linalg.norm(values, axis=1).max())
+
+
+def _jumps(sound: RawRecording) -> int:
+    if sound.position is None:
+        return 0
+    count = 0
+    for part in parts(sound.segment):
+        time, position = sound.time[part], sound.position[part]
+        new = np.r_[True, time[1:] > np.maximum.accumulate(time)[:-1]]
+        count += int(jumps(position[new], time[new])[0].sum())
+    return count
+
+
+def _noise(sound: RawRecording) -> dict[str, float]:
+    """White noise by second differences, which a smooth motion hardly has."""
+    out = {}
+    for name in ("position", "force", "torque"):
+        values = getattr(sound, name)
+        if values is not None:
+            bend = np.abs(np.diff(values, 2, axis=0))
+            middle = float(np.median(bend)) if len(bend) else 0.0
+            noise = MEDIAN * middle / SECOND_DIFFERENCE
+            out[name] = noise if noise > ROUNDING else 0.0
+    return out
+
+
+def _doubts(sound: RawRecording, steps: Array) -> list[str]:
+    """Units that the numbers speak against, where the file states none."""
+    if sound.units_stated or not len(sound):
+        return []
+    doubts = []
+    if len(steps) and (step := float(np.median(steps))) > SLOW:
+        doubts.append(f"rows are {step:.4g} s apart, so t is likely in ms: t=NAME[ms]")
+    if sound.position is not None:
+        size = float(np.median(np.linalg.norm(sound.position, axis=1)))
+        if size > MOST_POSITION:
+            doubts.append(
+                f"positions are {size:.4g} m away in the median, so they are likely in "
+                "mm: px=NAME[mm]"
+            )
+    if sound.force is not None:
+        strength = np.linalg.norm(sound.force, axis=1)
+        if np.median(strength) > MOST_FORCE:
+            doubts.append(
+                f"forces are {np.median(strength):.4g} N in the median, so they are "
+                "likely counts or mN: fx=NAME[mN], or a factor"
+            )
+        pressed = strength > LEAST_FORCE
+        if sound.torque is not None and pressed.any():
+            arm = np.linalg.norm(sound.torque[pressed], axis=1) / strength[pressed]
+            if (lever := float(np.median(arm))) > LONGEST_LEVER:
+                doubts.append(
+                    f"torque over force is a lever of {lever:.3g} m in the median, so "
+                    "torques are likely in N mm: tx=NAME[Nmm]"
+                )
+    return doubts
