@@ -1,7 +1,5 @@
 """Scenes shared by many tests: a small bumpy torso, a probe and random presses."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,7 +18,7 @@ SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
+def shared():
     """Folder of the real and independent data, or a skip."""
     if not SHARED.is_dir():
         pytest.skip(f"real data not here: {SHARED}")
@@ -94,6 +92,6 @@ def small_scene(
 
 
 @pytest.fixture(scope="session", params=["voxel-mean", "trilinear"])
-def scene(request: pytest.FixtureRequest) -> Scene:
+def scene(request):
     """A small scene in each sampling."""
     return small_scene(request.param)

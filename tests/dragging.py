@@ -1,7 +1,5 @@
 """Scenes whose wrenches come from the Laplace field and a known drag."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fields with drag, and what they drag by plain numpy, point by point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mutations of sound files: a reader raises the package's own errors and no other."""
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Callable, Sequence
 from pathlib import Path

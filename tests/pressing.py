@@ -1,7 +1,5 @@
 """A field that pushes, with drag where asked for, and a pose deep in it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.contact.scene import Scene

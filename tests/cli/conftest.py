@@ -1,7 +1,5 @@
 """What every command's test needs: a way to run it and a small torso's files."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Callable
@@ -37,7 +35,7 @@ Run = Callable[[str], Answer]
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys):
     """Runs ``ttus-opt <words>`` in this process."""
 
     def call(words: str) -> Answer:
@@ -50,7 +48,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.fixture(scope="session")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     """A small torso's surface, its scan and a recording of presses."""
     folder = tmp_path_factory.mktemp("files")
     surface = torso()
@@ -60,8 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     theta, z = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(0, 0.2, 6000)
     r = surface.radius_at(theta, z) + rng.normal(0, 5e-4, theta.shape)
     np.save(
-        folder / "scan.npy",
-        np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1),
+        folder / "scan.npy", np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1)
     )
     return folder
 
@@ -75,7 +72,7 @@ def fit_words(files: Path, output: Path, more: str = "") -> str:
 
 
 @pytest.fixture(scope="session")
-def field(files: Path) -> Path:
+def field(files):
     """A field file, fitted by the command itself."""
     with pytest.raises(SystemExit) as stop:
         main(shlex.split(fit_words(files, files / "field.nc")))
@@ -99,6 +96,6 @@ def empty(folder: Path) -> bool:
 
 
 @pytest.fixture
-def output(tmp_path: Path) -> Path:
+def output(tmp_path):
     (tmp_path / "output").mkdir()
     return tmp_path / "output"

@@ -1,7 +1,5 @@
 """``ttus-opt benchmark`` as it is typed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import get_args
@@ -43,7 +41,7 @@ def typed(*words: str) -> int:
 
 
 @pytest.mark.slow
-def test_own_scene_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_scene_as_json(tmp_path, capsys):
     words = [*own_scene(), "--solvers", "osqp", "-o", str(tmp_path), "--json"]
     assert typed(*words) == 0
     told = json.loads(capsys.readouterr().out)
@@ -68,9 +66,7 @@ def test_own_scene_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.slow
-def test_export_runs_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_runs_nothing(tmp_path, capsys):
     words = [*own_scene(), "--export", str(tmp_path / "files"), "--json"]
     assert typed(*words, "-o", str(tmp_path / "results")) == 0
     files = json.loads(capsys.readouterr().out)["files"]
@@ -79,9 +75,7 @@ def test_export_runs_nothing(
     assert not (tmp_path / "results").exists()
 
 
-def test_other_parts_as_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_parts_as_json(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(suite, "run_isolated", crashed)
     words = ["--parts", "ripple,rendering", "-o", str(tmp_path)]
     assert typed(*words, "--json") == 1  # nothing was measured
@@ -96,9 +90,7 @@ def test_other_parts_as_json(
     assert lines[-1] == told["report"]
 
 
-def test_an_interrupt_says_that_the_same_call_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_says_that_the_same_call_goes_on(tmp_path, capsys, monkeypatch):
     def stopped(*arguments: object) -> list[Row]:
         raise KeyboardInterrupt
 
@@ -108,9 +100,7 @@ def test_an_interrupt_says_that_the_same_call_goes_on(
     assert f"{tmp_path / 'rows.jsonl'}: repeat the call to continue" in told
 
 
-def test_perturbed_cases_by_either_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_perturbed_cases_by_either_name(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(suite, "run_isolated", crashed)
     found = []
     for option in ("--perturb", "--contest"):
@@ -140,12 +130,7 @@ def test_perturbed_cases_by_either_name(
         (["--tolerance", "2"], "tolerance must lie between 1e-14"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    told: str,
-) -> None:
+def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, words, told):
     assert typed(*words, "-o", str(tmp_path / "out")) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

@@ -1,7 +1,5 @@
 """Functions as commands: options by their signature, words by their docstring."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -70,9 +68,7 @@ def second_command(
     typer.echo(f"{context.info_name} {output.name} {near_by} {very_far} {force}")
 
 
-def test_typer_s_own_words_stay_and_each_option_has_its_own_help(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_typer_s_own_words_stay_and_each_option_has_its_own_help(capsys):
     made = typer.Typer(add_completion=False, rich_markup_mode=None)
     add_command(made, second_command)
     command = typer.main.get_command(made)
@@ -90,20 +86,18 @@ def test_typer_s_own_words_stay_and_each_option_has_its_own_help(
 
 
 @pytest.fixture
-def small() -> Any:
+def small():
     made = typer.Typer(add_completion=False, rich_markup_mode=None)
     add_command(made, own_command)
     return typer.main.get_command(made)
 
 
-def test_a_group_stands_in_its_parameters_place(
-    small: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_group_stands_in_its_parameters_place(small, capsys):
     small(["--height", "2", "--file", "x/a.txt", "--deep"], standalone_mode=False)
     assert capsys.readouterr().out == "2.0 a.txt True False\n"
 
 
-def test_words_are_those_of_the_docstring(small: Any) -> None:
+def test_words_are_those_of_the_docstring(small):
     words = {option.name: option.help for option in small.params}
     assert words["height"] == "Of the water in metres."
     metavars = {option.name: option.metavar for option in small.params}
@@ -125,7 +119,7 @@ def commands(group: Any) -> list[Any]:
     ]
 
 
-def test_every_option_says_what_it_does_and_every_command_has_an_example() -> None:
+def test_every_option_says_what_it_does_and_every_command_has_an_example():
     found = commands(typer.main.get_command(app))
     assert len(found) > 20
     for command in found:
@@ -134,9 +128,9 @@ def test_every_option_says_what_it_does_and_every_command_has_an_example() -> No
         assert not silent, (command.name, silent)
 
 
-def test_limits_are_the_library_s() -> None:
+def test_limits_are_the_library_s():
     """A number in a signature, so that help does not load the library."""
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = typer.main.get_command(app).commands
     for name, option, expected in (
         ("render", "force_limit", FORCE_LIMIT),
         ("render", "torque_limit", TORQUE_LIMIT),

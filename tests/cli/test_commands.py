@@ -1,18 +1,15 @@
 """The commands do what they say."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import PROBE, Run, fit_words, refused
+from tests.cli.conftest import PROBE, fit_words, refused
 from tests.conftest import presses, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
@@ -23,7 +20,7 @@ from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.mark.slow
-def test_surface_writes_what_it_says(run: Run, files: Path, tmp_path: Path) -> None:
+def test_surface_writes_what_it_says(run, files, tmp_path):
     output, picture = tmp_path / "s.nc", tmp_path / "s.png"
     answer = run(
         f"surface {files / 'scan.npy'} -o {output} --n-theta 90 --n-z 20 --no-support "
@@ -40,9 +37,7 @@ def test_surface_writes_what_it_says(run: Run, files: Path, tmp_path: Path) -> N
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_axis_from_takes_the_frame_of_a_file(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_axis_from_takes_the_frame_of_a_file(run, files, tmp_path):
     answer = run(
         f"surface {files / 'scan.npy'} -o {tmp_path / 's.nc'} --no-support --n-z 20 "
         f"--axis-from {files / 'surface.nc'}"
@@ -51,9 +46,7 @@ def test_axis_from_takes_the_frame_of_a_file(
     assert "180 x 20 radii" in answer.out
 
 
-def test_surface_tells_how_sure_it_is_of_what_it_filled(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_surface_tells_how_sure_it_is_of_what_it_filled(run, files, tmp_path):
     cloud = np.load(files / "scan.npy")
     np.save(tmp_path / "front.npy", cloud[cloud[:, 0] > 0.0])
     words = (
@@ -70,7 +63,7 @@ def test_surface_tells_how_sure_it_is_of_what_it_filled(
     assert said in run(words).out
 
 
-def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> None:
+def test_fit_json_has_the_stable_keys(run, files, tmp_path):
     output = tmp_path / "field.nc"
     answer = run(fit_words(files, output, "--force-weight 1e-2 --json"))
     assert answer.status == 0, answer.err
@@ -89,9 +82,7 @@ def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_fit_tells_how_well_parameters_are_known(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_fit_tells_how_well_parameters_are_known(run, files, tmp_path):
     """Named with its standard error, or with the reason and the neutral value."""
     sliding, still = read_trajectory(files / "press.csv"), tmp_path / "still.csv"
     n = len(sliding)
@@ -127,9 +118,7 @@ def test_fit_tells_how_well_parameters_are_known(
 
 
 @pytest.mark.slow
-def test_a_fit_that_fails_still_draws_the_poses(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_a_fit_that_fails_still_draws_the_poses(run, files, tmp_path):
     picture = tmp_path / "poses.png"
     answer = run(
         fit_words(files, tmp_path / "f.nc", f"--flip-wrench --picture {picture}")
@@ -140,7 +129,7 @@ def test_a_fit_that_fails_still_draws_the_poses(
 
 
 @pytest.mark.slow
-def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) -> None:
+def test_options_reach_the_formulation(run, files, tmp_path):
     own = tmp_path / "own.py"
     own.write_text(
         "from formulations.eq10 import build as eq10\n"
@@ -157,9 +146,7 @@ def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) ->
     )
     b = run(
         fit_words(
-            files,
-            tmp_path / "b.nc",
-            "--force-weight 0.5 --torque-weight 0 --json",
+            files, tmp_path / "b.nc", "--force-weight 0.5 --torque-weight 0 --json"
         )
     )
     assert a.status == 0 and b.status == 0, a.err + b.err
@@ -170,9 +157,7 @@ def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_evaluate_matches_the_rows_of_the_fit(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_evaluate_matches_the_rows_of_the_fit(run, files, field, tmp_path):
     picture = tmp_path / "force.png"
     words = f"--field {field} --probe {PROBE} --trajectory {files / 'press.csv'}"
     answer = run(f"evaluate {words} --points 300 --json --picture {picture}")
@@ -198,9 +183,7 @@ def test_evaluate_matches_the_rows_of_the_fit(
 
 
 @pytest.mark.slow
-def test_evaluate_writes_null_for_what_is_not_defined(
-    run: Run, field: Path, tmp_path: Path
-) -> None:
+def test_evaluate_writes_null_for_what_is_not_defined(run, field, tmp_path):
     still = Trajectory(
         np.arange(3.0),
         np.tile([0.0, 0.14, 0.1], (3, 1)),
@@ -219,9 +202,7 @@ def test_evaluate_writes_null_for_what_is_not_defined(
     assert told["hysteresis_share"] is None
 
 
-def test_evaluate_says_what_a_hand_could_tell_apart(
-    run: Run, files: Path, field: Path
-) -> None:
+def test_evaluate_says_what_a_hand_could_tell_apart(run, files, field):
     words = f"evaluate --field {field} --probe {PROBE} --points 300"
     words += f" --trajectory {files / 'press.csv'}"
     told, spoken = json.loads(run(f"{words} --json").out), run(words).out
@@ -234,8 +215,8 @@ def test_evaluate_says_what_a_hand_could_tell_apart(
 
 
 def test_evaluate_tells_errors_by_recording_distance_and_depth(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+    run, files, field, tmp_path
+):
     other = tmp_path / "other.csv"
     presses(torso(), 20, np.random.default_rng(5)).save(other)
     words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
@@ -260,9 +241,7 @@ def test_evaluate_tells_errors_by_recording_distance_and_depth(
     assert "| 0.5 to 1 of the deepest fitted" in table
 
 
-def test_evaluate_says_when_the_fitted_places_are_unknown(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_evaluate_says_when_the_fitted_places_are_unknown(run, files, field, tmp_path):
     older = PotentialField.load(field)
     kept = {k: v for k, v in older.provenance.items() if k != "contacts"}
     replace(older, provenance=kept).save(tmp_path / "older.nc")
@@ -279,9 +258,7 @@ def test_evaluate_says_when_the_fitted_places_are_unknown(
 
 
 @pytest.mark.slow
-def test_fit_keeps_its_uncertainty_for_evaluate(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_fit_keeps_its_uncertainty_for_evaluate(run, files, field, tmp_path):
     own, picture = tmp_path / "own.nc", tmp_path / "uncertainty.png"
     more = f"--formulation depth_map --uncertainty-picture {picture}"
     assert run(fit_words(files, own, more)).status == 0
@@ -303,18 +280,14 @@ def test_fit_keeps_its_uncertainty_for_evaluate(
 
 
 @pytest.mark.slow
-def test_fit_says_when_there_is_no_uncertainty(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_fit_says_when_there_is_no_uncertainty(run, files, tmp_path):
     own = tmp_path / "own.nc"
     answer = run(fit_words(files, own, "--formulation robust --uncertainty"))
     assert answer.status == 0 and own.exists()
     assert "written without uncertainty: no uncertainty for robust" in answer.err
 
 
-def test_render_gives_what_evaluate_compares(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_render_gives_what_evaluate_compares(run, files, field, tmp_path):
     output = tmp_path / "rendered.csv"
     words = f"--field {field} --probe {PROBE} --points 300"
     answer = run(
@@ -337,9 +310,7 @@ def test_render_gives_what_evaluate_compares(
     assert without.status == 0 and "has no friction" in without.err
 
 
-def test_render_takes_another_presliding_length(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_render_takes_another_presliding_length(run, files, field, tmp_path):
     held, output = tmp_path / "held.nc", tmp_path / "rendered.csv"
     potential = PotentialField.load(field)
     law = {"friction_coefficient": 0.3, "presliding_length": 1e-2}
@@ -353,14 +324,11 @@ def test_render_takes_another_presliding_length(
     shell = PointShell.from_spec(PROBE, n_points=300)
     expected = wrenches_along(own, shell, read_trajectory(files / "press.csv"))
     found = read_trajectory(output)
-    assert found.force is not None
     np.testing.assert_allclose(found.force, expected.force, atol=1e-6)
 
 
 @pytest.mark.slow
-def test_render_outside_the_grid_gives_zero_and_says_so(
-    run: Run, field: Path, tmp_path: Path
-) -> None:
+def test_render_outside_the_grid_gives_zero_and_says_so(run, field, tmp_path):
     (tmp_path / "poses.csv").write_text("t,px,py,pz,qw,qx,qy,qz\n0,5,5,5,1,0,0,0\n")
     answer = run(
         f"render --field {field} --probe {PROBE} --trajectory {tmp_path / 'poses.csv'} "
@@ -373,7 +341,7 @@ def test_render_outside_the_grid_gives_zero_and_says_so(
 
 
 @pytest.mark.parametrize("command", ["solvers", "formulations"])
-def test_lists(run: Run, command: str) -> None:
+def test_lists(run, command):
     text, told = run(command), run(f"{command} --json")
     assert text.status == 0 and told.status == 0
     names = {row["name"] for row in json.loads(told.out)[command]}
@@ -395,25 +363,25 @@ def test_lists(run: Run, command: str) -> None:
         "formulations",
     ],
 )
-def test_help_shows_an_example(run: Run, command: str) -> None:
+def test_help_shows_an_example(run, command):
     answer = run(f"{command} --help")
     assert answer.status == 0
     assert f"Example: ttus-opt {command}" in answer.out
     assert "--json" in answer.out
 
 
-def test_no_command_shows_the_help(run: Run) -> None:
+def test_no_command_shows_the_help(run):
     assert run("").out == run("--help").out
 
 
-def test_version(run: Run) -> None:
+def test_version(run):
     assert (
         run("--version").out == f"ttus-opt {importlib.metadata.version('ttus-opt')}\n"
     )
 
 
 @pytest.mark.slow
-def test_module_runs_as_a_process(tmp_path: Path) -> None:
+def test_module_runs_as_a_process(tmp_path):
     process = subprocess.run(
         [sys.executable, "-m", "ttus_opt", "surface"],
         capture_output=True,
@@ -439,9 +407,7 @@ def test_module_runs_as_a_process(tmp_path: Path) -> None:
         ("import ttus_opt.cli.app", ("numpy", "numba", "scipy", "xarray")),
     ],
 )
-def test_nothing_is_loaded_that_is_not_used(
-    used: str, unwanted: tuple[str, ...]
-) -> None:
+def test_nothing_is_loaded_that_is_not_used(used, unwanted):
     code = f"import sys; {used}; print([m for m in {unwanted} if m in sys.modules])"
     told = subprocess.run(
         [sys.executable, "-c", code],

@@ -1,15 +1,12 @@
 """``ttus-opt compensate``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.cli.conftest import PROBE, Run, empty, refused
+from tests.cli.conftest import PROBE, empty, refused
 from tests.sensors.readings import SENSOR, readings, tilts
 from ttus_opt.probe.trajectory import read_trajectory
 
@@ -18,7 +15,7 @@ POINT = ",".join(map(str, SENSOR.point))
 
 
 @pytest.fixture
-def words(tmp_path: Path) -> str:
+def words(tmp_path):
     """A command on a raw recording of a push of 3 N and free poses."""
     readings(tilts(), noise=0.01).save(tmp_path / "free.csv")
     readings(tilts(20), np.array([3.0, 0, 0])).save(tmp_path / "raw.csv")
@@ -29,13 +26,12 @@ def words(tmp_path: Path) -> str:
 
 
 @pytest.mark.slow
-def test_the_contact_comes_back(run: Run, words: str, output: Path) -> None:
+def test_the_contact_comes_back(run, words, output):
     answer = run(
         f"{words} --sign on-probe -o {output / 'c.csv'} --model {output / 'm.json'}"
     )
     assert "kg" in answer.out
     clean = read_trajectory(output / "c.csv")
-    assert clean.force is not None
     np.testing.assert_allclose(clean.force, np.tile([3.0, 0, 0], (20, 1)), atol=0.03)
     told = json.loads((output / "m.json").read_text())
     assert told["mass_kg"] == pytest.approx(0.42, abs=0.005)
@@ -43,7 +39,7 @@ def test_the_contact_comes_back(run: Run, words: str, output: Path) -> None:
 
 
 @pytest.mark.slow
-def test_false_statements_leave_nothing(run: Run, words: str, output: Path) -> None:
+def test_false_statements_leave_nothing(run, words, output):
     to = f"-o {output / 'c.csv'} --model {output / 'm.json'}"
     refused(run(f"{words} --sign by-probe {to}"), "give sign on-probe")
     refused(run(f"{words} --sign up {to}"), "on-probe or by-probe")

@@ -1,7 +1,5 @@
 """One-line messages, JSON and the stage bar."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -15,7 +13,7 @@ from ttus_opt.cli import console
 from ttus_opt.core.errors import TtusWarning
 
 
-def test_json_holds_numbers_and_null(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_holds_numbers_and_null(capsys):
     content = {
         "nan": float("nan"),
         "inf": np.float64("inf"),
@@ -42,22 +40,18 @@ def test_json_holds_numbers_and_null(capsys: pytest.CaptureFixture[str]) -> None
         ("the unit is m", "the unit is m"),
     ],
 )
-def test_messages_are_told_as_options(message: str, told: str) -> None:
+def test_messages_are_told_as_options(message, told):
     assert console.as_options(message) == told
 
 
-def test_a_warning_is_one_line_and_told_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_warning_is_one_line_and_told_once(capsys):
     with console.warnings_in_one_line():
         for _ in range(2):
             warnings.warn("two\n  lines", TtusWarning, stacklevel=1)
     assert capsys.readouterr().err == "warning: two lines\n"
 
 
-def test_a_warning_has_a_line_of_its_own_beside_a_bar(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_warning_has_a_line_of_its_own_beside_a_bar(capsys):
     with console.warnings_in_one_line(), tqdm(total=2, file=sys.stderr) as bar:
         bar.update()
         warnings.warn("off the grid", TtusWarning, stacklevel=1)
@@ -66,7 +60,7 @@ def test_a_warning_has_a_line_of_its_own_beside_a_bar(
     assert "1/2" in shown[1]
 
 
-def test_what_a_terminal_would_carry_out_is_not_printed() -> None:
+def test_what_a_terminal_would_carry_out_is_not_printed():
     told = console.one_line("cannot read \x1b[2J\x00a.csv\udcff:\n no such  file")
     assert told == "cannot read \ufffd[2J\ufffda.csv\ufffd: no such file"
 
@@ -80,9 +74,7 @@ def shown_until(capsys: pytest.CaptureFixture[str], words: str) -> str:
     return shown
 
 
-def test_stages_are_shown_only_for_long_work(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stages_are_shown_only_for_long_work(capsys, monkeypatch):
     with console.Stages(1) as begin:
         begin("quick work")
     assert capsys.readouterr().err == ""
@@ -97,9 +89,7 @@ def test_stages_are_shown_only_for_long_work(
     assert "2/2" in shown
 
 
-def test_a_failure_leaves_the_bar_where_it_was(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_leaves_the_bar_where_it_was(capsys, monkeypatch):
     monkeypatch.setattr(console, "PATIENCE", 0.02)
     with pytest.raises(ValueError, match="broken"), console.Stages(3) as begin:
         begin("first part")

@@ -1,7 +1,5 @@
 """``ttus-opt surface`` of depth images."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -29,7 +27,7 @@ def run(*words: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scans(tmp_path_factory):
     """Three depth images of an ellipsoid on a bed, camera and poses."""
     folder = tmp_path_factory.mktemp("scans")
     rng = np.random.default_rng(0)
@@ -59,9 +57,7 @@ def words(scans: Path, *more: str) -> list[str]:
     return ["surface", *images, *camera, *poses, *axis, *size, *more]
 
 
-def test_three_sides(
-    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_three_sides(scans, tmp_path, capsys):
     out = tmp_path / "surface.nc"
     noise = ["--noise", "time-of-flight:0.0012", "--json", "-o", str(out)]
     assert run(*words(scans, *noise)) == 0
@@ -79,9 +75,7 @@ def test_three_sides(
     assert np.percentile(off, 95) < 3.0e-3
 
 
-def test_an_ellipsoid_is_too_round_to_be_refined(
-    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_ellipsoid_is_too_round_to_be_refined(scans, tmp_path, capsys):
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     out = tmp_path / "surface.nc"
     assert run(*words(scans, "--refine", "-o", str(out))) == 2
@@ -89,9 +83,7 @@ def test_an_ellipsoid_is_too_round_to_be_refined(
     assert not out.exists()
 
 
-def test_the_frame_of_a_held_probe_and_a_later_scan(
-    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_frame_of_a_held_probe_and_a_later_scan(scans, tmp_path, capsys):
     """The probe's z into the patient, its y to the feet; then one scan more."""
     turn = Rotation.from_matrix([[-1, 0, 0], [0, 0, -1], [0, -1, 0]])
     q = ",".join(f"{v:.9f}" for v in turn.as_quat(scalar_first=True))
@@ -167,14 +159,7 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(
         ),
     ],
 )
-def test_bad_input_is_one_line(
-    scans: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    given: list[str],
-    told: str,
-) -> None:
+def test_bad_input_is_one_line(scans, tmp_path, monkeypatch, capsys, given, told):
     monkeypatch.chdir(scans)
     out = tmp_path / "surface.nc"
     assert run("surface", *given, "-o", str(out)) == 2

@@ -1,14 +1,12 @@
 """What ``ttus-opt experiment`` refuses and says; the work is tested below it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Run, empty, refused
+from tests.cli.conftest import empty, refused
 from ttus_opt import experiment
 from ttus_opt.experiment import pipeline
 from ttus_opt.experiment.pipeline import ExperimentResult
@@ -33,14 +31,12 @@ from ttus_opt.experiment.pipeline import ExperimentResult
         ("--comparators nobody", "choose from"),
     ],
 )
-def test_refuses_in_one_line(run: Run, output: Path, words: str, said: str) -> None:
+def test_refuses_in_one_line(run, output, words, said):
     refused(run(f"experiment {words} -o {output}"), said)
     assert empty(output)
 
 
-def test_the_scans_unit_is_told_by_its_own_option(
-    run: Run, files: Path, output: Path
-) -> None:
+def test_the_scans_unit_is_told_by_its_own_option(run, files, output):
     scan = 1e3 * np.load(files / "scan.npy")
     np.save(output / "mm.npy", scan)
     words = f"experiment --torso {output / 'mm.npy'} --torso-unit m -o {output / 'r'}"
@@ -48,9 +44,7 @@ def test_the_scans_unit_is_told_by_its_own_option(
     assert not (output / "r").exists()
 
 
-def test_a_folder_that_cannot_be_is_told_before_the_work(
-    run: Run, output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_is_told_before_the_work(run, output, monkeypatch):
     def work(*given: object) -> None:
         pytest.fail("it has begun")
 
@@ -64,9 +58,7 @@ def test_a_folder_that_cannot_be_is_told_before_the_work(
     assert [path.name for path in output.iterdir()] == ["file"]
 
 
-def test_options_reach_the_plan(
-    run: Run, output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_reach_the_plan(run, output, monkeypatch):
     seen = []
 
     def planned(folder, plan, progress):

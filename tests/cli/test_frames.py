@@ -1,7 +1,5 @@
 """Recordings of a camera's or a robot's frame and of forces alone, by the commands."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.cli.conftest import Run, refused
+from tests.cli.conftest import refused
 from ttus_opt import example
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -44,7 +42,7 @@ def evaluate_words(field: Path, recording: Path, more: str = "") -> str:
 
 
 @pytest.mark.slow
-def test_every_frame_gives_the_same_field(run: Run, tmp_path: Path) -> None:
+def test_every_frame_gives_the_same_field(run, tmp_path):
     own = recording()
     scan = own.transformed(inverse(PLACE))
     base = scan.transformed(inverse(BASE_TO_SCAN))
@@ -80,9 +78,7 @@ def test_every_frame_gives_the_same_field(run: Run, tmp_path: Path) -> None:
     )
 
 
-def test_recordings_of_the_scan_read_as_the_patients_are_told(
-    run: Run, tmp_path: Path
-) -> None:
+def test_recordings_of_the_scan_read_as_the_patients_are_told(run, tmp_path):
     recording().transformed(inverse(PLACE)).save(tmp_path / "scan.csv")
     wrong = run(fit_words(tmp_path / "scan.csv", tmp_path / "wrong.nc"))
     assert (
@@ -103,27 +99,19 @@ def test_recordings_of_the_scan_read_as_the_patients_are_told(
         ("--base-to-scan 1,2,3", ["--base-to-scan", "got 3 numbers"]),
         ("--base-to-scan 400,0,0,0,0,0,1", ["millimetres"]),
         ("--base-to-scan 0,0,0,0,0,0,2", ["length 2, expected 1"]),
-        (
-            '--base-to-scan "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]"',
-            ["scales by 2"],
-        ),
-        (
-            "--base-to-scan -1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1",
-            ["a reflection"],
-        ),
+        ('--base-to-scan "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]"', ["scales by 2"]),
+        ("--base-to-scan -1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", ["a reflection"]),
         ("--frame scan --base-to-scan 0,0,0,0,0,0,1", ["frame is scan, give base"]),
     ],
 )
-def test_what_is_no_frame_is_refused(
-    run: Run, tmp_path: Path, options: str, words: list[str]
-) -> None:
+def test_what_is_no_frame_is_refused(run, tmp_path, options, words):
     answer = run(fit_words(example.path("press_fit.csv"), tmp_path / "f.nc", options))
     refused(answer, *words)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
-def test_forces_alone(run: Run, tmp_path: Path) -> None:
+def test_forces_alone(run, tmp_path):
     replace(recording(), torque=None).save(tmp_path / "force.csv")
     fitted = run(fit_words(tmp_path / "force.csv", tmp_path / "f.nc"))
     assert fitted.status == 0, fitted.err
@@ -137,7 +125,7 @@ def test_forces_alone(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
+def test_a_field_knows_where_it_came_from(run, tmp_path):
     recording().save(tmp_path / "seen.csv")
     recording("press_test").save(tmp_path / "unseen.csv")
     field = tmp_path / "f.nc"
@@ -164,7 +152,7 @@ def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_head_and_box(run: Run, tmp_path: Path) -> None:
+def test_head_and_box(run, tmp_path):
     words = (
         f"surface {example.path('scan.ply')} -o {tmp_path / 's.nc'} --n-theta 36 "
         "--n-z 8"

@@ -1,7 +1,5 @@
 """Ctrl-C: every command ends within two seconds, whatever solver is at work."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -83,9 +81,7 @@ def deaf_at_work(command: str, files: Path, folder: Path) -> subprocess.Popen[st
     [True, pytest.param(False, marks=pytest.mark.slow)],
     ids=["terminal", "kill"],
 )
-def test_a_solver_that_never_listens(
-    files: Path, tmp_path: Path, terminal: bool
-) -> None:
+def test_a_solver_that_never_listens(files, tmp_path, terminal):
     process = deaf_at_work("fit", files, tmp_path)
     interrupted(process, terminal=terminal)
     assert process.returncode == 130
@@ -96,7 +92,7 @@ def test_a_solver_that_never_listens(
 
 
 @pytest.mark.slow
-def test_a_second_interrupt_ends_a_path_at_once(files: Path, tmp_path: Path) -> None:
+def test_a_second_interrupt_ends_a_path_at_once(files, tmp_path):
     """The first leaves it time to write the points it has."""
     process = deaf_at_work("path --weight force=1e-2,1", files, tmp_path)
     process.send_signal(signal.SIGINT)
@@ -121,7 +117,7 @@ DEAF_ONCE = ("cvxpy_clarabel", "osqp", "scs")
         if s.installed
     ],
 )
-def test_every_solver_on_a_large_grid(solver: str, tmp_path: Path) -> None:
+def test_every_solver_on_a_large_grid(solver, tmp_path):
     """Interrupted in assembly, set-up or iterations, as it happens to be."""
     limited = registry.solvers()[solver].capabilities.inequalities
     own = {"augmented_lagrangian": "robust", "covariance": "depth_map"}

@@ -1,12 +1,10 @@
 """``ttus-opt solvers``: what a solver takes, in words."""
 
-from __future__ import annotations
-
 from ttus_opt.cli.list_commands import _takes
 from ttus_opt.solvers import registry
 
 
-def test_only_some_solvers_need_a_laplace_term() -> None:
+def test_only_some_solvers_need_a_laplace_term():
     solvers = registry.solvers().values()
     general = [one for one in solvers if one.capabilities.any_terms]
     assert 0 < len(general) < len(solvers)

@@ -1,14 +1,11 @@
 """``ttus-opt encode`` and ``decode``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Run, empty, refused
+from tests.cli.conftest import empty, refused
 from ttus_opt.message import envelope
 from ttus_opt.message.field_message import sampled
 from ttus_opt.scan.surface import Surface
@@ -18,16 +15,14 @@ pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
 @pytest.fixture
-def message(run: Run, files: Path, output: Path) -> Path:
+def message(run, files, output):
     path = output / "surface.msg"
     assert run(f"encode {files / 'surface.nc'} -o {path}").status == 0
     return path
 
 
 @pytest.mark.slow
-def test_a_surface_and_its_field(
-    run: Run, files: Path, field: Path, output: Path, message: Path
-) -> None:
+def test_a_surface_and_its_field(run, files, field, output, message):
     answer = run(
         f"encode {field} --base {message} --max-error 0.01 -o {output / 'f.msg'} --json"
     )
@@ -46,7 +41,7 @@ def test_a_surface_and_its_field(
     assert np.abs(before.values - after.values)[read].max() <= 0.01 * (1 + 1e-6)
 
 
-def test_what_changed(run: Run, files: Path, output: Path, message: Path) -> None:
+def test_what_changed(run, files, output, message):
     change = output / "change.msg"
     words = f"encode {files / 'surface.nc'} --base {message} -o {change}"
     assert "surface in" in run(words).out
@@ -56,9 +51,7 @@ def test_what_changed(run: Run, files: Path, output: Path, message: Path) -> Non
 
 
 @pytest.mark.slow
-def test_what_is_refused(
-    run: Run, files: Path, field: Path, tmp_path: Path, output: Path
-) -> None:
+def test_what_is_refused(run, files, field, tmp_path, output):
     surface, to = files / "surface.nc", f"-o {output / 'x'}"
     refused(run(f"encode {field} {to}"), "base", "surface's message")
     refused(run(f"encode {surface} --max-error 0 {to}"), "max_error")
@@ -72,9 +65,7 @@ def test_what_is_refused(
     assert empty(output)
 
 
-def test_a_damaged_message_leaves_nothing(
-    run: Run, output: Path, message: Path
-) -> None:
+def test_a_damaged_message_leaves_nothing(run, output, message):
     content = bytearray(message.read_bytes())
     content[40] ^= 1
     message.write_bytes(content)
@@ -83,8 +74,8 @@ def test_a_damaged_message_leaves_nothing(
 
 
 def test_one_byte_after_the_longest_message_is_refused(
-    run: Run, output: Path, message: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    run, output, message, monkeypatch
+):
     monkeypatch.setattr(envelope, "LONGEST", len(message.read_bytes()))
     target = output / "surface.nc"
     assert run(f"decode {message} -o {target}").status == 0

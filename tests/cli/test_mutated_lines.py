@@ -1,7 +1,5 @@
 """Mutations of sound command lines: the package's own errors and no others."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -102,15 +100,7 @@ def mutated(words: list[str], rng: np.random.Generator) -> list[str]:
 
 @pytest.mark.parametrize(("part", "n"), LINES)
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutated_lines(
-    files: Path,
-    field: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    part: int,
-    n: int,
-) -> None:
+def test_mutated_lines(files, field, tmp_path, monkeypatch, capsys, part, n):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     monkeypatch.setattr("ttus_opt.fitting.batch.fit", far_enough)

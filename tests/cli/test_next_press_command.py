@@ -1,14 +1,12 @@
 """``ttus-opt next-press``: what it tells, writes and refuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, Run, empty, refused
+from tests.cli.conftest import PROBE, empty, refused
 
 
 def words(files: Path, more: str = "") -> str:
@@ -18,7 +16,7 @@ def words(files: Path, more: str = "") -> str:
     )
 
 
-def test_it_names_places_and_writes_them(run: Run, files: Path, output: Path) -> None:
+def test_it_names_places_and_writes_them(run, files, output):
     poses, picture = output / "next.csv", output / "next.png"
     answer = run(words(files, f"--count 2 --json -o {poses} --picture {picture}"))
     assert answer.status == 0, answer.err
@@ -42,8 +40,6 @@ def test_it_names_places_and_writes_them(run: Run, files: Path, output: Path) ->
         ("--picture next.txt", "next.txt"),
     ],
 )
-def test_bad_input_is_one_line(
-    run: Run, files: Path, output: Path, more: str, told: str
-) -> None:
+def test_bad_input_is_one_line(run, files, output, more, told):
     refused(run(words(files, f"{more} -o {output / 'next.csv'}")), told)
     assert empty(output)

@@ -1,7 +1,5 @@
 """``ttus-opt path``: what it writes, tells and refuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import pytest
 import xarray as xr
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, Run, empty, refused
+from tests.cli.conftest import PROBE, empty, refused
 from ttus_opt.fitting.path import solution_path
 
 
@@ -25,9 +23,7 @@ def words(files: Path, output: Path, more: str = "") -> str:
 
 
 @pytest.mark.slow
-def test_it_writes_a_file_and_a_picture_and_tells(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_it_writes_a_file_and_a_picture_and_tells(run, files, tmp_path):
     output, picture = tmp_path / "path.nc", tmp_path / "path.png"
     more = f"--weight force,torque=1e-3:10:3 --criteria --fields --picture {picture}"
     answer = run(words(files, output, f"{more} --json"))
@@ -74,17 +70,13 @@ def test_it_writes_a_file_and_a_picture_and_tells(
         ("--weight force=1,2 --formulation eq10_sign --criteria", "without limits"),
     ],
 )
-def test_bad_input_is_one_line(
-    run: Run, files: Path, output: Path, more: str, told: str
-) -> None:
+def test_bad_input_is_one_line(run, files, output, more, told):
     refused(run(words(files, output / "path.nc", more)), told)
     assert empty(output)
 
 
 @pytest.mark.parametrize("done", [2, 0])
-def test_an_interrupt_writes_what_is_done(
-    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: int
-) -> None:
+def test_an_interrupt_writes_what_is_done(run, files, tmp_path, monkeypatch, done):
     from ttus_opt.fitting.path import solution_path as module
 
     plain = module.PathRecord.add
@@ -95,7 +87,7 @@ def test_an_interrupt_writes_what_is_done(
         count += 1
         if count == done + 1:
             raise KeyboardInterrupt
-        plain(*given)  # type: ignore[arg-type]
+        plain(*given)
 
     monkeypatch.setattr(module.PathRecord, "add", add)
     output = tmp_path / "path.nc"
@@ -117,9 +109,7 @@ def test_an_interrupt_writes_what_is_done(
     assert tt.read_solution_path(output)["status"].shape == (3,)
 
 
-def test_nothing_solved_is_status_one(
-    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_solved_is_status_one(run, files, tmp_path, monkeypatch):
     """The file is written, for its residuals."""
     traced = solution_path.solution_path
 
@@ -136,11 +126,10 @@ def test_nothing_solved_is_status_one(
     assert output.exists()
 
 
-def test_a_list_of_weights_is_positive() -> None:
+def test_a_list_of_weights_is_positive():
     from ttus_opt.cli.path_command import _list
 
     found = _list("0.5,2")
-    assert found is not None
     assert found.tolist() == [0.5, 2.0]
     for text in ("0,1", "1,inf", "-1,2", "1,x"):
         assert _list(text) is None

@@ -1,9 +1,6 @@
 """What is said of a recording, and what is left out where it is not known."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +20,7 @@ FOUND = Calibration(
 )
 
 
-def test_all_that_is_known_is_said() -> None:
+def test_all_that_is_known_is_said():
     line = RecordingLine("a.csv", 100, 0.123, FOUND)
     lost, uncertainty, ranks, deeper = line.lines
     assert lost == "a.csv: its presses lose 12 % of their work to hysteresis"
@@ -43,7 +40,7 @@ def test_all_that_is_known_is_said() -> None:
     )
 
 
-def test_what_is_not_known_is_left_out() -> None:
+def test_what_is_not_known_is_left_out():
     assert RecordingLine("a.csv", 100, math.nan).lines == []
     assert "uncertainty" not in RecordingLine("a.csv", 100, math.nan).as_dict()
     force = Calibration(0.05, math.nan, 0.95, math.nan, 0.4, math.nan, 90)
@@ -52,15 +49,13 @@ def test_what_is_not_known_is_left_out() -> None:
     assert not any(word in lines[0] for word in ("mN m", "torque", "nan"))
 
 
-def test_a_refusal_is_said() -> None:
+def test_a_refusal_is_said():
     line = RecordingLine("a.csv", 2, math.nan, None, "fewer than three")
     assert line.lines == ["a.csv: no uncertainty: fewer than three"]
     assert line.as_dict()["uncertainty"] is None
 
 
-def test_a_picture_of_nothing_is_refused_before_any_other_is_written(
-    tmp_path: Path,
-) -> None:
+def test_a_picture_of_nothing_is_refused_before_any_other_is_written(tmp_path):
     air = RecordingLine("a.csv", 100, math.nan, refused="fewer than three")
     forces, calibration = tmp_path / "forces.png", tmp_path / "calibration.png"
     found: Any = None  # not drawn

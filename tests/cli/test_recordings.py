@@ -1,7 +1,5 @@
 """A laboratory's recording, written by ROS's conventions, through the commands."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace
@@ -10,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Run
 from ttus_opt import example
 from ttus_opt.cli.evaluate_command import warn_of_poses
 from ttus_opt.core.errors import MistakeWarning
@@ -48,9 +45,7 @@ def words(recording: Path, output: Path, more: str = "") -> str:
     )
 
 
-def test_the_command_names_the_mistake_and_the_option_mends_it(
-    run: Run, tmp_path: Path
-) -> None:
+def test_the_command_names_the_mistake_and_the_option_mends_it(run, tmp_path):
     written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
     wrong = run(words(written, tmp_path / "wrong.nc"))
     assert wrong.status == 0
@@ -84,9 +79,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_strict_refuses_a_likely_mistake(
-    run: Run, tmp_path: Path, command: str
-) -> None:
+def test_strict_refuses_a_likely_mistake(run, tmp_path, command):
     output = tmp_path / "out"
     press = example.path("press_fit.csv")
     answer = run(
@@ -100,9 +93,7 @@ def test_strict_refuses_a_likely_mistake(
     assert not output.exists()
 
 
-def test_strict_judges_before_a_picture_or_a_rendering(
-    run: Run, tmp_path: Path
-) -> None:
+def test_strict_judges_before_a_picture_or_a_rendering(run, tmp_path):
     press, field = example.path("press_fit.csv"), tmp_path / "field.nc"
     fitted = words(press, field).replace("--columns t=__time", "--strict")
     assert run(fitted).status == 0
@@ -121,7 +112,7 @@ def test_strict_judges_before_a_picture_or_a_rendering(
     assert not poses.exists()
 
 
-def test_no_contact_and_a_delay_beyond_the_recording(run: Run, tmp_path: Path) -> None:
+def test_no_contact_and_a_delay_beyond_the_recording(run, tmp_path):
     """Nothing was measured: no field, with and without --strict."""
     press = read_trajectory(example.path("press_fit.csv"))
     away, output = tmp_path / "away.csv", tmp_path / "f.nc"
@@ -137,9 +128,7 @@ def test_no_contact_and_a_delay_beyond_the_recording(run: Run, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_torques_about_the_origin_come_back_about_the_origin(
-    run: Run, tmp_path: Path
-) -> None:
+def test_torques_about_the_origin_come_back_about_the_origin(run, tmp_path):
     """What `render` writes is compared by `evaluate` with the same point: no error."""
     fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
     about = "--torque-about 0,0,0.05"
@@ -163,7 +152,7 @@ def test_torques_about_the_origin_come_back_about_the_origin(
 
 
 @pytest.mark.slow
-def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
+def test_another_probe_is_told(run, tmp_path):
     fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
     assert run(fitted.replace("--columns t=__time", "")).status == 0
     answer = run(
@@ -175,9 +164,7 @@ def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_boundary_that_cannot_be_fitted_names_the_mistake(
-    run: Run, tmp_path: Path
-) -> None:
+def test_a_boundary_that_cannot_be_fitted_names_the_mistake(run, tmp_path):
     written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
     output = tmp_path / "f.nc"
     answer = run(words(written, output).replace("--inner 10", "--inner fit"))
@@ -187,13 +174,13 @@ def test_a_boundary_that_cannot_be_fitted_names_the_mistake(
     assert not output.exists()
 
 
-def test_poses_off_a_field_s_grid_are_a_likely_mistake() -> None:
+def test_poses_off_a_field_s_grid_are_a_likely_mistake():
     inside, none = np.array([True, False]), np.zeros(2, np.int64)
     with pytest.warns(MistakeWarning, match="1 of 2 poses lie outside the field's"):
         warn_of_poses(inside, none, none > 0)
 
 
-def test_a_tracker_s_jump_is_a_likely_mistake(run: Run, tmp_path: Path) -> None:
+def test_a_tracker_s_jump_is_a_likely_mistake(run, tmp_path):
     press, jumped = read_trajectory(example.path("press_fit.csv")), tmp_path / "j.csv"
     late = (np.arange(len(press)) >= 50)[:, None]
     replace(press, position=press.position + late * [0.05, 0.0, 0.0]).save(jumped)

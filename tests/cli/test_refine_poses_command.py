@@ -1,7 +1,5 @@
 """``ttus-opt refine-poses``: what it writes, tells and refuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, Run, refused
+from tests.cli.conftest import PROBE, refused
 from ttus_opt.fitting.poses import pose_refinement
 from ttus_opt.fitting.poses.pose_error_step import Check
 
@@ -21,9 +19,7 @@ def words(files: Path, output: Path, more: str = "") -> str:
     )
 
 
-def test_it_writes_recordings_for_fit(
-    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_writes_recordings_for_fit(run, files, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_refinement, "CONVERGED", np.inf)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     monkeypatch.setattr(Check, "better", True)
@@ -42,9 +38,7 @@ def test_it_writes_recordings_for_fit(
     assert f"poses moved by {one['position_mm']:.2f} mm" in plain.out
 
 
-def test_forces_without_a_field_move_no_pose(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_forces_without_a_field_move_no_pose(run, files, tmp_path):
     output = tmp_path / "refined.csv"
     answer = run(words(files, output))
     assert answer.status == 0
@@ -53,9 +47,7 @@ def test_forces_without_a_field_move_no_pose(
     np.testing.assert_allclose(found.position, given.position, atol=1e-9)
 
 
-def test_steps_that_do_not_end_write_nothing(
-    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_steps_that_do_not_end_write_nothing(run, files, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_refinement, "CONVERGED", 0.0)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     output = tmp_path / "refined.csv"
@@ -74,13 +66,11 @@ def test_steps_that_do_not_end_write_nothing(
         ("--correlation -1", "correlation time"),
     ],
 )
-def test_bad_noise_is_one_line(
-    run: Run, files: Path, tmp_path: Path, more: str, told: str
-) -> None:
+def test_bad_noise_is_one_line(run, files, tmp_path, more, told):
     output = tmp_path / "refined.csv"
     refused(run(words(files, output, more)), told)
     assert not output.exists()
 
 
-def test_it_does_not_replace_its_input(run: Run, files: Path) -> None:
+def test_it_does_not_replace_its_input(run, files):
     refused(run(words(files, files / "press.csv")), "press.csv")

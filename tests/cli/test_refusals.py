@@ -1,7 +1,5 @@
 """What the commands refuse: one line, status 2, nothing written."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -10,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.conftest import PROBE, Run, empty, fit_words, refused
+from tests.cli.conftest import PROBE, empty, fit_words, refused
 from tests.conftest import presses, torso
 from ttus_opt.cli import fit_command
 from ttus_opt.probe.trajectory import Trajectory
@@ -22,15 +20,13 @@ def cloud_words(scan: Path, output: Path) -> str:
     return f"surface {scan} -o {output / 's.nc'}"
 
 
-def test_millimetres_read_as_metres(
-    run: Run, files: Path, tmp_path: Path, output: Path
-) -> None:
+def test_millimetres_read_as_metres(run, files, tmp_path, output):
     np.save(tmp_path / "mm.npy", 1e3 * np.load(files / "scan.npy"))
     refused(run(cloud_words(tmp_path / "mm.npy", output)), "--unit mm")
     assert empty(output)
 
 
-def test_nan_coordinates(run: Run, files: Path, tmp_path: Path, output: Path) -> None:
+def test_nan_coordinates(run, files, tmp_path, output):
     cloud = np.load(files / "scan.npy")
     cloud[7] = np.nan
     np.save(tmp_path / "nan.npy", cloud)
@@ -38,13 +34,13 @@ def test_nan_coordinates(run: Run, files: Path, tmp_path: Path, output: Path) ->
     assert empty(output)
 
 
-def test_empty_cloud(run: Run, tmp_path: Path, output: Path) -> None:
+def test_empty_cloud(run, tmp_path, output):
     (tmp_path / "empty.ply").touch()
     refused(run(cloud_words(tmp_path / "empty.ply", output)), "empty")
     assert empty(output)
 
 
-def test_truncated_cloud(run: Run, tmp_path: Path, output: Path) -> None:
+def test_truncated_cloud(run, tmp_path, output):
     (tmp_path / "short.pcd").write_bytes(
         b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 500\n"
         b"HEIGHT 1\nPOINTS 500\nDATA binary\n" + bytes(600)
@@ -53,7 +49,7 @@ def test_truncated_cloud(run: Run, tmp_path: Path, output: Path) -> None:
     assert empty(output)
 
 
-def test_cloud_that_never_meets_the_axis(run: Run, files: Path, output: Path) -> None:
+def test_cloud_that_never_meets_the_axis(run, files, output):
     words = cloud_words(files / "scan.npy", output)
     refused(
         run(f"{words} --no-support --axis-origin 4,0,0 --axis-direction 0,0,1"),
@@ -78,9 +74,7 @@ def test_cloud_that_never_meets_the_axis(run: Run, files: Path, output: Path) ->
         ("--colour red", ["--colour"]),
     ],
 )
-def test_surface_options(
-    run: Run, files: Path, output: Path, more: str, words: list[str]
-) -> None:
+def test_surface_options(run, files, output, more, words):
     refused(run(f"{cloud_words(files / 'scan.npy', output)} {more}"), *words)
     assert empty(output)
 
@@ -96,9 +90,7 @@ def test_surface_options(
     ],
     ids=["missing column", "unsorted time", "unnormalised", "zero", "empty"],
 )
-def test_bad_trajectory(
-    run: Run, files: Path, tmp_path: Path, output: Path, text: str, words: list[str]
-) -> None:
+def test_bad_trajectory(run, files, tmp_path, output, text, words):
     bad = tmp_path / "bad.csv"
     bad.write_text(text)
     answer = run(fit_words(files, output / "f.nc", f"--trajectory {bad}"))
@@ -132,25 +124,19 @@ def test_bad_trajectory(
         ("--r-inner 0.3", ["r_inner"]),
     ],
 )
-def test_fit_options(
-    run: Run, files: Path, output: Path, more: str, words: list[str]
-) -> None:
+def test_fit_options(run, files, output, more, words):
     refused(run(fit_words(files, output / "f.nc", more)), *words)
     assert empty(output)
 
 
-def test_probe_mesh_of_zero_area(
-    run: Run, files: Path, tmp_path: Path, output: Path
-) -> None:
+def test_probe_mesh_of_zero_area(run, files, tmp_path, output):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 10 0 0\nv 20 0 0\nf 1 2 3\n")
     answer = run(fit_words(files, output / "f.nc", f"--probe {tmp_path / 'flat.obj'}"))
     refused(answer, "zero area")
     assert empty(output)
 
 
-def test_probe_mesh_in_the_wrong_unit(
-    run: Run, files: Path, tmp_path: Path, output: Path
-) -> None:
+def test_probe_mesh_in_the_wrong_unit(run, files, tmp_path, output):
     corners = "v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 30\n"
     (tmp_path / "mm.obj").write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     words = f"--probe {tmp_path / 'mm.obj'} --probe-unit m"
@@ -158,9 +144,7 @@ def test_probe_mesh_in_the_wrong_unit(
     assert empty(output)
 
 
-def test_probe_never_in_contact_is_refused(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_probe_never_in_contact_is_refused(run, files, tmp_path):
     away = presses(torso(), 5, np.random.default_rng(1))
     Trajectory(
         away.time, 1.4 * away.position, away.rotation, away.force, away.torque
@@ -179,9 +163,7 @@ def test_probe_never_in_contact_is_refused(
     assert fitted.errors[-1].startswith("error: --inner fit needs measured forces")
 
 
-def test_field_of_another_version(
-    run: Run, files: Path, field: Path, tmp_path: Path
-) -> None:
+def test_field_of_another_version(run, files, field, tmp_path):
     import xarray as xr
 
     later = xr.load_dataset(field, engine="netcdf4").assign_attrs(ttus_opt_version=99)
@@ -195,9 +177,7 @@ def test_field_of_another_version(
     refused(run(f"evaluate --field {files / 'surface.nc'} {words}"), "surface")
 
 
-def test_no_solution_writes_no_field(
-    run: Run, files: Path, output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_solution_writes_no_field(run, files, output, monkeypatch):
     monkeypatch.setattr(fit_command, "SOLVING", 0.0)  # nothing is left of the time
     words = fit_words(files, output / "f.nc", "--solver osqp --tolerance 1e-13")
     answer = run(f"{words} --json")
@@ -208,16 +188,12 @@ def test_no_solution_writes_no_field(
     assert empty(output)
 
 
-def test_nothing_is_half_written_into_a_folder_that_is_none(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_half_written_into_a_folder_that_is_none(run, files, tmp_path):
     (tmp_path / "file").touch()
     refused(run(fit_words(files, tmp_path / "file" / "f.nc")), "cannot write")
 
 
-def test_an_interrupt_is_one_line(
-    run: Run, files: Path, output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_is_one_line(run, files, output, monkeypatch):
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -241,15 +217,7 @@ def test_an_interrupt_is_one_line(
     ],
     ids=["build", "import", "solver"],
 )
-def test_a_users_file_that_raises(
-    run: Run,
-    files: Path,
-    tmp_path: Path,
-    output: Path,
-    option: str,
-    text: str,
-    told: str,
-) -> None:
+def test_a_users_file_that_raises(run, files, tmp_path, output, option, text, told):
     """One line with the file and its own line, no traceback."""
     own = tmp_path / "own.py"
     own.write_text(text)
@@ -261,9 +229,7 @@ def test_a_users_file_that_raises(
     assert empty(output)
 
 
-def test_an_output_never_replaces_an_input(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_an_output_never_replaces_an_input(run, files, tmp_path):
     scan = tmp_path / "scan.npy"
     scan.write_bytes((files / "scan.npy").read_bytes())
     before = scan.read_bytes()
@@ -277,14 +243,14 @@ def test_an_output_never_replaces_an_input(
     assert scan.read_bytes() == before
 
 
-def test_two_outputs_are_two_files(run: Run, files: Path, tmp_path: Path) -> None:
+def test_two_outputs_are_two_files(run, files, tmp_path):
     same = tmp_path / "a.png"
     words = f"surface {files / 'scan.npy'} -o {same} --picture {same}"
     refused(run(words), "two outputs")
     assert empty(tmp_path)
 
 
-def test_a_terminated_command_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_terminated_command_leaves_nothing_behind(tmp_path):
     code = (
         "import os, signal, sys, typer\n"
         "from ttus_opt.core import io\n"

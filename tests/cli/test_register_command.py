@@ -1,14 +1,11 @@
 """``ttus-opt register``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Run, empty, refused
+from tests.cli.conftest import empty, refused
 from tests.sensors.test_hand_eye import X, pairs
 from ttus_opt.probe.rigid_motion import read_rigid_motion
 
@@ -17,7 +14,7 @@ BOARD = "--dictionary 4X4_250 --marker 0.0256 --gap 0.0066"
 
 
 @pytest.fixture
-def given(tmp_path: Path) -> Path:
+def given(tmp_path):
     """Files of pairs and intrinsics."""
     folder = tmp_path / "given"
     folder.mkdir()
@@ -27,7 +24,7 @@ def given(tmp_path: Path) -> Path:
     return folder
 
 
-def test_where_a_camera_is(run: Run, given: Path, output: Path) -> None:
+def test_where_a_camera_is(run, given, output):
     words = f"register hand-eye {given / 'pairs.json'} --camera fixed"
     answer = run(f"{words} -o {output / 'x.json'} --json")
     told = json.loads(answer.out)
@@ -38,15 +35,13 @@ def test_where_a_camera_is(run: Run, given: Path, output: Path) -> None:
     assert "read as marker to camera and hand to base" in run(words).out
 
 
-def test_poses_the_wrong_way_round(run: Run, given: Path, output: Path) -> None:
+def test_poses_the_wrong_way_round(run, given, output):
     words = f"register hand-eye {given / 'pairs.json'} --camera moving"
     refused(run(f"{words} -o {output / 'x.json'}"), "--camera fixed", "do not close")
     assert empty(output)
 
 
-def test_a_board_and_its_markers(
-    run: Run, shared: Path, given: Path, output: Path
-) -> None:
+def test_a_board_and_its_markers(run, shared, given, output):
     photo = shared / "markers" / "aruco_photo.png"
     words = f"register board {photo} --intrinsics {given / 'camera.json'} {BOARD}"
     answer = run(f"{words} --columns 3 --rows 4 -o {output / 'b.json'}")
@@ -62,7 +57,7 @@ def test_a_board_and_its_markers(
     assert len(json.loads(answer.out)["markers_to_camera"]) == 12
 
 
-def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
+def test_what_is_refused(run, given, output):
     camera, to = given / "camera.json", f"-o {output / 'x.json'}"
     board = f"--intrinsics {camera} {BOARD} --columns 3 --rows 4 {to}"
     refused(run(f"register board {camera} {board}"), "as an image")

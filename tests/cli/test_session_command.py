@@ -1,17 +1,14 @@
 """``ttus-opt session`` and ``ttus-opt record``."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Run, empty, refused
+from tests.cli.conftest import empty, refused
 from tests.session.recordings import changed, copied
 from tests.session.test_mistakes import jumped
 from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
@@ -20,7 +17,7 @@ from ttus_opt.session.results import STEPS
 
 
 @pytest.mark.slow
-def test_a_session(run: Run, tmp_path: Path, output: Path) -> None:
+def test_a_session(run, tmp_path, output):
     recording = copied(tmp_path)
     answer = run(f"session {recording} -o {output} --json")
     assert answer.status == 0, answer.err
@@ -32,7 +29,7 @@ def test_a_session(run: Run, tmp_path: Path, output: Path) -> None:
     assert Path(told["report"]).read_text().startswith("# Synthetic recording")
 
 
-def test_what_is_refused(run: Run, tmp_path: Path, output: Path) -> None:
+def test_what_is_refused(run, tmp_path, output):
     recording = copied(tmp_path)
     refused(run(f"session {recording}"), "--output is missing")
     refused(run(f"session {tmp_path} -o {output}"), "session.yaml", "--example")
@@ -51,9 +48,7 @@ def test_what_is_refused(run: Run, tmp_path: Path, output: Path) -> None:
     assert empty(output)
 
 
-def test_an_interrupt_says_what_is_complete(
-    run: Run, tmp_path: Path, output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_says_what_is_complete(run, tmp_path, output, monkeypatch):
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -65,7 +60,7 @@ def test_an_interrupt_says_what_is_complete(
     assert {f.name for f in output.iterdir()} == {"session.json", "surface.nc"}
 
 
-def test_the_example(run: Run, tmp_path: Path) -> None:
+def test_the_example(run, tmp_path):
     folder = tmp_path / "recording"
     told = json.loads(run(f"session {folder} --example --json").out)
     assert told["truth"]["offset"] == 0.83
@@ -74,7 +69,7 @@ def test_the_example(run: Run, tmp_path: Path) -> None:
     refused(run(f"session {folder} --example"), "holds other files")
 
 
-def test_a_recording_of_openigtlink(run: Run, output: Path) -> None:
+def test_a_recording_of_openigtlink(run, output):
     pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
     from tests.sensors.test_open_igt_link import sensor, serving, transform
     from ttus_opt.probe.trajectory import read_trajectory
@@ -100,7 +95,7 @@ def test_a_recording_of_openigtlink(run: Run, output: Path) -> None:
     assert empty(output)
 
 
-def test_a_killed_recording_is_readable(output: Path) -> None:
+def test_a_killed_recording_is_readable(output):
     """What is on disk after 0.3 s in place of 5 s; nothing half-written beside it."""
     pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
     from tests.sensors.test_open_igt_link import serving, transform
@@ -127,7 +122,6 @@ def test_a_killed_recording_is_readable(output: Path) -> None:
 def thousandfold(recording: Path) -> None:
     """Torques in N·mm under the unit N·m."""
     read = read_netcdf_wrenches(recording / "force.nc")
-    assert read.torque is not None
     torque = 1e3 * read.torque
     wrenches = WrenchStream(read.time, read.force, torque)
     write_netcdf_wrenches(wrenches, recording / "force.nc")
@@ -160,9 +154,7 @@ def axes(recording: Path) -> None:
         (axes, "the readings lie 45° from the stated axes"),
     ],
 )
-def test_strict_refuses_a_named_mistake(
-    run: Run, tmp_path: Path, output: Path, spoil: Callable[[Path], None], told: str
-) -> None:
+def test_strict_refuses_a_named_mistake(run, tmp_path, output, spoil, told):
     recording = copied(tmp_path)
     spoil(recording)
     answer = run(f"session {recording} -o {output} --strict")

@@ -1,7 +1,5 @@
 """Where a field came from: what is kept of it, and what is said of other files."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json
@@ -23,13 +21,13 @@ def written(path: Path, content: str) -> Path:
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> RecordingOptions:
+def recordings(tmp_path):
     files = [written(tmp_path / f"{name}.csv", f"t,{name}") for name in ("a", "b")]
     return RecordingOptions(files)
 
 
 @pytest.fixture
-def surface(tmp_path: Path) -> Path:
+def surface(tmp_path):
     return written(tmp_path / "surface.nc", "skin")
 
 
@@ -52,9 +50,7 @@ def nothing_said(
         warn_of_another_probe(of, probe, recordings)
 
 
-def test_files_are_kept_by_name_and_hash(
-    surface: Path, recordings: RecordingOptions, tmp_path: Path
-) -> None:
+def test_files_are_kept_by_name_and_hash(surface, recordings, tmp_path):
     mesh = written(tmp_path / "probe.stl", "solid")
     found = kept(surface, recordings, str(mesh))
     assert (found["probe"], found["surface"]) == ("probe.stl", "surface.nc")
@@ -72,17 +68,13 @@ def test_files_are_kept_by_name_and_hash(
     assert set(json.loads(primitive["hashes"])) == {"surface.nc"}
 
 
-def test_options_of_the_field_are_kept_and_no_others(
-    surface: Path, recordings: RecordingOptions
-) -> None:
+def test_options_of_the_field_are_kept_and_no_others(surface, recordings):
     found = kept(surface, recordings)
     assert json.loads(found["options"]) == {"lam": 0.5, "sampling": "trilinear"}
     assert json.loads(found["conventions"])["torque_about"] == "centroid"
 
 
-def test_versions_are_those_installed(
-    surface: Path, recordings: RecordingOptions, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_versions_are_those_installed(surface, recordings, monkeypatch):
     monkeypatch.setattr(module, "PACKAGES", ("numpy", "no-such-package"))
     assert json.loads(kept(surface, recordings)["versions"]) == {
         "python": platform.python_version(),
@@ -91,9 +83,7 @@ def test_versions_are_those_installed(
     }
 
 
-def test_a_recording_is_known_by_its_content(
-    surface: Path, recordings: RecordingOptions, tmp_path: Path
-) -> None:
+def test_a_recording_is_known_by_its_content(surface, recordings, tmp_path):
     renamed = written(tmp_path / "c.csv", "t,a")
     changed = written(tmp_path / "b.csv", "t,other")  # after what is kept of it
     of = {**kept(surface, recordings), "recordings": json.dumps({"b": sha256("t,a")})}
@@ -104,7 +94,7 @@ def test_a_recording_is_known_by_its_content(
     assert [each["seen"] for each in seen({}, [renamed])] == [False]
 
 
-def test_another_probe_is_told(surface: Path, recordings: RecordingOptions) -> None:
+def test_another_probe_is_told(surface, recordings):
     found = kept(surface, recordings)
     nothing_said(found, ProbeOptions("sphere:0.02"), recordings)
     with pytest.warns(TtusWarning, match=r"with probe sphere:0.02, this is box:1,1,1"):
@@ -113,9 +103,7 @@ def test_another_probe_is_told(surface: Path, recordings: RecordingOptions) -> N
     nothing_said({}, ProbeOptions("box:1,1,1"), recordings)
 
 
-def test_a_probes_file_that_changed_is_told(
-    surface: Path, recordings: RecordingOptions, tmp_path: Path
-) -> None:
+def test_a_probes_file_that_changed_is_told(surface, recordings, tmp_path):
     mesh = written(tmp_path / "probe.stl", "solid one")
     probe = ProbeOptions(str(mesh))
     found = kept(surface, recordings, str(mesh))
@@ -135,9 +123,7 @@ def test_a_probes_file_that_changed_is_told(
         ([0.0, 0.1, 0.0], r"torques about \(0.0, 0.1, 0.0\)"),
     ],
 )
-def test_torques_about_another_point_are_told(
-    about: object, told: str, surface: Path, recordings: RecordingOptions
-) -> None:
+def test_torques_about_another_point_are_told(about, told, surface, recordings):
     conventions = json.dumps({"torque_about": about})
     found = {**kept(surface, recordings), "conventions": conventions}
     probe = ProbeOptions("sphere:0.02")
@@ -151,8 +137,8 @@ def test_torques_about_another_point_are_told(
 @pytest.mark.parametrize("text", ["[1]", "{", ""])
 @pytest.mark.parametrize("key", ["hashes", "conventions", "recordings"])
 def test_damaged_provenance_is_told_by_its_key(
-    key: str, text: str, surface: Path, recordings: RecordingOptions, tmp_path: Path
-) -> None:
+    key, text, surface, recordings, tmp_path
+):
     mesh = written(tmp_path / "probe.stl", "solid")
     damaged = {**kept(surface, recordings, str(mesh)), key: text}
     with pytest.raises(FileError, match=f"field file's {key} are damaged"):

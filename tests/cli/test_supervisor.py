@@ -1,14 +1,10 @@
 """The process that waits for a command: it ends as the command does."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -35,7 +31,7 @@ supervisor.run_supervised("fit")
 
 
 @pytest.fixture
-def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[str]]]:
+def started(tmp_path):
     """Processes that are ended whatever happens."""
     running: list[subprocess.Popen[str]] = []
     yield running
@@ -58,7 +54,6 @@ def command(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     started.append(process)
-    assert process.stdout is not None
     assert process.stdout.readline() == "at work\n"
     return process
 
@@ -72,41 +67,30 @@ def command(
         ("os.kill(os.getpid(), signal.SIGSEGV)", -signal.SIGSEGV),
     ],
 )
-def test_it_ends_as_its_child(
-    does: str, status: int, started: list[subprocess.Popen[str]]
-) -> None:
+def test_it_ends_as_its_child(does, status, started):
     assert command(does, started).wait(60.0) == status
 
 
 @pytest.mark.parametrize(
     ("sent", "status"),
-    [
-        (signal.SIGINT, INTERRUPTED),
-        (signal.SIGTERM, supervisor.TERMINATED),
-    ],
+    [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, supervisor.TERMINATED)],
 )
-def test_a_child_that_hears_nothing_is_ended(
-    sent: signal.Signals, status: int, started: list[subprocess.Popen[str]]
-) -> None:
+def test_a_child_that_hears_nothing_is_ended(sent, status, started):
     deaf = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())"
     process = command(
         f"{deaf}\nprint('deaf', flush=True)\ntime.sleep(60)", started, GRACE
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == "deaf\n"
     start = time.monotonic()
     process.send_signal(sent)
     assert process.wait(60.0) == status
     assert time.monotonic() - start >= GRACE
-    assert process.stderr is not None
     assert ("nothing further was written" in process.stderr.read()) == (
         sent == signal.SIGINT
     )
 
 
-def test_a_child_cleans_up_within_its_time(
-    started: list[subprocess.Popen[str]],
-) -> None:
+def test_a_child_cleans_up_within_its_time(started):
     does = """
 try:
     print("in the middle", flush=True)
@@ -116,7 +100,6 @@ except KeyboardInterrupt:
     sys.exit(130)
 """
     process = command(does, started)
-    assert process.stdout is not None
     assert process.stdout.readline() == "in the middle\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(60.0) == INTERRUPTED
@@ -124,9 +107,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("word", ["", "--help", *supervisor.ALONE])
-def test_what_is_over_at_once_has_no_child(
-    word: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_over_at_once_has_no_child(word, monkeypatch):
     monkeypatch.setattr(os, "fork", lambda: pytest.fail("forked"))
     supervisor.run_supervised(word)
 
@@ -141,11 +122,8 @@ def test_what_is_over_at_once_has_no_child(
     ],
 )
 def test_dense_algebra_has_one_thread_unless_the_environment_says_otherwise(
-    command: str,
-    told: dict[str, str],
-    threads: str | None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    command, told, threads, monkeypatch
+):
     monkeypatch.setattr(os, "environ", dict(told))
     cli._one_blas_thread(command)
     assert os.environ.get("OPENBLAS_NUM_THREADS") == threads

@@ -1,22 +1,19 @@
 """``ttus-opt synchronise``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.cli.conftest import Run, empty, refused
+from tests.cli.conftest import empty, refused
 from tests.conftest import torso
 from tests.sensors.test_clock import wander
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 
 @pytest.fixture
-def given(tmp_path: Path) -> Path:
+def given(tmp_path):
     """A tracker's poses, and a robot's with forces on a clock 0.6 s behind."""
     folder = tmp_path / "given"
     folder.mkdir()
@@ -42,7 +39,7 @@ def given(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("by", ["contact", "angular-speed"])
-def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> None:
+def test_the_offset_is_found(run, given, output, by):
     words = (
         f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} --by "
         f"{by} --surface {given / 'surface.nc'} -o {output / 'both.csv'}"
@@ -51,7 +48,6 @@ def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> No
     assert told["offset_s"] == pytest.approx(0.6, abs=0.04)
     assert told["left_out"] > 0
     joined = read_trajectory(output / "both.csv")
-    assert joined.force is not None
     x, y, _ = joined.position.T
     depth = torso().radius_at(np.full(len(x), 1.2), np.full(len(x), 0.1))
     depth = np.maximum(depth - np.hypot(x, y), 0.0)
@@ -59,13 +55,10 @@ def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> No
     assert "frames in 1 segments" in run(words).out
 
 
-def test_nanoseconds_of_one_clock_and_columns_of_each_file(
-    run: Run, given: Path, output: Path
-) -> None:
+def test_nanoseconds_of_one_clock_and_columns_of_each_file(run, given, output):
     """Forces that begin 2 s after the poses stay there; each file has its own names."""
     robot = read_trajectory(given / "robot.csv")
     late = robot.select(robot.time >= 2.0)
-    assert late.force is not None
     names = {"tracker": "stamp", "robot": "when"}
     for name, recorded in (("tracker", robot), ("robot", late)):
         recorded.save(given / f"{name}.csv")
@@ -85,14 +78,13 @@ def test_nanoseconds_of_one_clock_and_columns_of_each_file(
         assert told["offset_s"] == pytest.approx(0.0, abs=2e-3)
         assert told["left_out"] == pytest.approx(len(robot) - len(late), abs=1)
         joined = read_trajectory(output / "both.csv")
-        assert joined.force is not None
         meant = np.interp(joined.time - 1.7e9, late.time, late.force[:, 2])
         np.testing.assert_allclose(joined.force[:, 2], meant, atol=0.05)
     refused(run(words.partition(" --columns")[0] + " --offset 0"), "no column t")
 
 
 @pytest.mark.slow
-def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
+def test_what_is_refused(run, given, output):
     words = (
         f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} "
         f"-o {output / 'both.csv'}"
@@ -107,7 +99,7 @@ def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_ros_recording_for_both(run: Run, tmp_path: Path, output: Path) -> None:
+def test_a_ros_recording_for_both(run, tmp_path, output):
     pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
     from tests.sensors.test_ros_bag import recorded
 

@@ -1,16 +1,13 @@
 """Time limits: a command ends with one line, and nothing is half-written."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import time
-from pathlib import Path
 
 import pytest
 import typer
 
-from tests.cli.conftest import Run, empty, fit_words, refused
+from tests.cli.conftest import empty, fit_words, refused
 from tests.cli.test_interrupts import deaf_at_work
 from ttus_opt.cli.app import MANY_SOLVES, UNLIMITED, app
 from ttus_opt.cli.time_limit import time_limited
@@ -21,9 +18,9 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def test_every_command_states_its_limit() -> None:
+def test_every_command_states_its_limit():
     group = typer.main.get_command(app)
-    for name, command in group.commands.items():  # type: ignore[attr-defined]
+    for name, command in group.commands.items():
         for own in getattr(command, "commands", {name: command}).values():
             limits = [o.default for o in own.params if o.name == "time_limit"]
             many = name.replace("-", "_") in [f.__name__ for f in MANY_SOLVES]
@@ -31,7 +28,7 @@ def test_every_command_states_its_limit() -> None:
                 assert limits == [3600.0 if many else 600.0], name
 
 
-def test_a_command_ends_in_time(run: Run, files: Path, output: Path) -> None:
+def test_a_command_ends_in_time(run, files, output):
     fit = fit_words(files, output / "f.nc")
     for words in (fit, fit.replace("fit ", "tune ", 1).partition(" -o")[0]):
         told = "time limit of 0.05 s is over: nothing further was written"
@@ -40,7 +37,7 @@ def test_a_command_ends_in_time(run: Run, files: Path, output: Path) -> None:
     refused(run(f"{fit} --time-limit 0"), "--time-limit must be positive")
 
 
-def test_a_partial_result_is_no_success() -> None:
+def test_a_partial_result_is_no_success():
     """What a command does at Ctrl-C, it does when its time is over."""
     kept = []
 
@@ -59,7 +56,7 @@ def test_a_partial_result_is_no_success() -> None:
         pass
 
 
-def test_other_interrupts_and_statuses_stay() -> None:
+def test_other_interrupts_and_statuses_stay():
     before = signal.getsignal(signal.SIGALRM)
     for kind in (KeyboardInterrupt, typer.Exit):
         with pytest.raises(kind), time_limited(100.0):
@@ -71,7 +68,7 @@ def test_other_interrupts_and_statuses_stay() -> None:
 
 
 @pytest.mark.slow
-def test_a_solver_that_never_listens_is_ended(files: Path, tmp_path: Path) -> None:
+def test_a_solver_that_never_listens_is_ended(files, tmp_path):
     process = deaf_at_work("fit --time-limit 8", files, tmp_path)
     try:
         _, told = process.communicate(timeout=60.0)

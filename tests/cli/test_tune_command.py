@@ -1,7 +1,5 @@
 """``ttus-opt tune`` and ``fit --weights auto``: what they tell and refuse."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, Run, refused
+from tests.cli.conftest import PROBE, refused
 from ttus_opt import example
 
 
@@ -22,9 +20,7 @@ def words(files: Path, command: str, more: str = "") -> str:
 
 
 @pytest.mark.slow
-def test_it_tells_weights_and_how_fit_takes_them(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_it_tells_weights_and_how_fit_takes_them(run, files, tmp_path):
     answer = run(words(files, "tune", "--formulation eq10 --json"))
     assert answer.status == 0, answer.err
     told = json.loads(answer.out)
@@ -60,24 +56,14 @@ def test_it_tells_weights_and_how_fit_takes_them(
         ("fit", "--weights auto --paper -o x.nc", "leave --weights out"),
     ],
 )
-def test_bad_input_is_one_line(
-    run: Run,
-    files: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    command: str,
-    more: str,
-    told: str,
-) -> None:
+def test_bad_input_is_one_line(run, files, tmp_path, monkeypatch, command, more, told):
     monkeypatch.chdir(tmp_path)
     refused(run(words(files, command, more)), told)
     assert not list(tmp_path.glob("*.nc"))
 
 
 @pytest.mark.parametrize("command", ["tune", "evaluate"])
-def test_a_wrong_sign_is_told_with_its_option(
-    run: Run, tmp_path: Path, command: str
-) -> None:
+def test_a_wrong_sign_is_told_with_its_option(run, tmp_path, command):
     """As by ``fit``."""
     press = tt.read_trajectory(example.path("press_fit.csv")).select(slice(0, 120))
     press.save(tmp_path / "right.csv")
@@ -99,9 +85,7 @@ def test_a_wrong_sign_is_told_with_its_option(
     assert "opposite" not in run(f"{command} {given} {shared}/w.csv --flip-wrench").err
 
 
-def test_weights_that_fit_would_not_choose_are_said_to_be_so(
-    run: Run, files: Path, tmp_path: Path
-) -> None:
+def test_weights_that_fit_would_not_choose_are_said_to_be_so(run, files, tmp_path):
     press = tt.read_trajectory(files / "press.csv")
     assert press.force is not None
     firm = int(np.linalg.norm(press.force, axis=1).argmax())

@@ -1,7 +1,5 @@
 """After `warm_up` nothing that the main job uses is left to compile."""
 
-from __future__ import annotations
-
 import numba.core.event as events
 import pytest
 
@@ -24,7 +22,7 @@ class _Compiling(events.Listener):
 
 
 @pytest.mark.slow
-def test_the_main_job_compiles_nothing_afterwards() -> None:
+def test_the_main_job_compiles_nothing_afterwards():
     told: list[str] = []
     warm_up(told.append)
     assert len(told) == N_STAGES

@@ -1,7 +1,5 @@
 """Contacts at the front of the small torso, and laws to fit to them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

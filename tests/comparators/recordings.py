@@ -1,7 +1,5 @@
 """Presses and a slide on the small torso, with forces of a power law and drag."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -38,7 +36,7 @@ class Known:
 
 
 @pytest.mark.slow
-def test_a_table_has_a_row_per_comparator_and_recording() -> None:
+def test_a_table_has_a_row_per_comparator_and_recording():
     press, slide = (part.select(slice(0, 40)) for part in recordings())
     began: list[str] = []
     rows = compare(
@@ -76,7 +74,7 @@ def test_a_table_has_a_row_per_comparator_and_recording() -> None:
     assert f"frame / {rows[0].comparator}" in markdown(rows, rows[0].comparator)
 
 
-def test_errors_are_those_of_the_rendered_wrenches() -> None:
+def test_errors_are_those_of_the_rendered_wrenches():
     _, slide = recordings()
     row = judged(fitted("signed_distance"), "slide", slide)
     wrench = fitted("signed_distance").wrenches(slide)
@@ -89,7 +87,7 @@ def test_errors_are_those_of_the_rendered_wrenches() -> None:
     assert row.force_angle_error_deg == pytest.approx(turned.mean())
 
 
-def test_one_that_cannot_be_fitted_says_why_in_its_rows() -> None:
+def test_one_that_cannot_be_fitted_says_why_in_its_rows():
     press, _ = recordings()
     bare = Trajectory(press.time, press.position, press.rotation)
     (row,) = compare(["signed_distance"], torso(), ellipsoid(), bare, {"a": press})
@@ -126,14 +124,14 @@ def burn(seconds: float) -> None:
         pass
 
 
-def test_a_frame_is_timed_without_first_call_and_other_threads() -> None:
+def test_a_frame_is_timed_without_first_call_and_other_threads():
     press = recordings()[0].select(slice(0, 40))
     wrench, frame = timed_wrenches(Busy(), press)
     assert wrench.shape == (len(press), 6)
     assert 0.0 < frame * len(press) < 0.1
 
 
-def test_ripple_is_what_short_waves_are_and_long_ones_are_not() -> None:
+def test_ripple_is_what_short_waves_are_and_long_ones_are_not():
     press, _ = recordings()
     share = np.linspace(0.0, 1.0, 301)
     for waves, expected in ((1.0, 0.0), (30.0, 0.05 / math.sqrt(2.0))):
@@ -141,7 +139,7 @@ def test_ripple_is_what_short_waves_are_and_long_ones_are_not() -> None:
         assert ripple(Known(force), press) == pytest.approx(expected, abs=2e-3)
 
 
-def test_the_slide_goes_through_the_firmest_pose_along_z() -> None:
+def test_the_slide_goes_through_the_firmest_pose_along_z():
     press, _ = recordings()
     assert press.force is not None
     firm = np.linalg.norm(press.force, axis=1).argmax()
@@ -150,7 +148,7 @@ def test_the_slide_goes_through_the_firmest_pose_along_z() -> None:
     np.testing.assert_allclose(np.ptp(slide.position, axis=0), [0.0, 0.0, SLIDE])
 
 
-def test_nothing_to_judge_by_is_told() -> None:
+def test_nothing_to_judge_by_is_told():
     press, _ = recordings()
     with pytest.raises(InputError, match="at least one unseen recording"):
         compare(None, torso(), ellipsoid(), press, {})

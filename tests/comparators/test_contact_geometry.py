@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -17,7 +15,7 @@ def cylinder(radius: float = 0.1) -> Surface:
     return Surface.from_radius(np.full((60, 21), radius), np.linspace(0.0, 0.2, 21))
 
 
-def test_depth_below_a_cylinder_is_the_difference_of_radii() -> None:
+def test_depth_below_a_cylinder_is_the_difference_of_radii():
     rng = np.random.default_rng(3)
     points = rng.normal(0.0, 0.06, (200, 3)) + np.array([0.0, 0.0, 0.1])
     r = np.hypot(points[:, 0], points[:, 1])
@@ -27,7 +25,7 @@ def test_depth_below_a_cylinder_is_the_difference_of_radii() -> None:
 
 
 @pytest.mark.parametrize("depth", [-0.005, 0.005, 0.02])
-def test_depth_is_the_distance_to_the_triangles_of_a_fine_mesh(depth: float) -> None:
+def test_depth_is_the_distance_to_the_triangles_of_a_fine_mesh(depth):
     fine = torso(360, 121).points()
     node = np.arange(360 * 121).reshape(360, 121)
     a, b = node[:, :-1], np.roll(node, -1, 0)[:, :-1]
@@ -53,7 +51,7 @@ def test_depth_is_the_distance_to_the_triangles_of_a_fine_mesh(depth: float) -> 
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
 
 
-def test_touch_finds_the_points_within_the_radius() -> None:
+def test_touch_finds_the_points_within_the_radius():
     surface, shell = torso(), ellipsoid()
     R, at = facing(surface, 2.0, 0.11, 0.006)
     touch = ContactGeometry(surface, shell).touch(R, at)
@@ -70,7 +68,7 @@ def test_touch_finds_the_points_within_the_radius() -> None:
     assert touch.patch.depth == pytest.approx(0.006, abs=2e-4)
 
 
-def test_patch_of_a_block_is_its_face_and_the_rim_of_its_sides() -> None:
+def test_patch_of_a_block_is_its_face_and_the_rim_of_its_sides():
     R, at = pressed(0.002)
     patch = ContactGeometry(wall(), block()).touch(R, at).patch
     face, rim = BLOCK[0] * BLOCK[1], 2.0 * (BLOCK[0] + BLOCK[1]) * 0.002
@@ -81,7 +79,7 @@ def test_patch_of_a_block_is_its_face_and_the_rim_of_its_sides() -> None:
     np.testing.assert_allclose(patch.direction, [1.0, 0.0, 0.0], atol=0.03)
 
 
-def test_a_pressure_pushes_and_turns_as_the_sum_over_points() -> None:
+def test_a_pressure_pushes_and_turns_as_the_sum_over_points():
     shell = ellipsoid()
     R, at = facing(torso(), 1.0, 0.1, 0.006)
     R = R @ Rotation.from_rotvec([0.4, 0.3, 0.0]).as_matrix()
@@ -97,7 +95,7 @@ def test_a_pressure_pushes_and_turns_as_the_sum_over_points() -> None:
     np.testing.assert_allclose(touch.patch.unit, expected / size, rtol=1e-9)
 
 
-def test_velocity_at_the_patch_is_that_of_a_turning_body() -> None:
+def test_velocity_at_the_patch_is_that_of_a_turning_body():
     surface, shell = torso(), ellipsoid()
     R, at = facing(surface, 1.0, 0.1, 0.005)
     touch = ContactGeometry(surface, shell).touch(R, at)

@@ -1,7 +1,5 @@
 """Pressure field contact against drake's hydroelastic contact, where installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,7 +73,7 @@ def drake_wrench(turn: Array, height: float) -> Array:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt", [[0.0, 0.0, 0.0], [0.3, 0.2, 0.1], [-0.5, 0.4, 0.0]])
-def test_an_ellipsoid_is_pushed_as_in_drake(tilt: list[float]) -> None:
+def test_an_ellipsoid_is_pushed_as_in_drake(tilt):
     turn, depth = Rotation.from_rotvec(tilt).as_matrix(), 0.006
     lowest = float(np.linalg.norm(np.array(SEMI_AXES) * turn[2]))
     expected = drake_wrench(turn, lowest - depth)

@@ -1,7 +1,5 @@
 """The ellipsoid that is there is found, and its depth."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -9,7 +7,7 @@ from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.ellipsoid_torso import EllipsoidTorso, fitted_ellipsoid
 
 
-def test_the_ellipsoid_that_is_there_is_found() -> None:
+def test_the_ellipsoid_that_is_there_is_found():
     rng = np.random.default_rng(5)
     unit = rng.normal(size=(800, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
@@ -22,7 +20,7 @@ def test_the_ellipsoid_that_is_there_is_found() -> None:
     np.testing.assert_allclose(shape, turn @ np.diag(semi**2) @ turn.T, atol=1e-7)
 
 
-def test_of_an_open_torso_the_ellipsoid_is_longer_than_the_cloud() -> None:
+def test_of_an_open_torso_the_ellipsoid_is_longer_than_the_cloud():
     unit = np.random.default_rng(6).normal(size=(2000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     cloud = unit * [0.12, 0.09, 0.4]
@@ -32,7 +30,7 @@ def test_of_an_open_torso_the_ellipsoid_is_longer_than_the_cloud() -> None:
     np.testing.assert_allclose(np.sort(semi), [0.09, 0.12, 0.4], rtol=1e-4)
 
 
-def test_depth_below_a_sphere_is_the_difference_of_radii() -> None:
+def test_depth_below_a_sphere_is_the_difference_of_radii():
     made = EllipsoidTorso(surface=torso(), shell=ellipsoid())
     made.centre, made.semi_axes, made.axes = np.zeros(3), np.full(3, 0.1), np.eye(3)
     points = np.array([[0.09, 0.0, 0.0], [0.03, 0.04, 0.0], [0.0, 0.11, 0.02]])
@@ -40,7 +38,7 @@ def test_depth_below_a_sphere_is_the_difference_of_radii() -> None:
     assert np.isfinite(made.depth(np.zeros((1, 3)))).all()
 
 
-def test_a_stiffness_of_one_pushes_each_point_by_its_depth_and_area() -> None:
+def test_a_stiffness_of_one_pushes_each_point_by_its_depth_and_area():
     """Point by point, where the probe is half inside a sphere."""
     shell = ellipsoid()
     made = EllipsoidTorso(surface=torso(), shell=shell)

@@ -1,7 +1,5 @@
 """A field as a comparator renders what the package's fit and renderer do."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import ttus_opt as tt
@@ -11,9 +9,9 @@ from ttus_opt.comparators.fields import Eq10, LaplaceOnly
 from ttus_opt.contact.scene import ScenePlan
 
 
-def test_it_is_the_fit_and_the_renderer() -> None:
+def test_it_is_the_fit_and_the_renderer():
     press, slide = recordings()
-    made = Eq10(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)  # type: ignore[arg-type]
+    made = Eq10(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)
     assert made.parameters()["boundary_scale"] > 0.0
     plan = ScenePlan(shape=COARSE["shape"], r_inner=0.03, inner="fit")
     scene = plan.build(torso(), ellipsoid(), press)
@@ -26,11 +24,10 @@ def test_it_is_the_fit_and_the_renderer() -> None:
         np.testing.assert_allclose(found.torque, expected.torque, atol=1e-10)
 
 
-def test_laplace_alone_is_as_large_as_fits_the_forces_best() -> None:
+def test_laplace_alone_is_as_large_as_fits_the_forces_best():
     """Wrenches are linear in the boundary value: no other is nearer."""
     press, _ = recordings()
-    assert press.force is not None
-    made = LaplaceOnly(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)  # type: ignore[arg-type]
+    made = LaplaceOnly(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)
     found = made.wrenches(press)[:, :3]
     touching = np.abs(found).any(axis=1)
     f, g = press.force[touching], found[touching]
@@ -38,5 +35,5 @@ def test_laplace_alone_is_as_large_as_fits_the_forces_best() -> None:
     assert abs(best - 1.0) < 0.05
 
 
-def test_before_a_fit_nothing_is_known() -> None:
+def test_before_a_fit_nothing_is_known():
     assert LaplaceOnly(surface=torso(), shell=ellipsoid()).parameters() == {}

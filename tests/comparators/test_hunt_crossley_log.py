@@ -1,7 +1,5 @@
 """The law of the logarithm finds the numbers its data were made with."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,7 +10,7 @@ from ttus_opt.comparators.hunt_crossley_log import HuntCrossleyLog
 from ttus_opt.comparators.patch_model import Contact
 
 
-def test_the_logarithm_finds_the_same_where_damping_is_small() -> None:
+def test_the_logarithm_finds_the_same_where_damping_is_small():
     rng = np.random.default_rng(4)
     found = contacts(800, rng, rate=0.2)
     forces = np.array([6.0 * c.depth**1.7 * (1.0 + 0.1 * c.rate) for c in found])
@@ -24,7 +22,7 @@ def test_the_logarithm_finds_the_same_where_damping_is_small() -> None:
     assert law._normal_force(fast) == pytest.approx(6.0 * 0.8**1.7 * 1.3, rel=0.03)
 
 
-def test_a_fast_retreat_does_not_pull() -> None:
+def test_a_fast_retreat_does_not_pull():
     law = HuntCrossleyLog._law
     back = Contact(0.8, -30.0, np.zeros(3), STILL, NO_PATCH)
     assert law(made(HuntCrossleyLog), np.array([math.log(6.0), 1.7, 0.1]), back) == 0.0

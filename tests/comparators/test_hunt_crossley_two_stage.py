@@ -1,14 +1,12 @@
 """The law of two recursions finds the numbers its data were made with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.comparators.contacts import after_one_sample, contacts, made, samples
 from ttus_opt.comparators.hunt_crossley_two_stage import HuntCrossleyTwoStage
 
 
-def test_two_stages_find_stiffness_damping_and_exponent() -> None:
+def test_two_stages_find_stiffness_damping_and_exponent():
     rng = np.random.default_rng(3)
     found = contacts(800, rng, rate=0.5)
     forces = np.array([c.depth**1.3 * (6.0 + 0.8 * c.rate) for c in found])
@@ -17,7 +15,7 @@ def test_two_stages_find_stiffness_damping_and_exponent() -> None:
     np.testing.assert_allclose(law.per_patch.mean(axis=0), [6.0, 0.8, 1.3], rtol=0.03)
 
 
-def test_the_first_sample_is_weighed_against_what_is_known_of_tissue() -> None:
+def test_the_first_sample_is_weighed_against_what_is_known_of_tissue():
     """5 ± 50 N, damping 0 ± 5 N s and, with these, Hertz's exponent 1.5 ± 5."""
     h, v, f = 0.8, 0.5, 9.0
     found = after_one_sample(HuntCrossleyTwoStage, h, v, f)

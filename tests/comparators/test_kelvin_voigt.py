@@ -1,14 +1,12 @@
 """The spring and damper that the data were made with are found."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.comparators.contacts import after_one_sample, contacts, made, samples
 from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
 
 
-def test_kelvin_voigt_finds_spring_and_damper() -> None:
+def test_kelvin_voigt_finds_spring_and_damper():
     rng = np.random.default_rng(2)
     found = contacts(200, rng)
     forces = np.array([7.0 * c.depth + 0.3 * c.rate for c in found])
@@ -19,7 +17,7 @@ def test_kelvin_voigt_finds_spring_and_damper() -> None:
     )
 
 
-def test_the_first_sample_is_weighed_against_what_is_known_of_tissue() -> None:
+def test_the_first_sample_is_weighed_against_what_is_known_of_tissue():
     """5 ± 50 N at 10 mm and no damping, 0 ± 5 N s, beside 9 ± 1 N of one sample."""
     found = after_one_sample(KelvinVoigt, 0.8, 0.5, 9.0)
     rows = np.vstack([np.diag([1 / 50, 1 / 5]), [0.8, 0.5]])

@@ -1,7 +1,5 @@
 """What holds for every comparator, tested by its being in the folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
@@ -12,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing, fitted, options, recordings
 from tests.conftest import ellipsoid, torso
+from tests.refusals import refuses
 from ttus_opt.comparators import available, create, kind
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -55,7 +54,7 @@ def wrench(name: str, R: Array, at: Array, twist: Array | None = None) -> Array:
 
 
 @every
-def test_nothing_pushes_in_the_air(name: str) -> None:
+def test_nothing_pushes_in_the_air(name):
     height = 0.001 if kind(name).on_surface else 0.04
     R, at = facing(torso(), 1.3, 0.1, -height)
     assert not wrench(name, R, at).any()
@@ -63,7 +62,7 @@ def test_nothing_pushes_in_the_air(name: str) -> None:
 
 
 @every
-def test_touch_pushes_outwards_and_more_the_deeper(name: str) -> None:
+def test_touch_pushes_outwards_and_more_the_deeper(name):
     outward = facing(torso(), 1.3, 0.1, 0.0)[1] * [1.0, 1.0, 0.0]
     outward /= np.linalg.norm(outward)
     out = []
@@ -75,7 +74,7 @@ def test_touch_pushes_outwards_and_more_the_deeper(name: str) -> None:
 
 
 @every
-def test_a_straight_press_never_pulls_in_nor_out(name: str) -> None:
+def test_a_straight_press_never_pulls_in_nor_out(name):
     outward = facing(torso(), 1.3, 0.1, 0.0)[1] * [1.0, 1.0, 0.0]
     outward /= np.linalg.norm(outward)
     for depth in (1e-5, 0.0005, 0.002, 0.006):
@@ -86,7 +85,7 @@ def test_a_straight_press_never_pulls_in_nor_out(name: str) -> None:
 
 
 @those(name for name in NAMES if kind(name).continuous)
-def test_force_is_continuous_in_the_pose(name: str) -> None:
+def test_force_is_continuous_in_the_pose(name):
     jumps = []
     for n in (40, 320):
         path = [_along(share) for share in np.linspace(0.0, 1.0, n)]
@@ -107,7 +106,7 @@ def _along(share: float) -> tuple[Array, Array]:
 
 
 @every
-def test_deep_poses_give_finite_wrenches(name: str) -> None:
+def test_deep_poses_give_finite_wrenches(name):
     R, at = facing(torso(), 1.3, 0.1, 0.0)
     for share in (0.8, 0.5, 0.1, 0.0):
         there = np.array([share * at[0], share * at[1], at[2]])
@@ -115,7 +114,7 @@ def test_deep_poses_give_finite_wrenches(name: str) -> None:
 
 
 @those((name for name in NAMES if kind(name).turns), QUICK)
-def test_turning_the_scene_turns_the_wrench(name: str) -> None:
+def test_turning_the_scene_turns_the_wrench(name):
     surface, quarter = torso(), Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
     n = len(surface.theta)
     if n % 4:
@@ -139,7 +138,7 @@ def test_turning_the_scene_turns_the_wrench(name: str) -> None:
 
 
 @every
-def test_along_a_recording_each_frame_is_rendered(name: str) -> None:
+def test_along_a_recording_each_frame_is_rendered(name):
     slide = recordings()[1].select(slice(5, 12))
     twist = slide.twist()
     one_by_one = [
@@ -150,7 +149,7 @@ def test_along_a_recording_each_frame_is_rendered(name: str) -> None:
 
 
 @those(NAMES, QUICK)
-def test_a_second_fit_forgets_the_first(name: str) -> None:
+def test_a_second_fit_forgets_the_first(name):
     press, slide = recordings()
     made = create(name, surface=torso(), shell=ellipsoid(), **options(name))
     assert made.fit(slide).fit([press, slide]) is made
@@ -160,7 +159,7 @@ def test_a_second_fit_forgets_the_first(name: str) -> None:
 
 
 @every
-def test_bad_input_is_told_in_one_line(name: str) -> None:
+def test_bad_input_is_told_in_one_line(name):
     made = create(name, surface=torso(), shell=ellipsoid(), **options(name))
     R, at = facing(torso(), 1.3, 0.1, 0.004)
     press, _ = recordings()
@@ -168,13 +167,9 @@ def test_bad_input_is_told_in_one_line(name: str) -> None:
     still = replace(press, force=0.0 * press.force)
     away = replace(press, position=press.position + np.array([0.0, 2.0, 0.0]))
     for given in ([], bare, still, away, replace(press, force=-press.force)):
-        with pytest.raises(InputError) as told:
-            made.fit(given)
-        assert "\n" not in str(told.value)
-    with pytest.raises(InputError, match="not fitted yet"):
-        made.render(R, at)
-    with pytest.raises(InputError, match="not fitted yet"):
-        made.wrenches(press)
+        refuses(InputError, "", made.fit, given)
+    refuses(InputError, "not fitted yet", made.render, R, at)
+    refuses(InputError, "not fitted yet", made.wrenches, press)
     for pose in ((R, at * np.nan), (R * np.nan, at), (2.0 * R, at), (R, at[:2])):
         with pytest.raises(InputError, match=r"NaN|finite|orthonormal|\(3,\)"):
             fitted(name).render(*pose)
@@ -182,7 +177,7 @@ def test_bad_input_is_told_in_one_line(name: str) -> None:
         fitted(name).render(R, at, np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0]))
 
 
-def test_unknown_names_and_options_are_told() -> None:
+def test_unknown_names_and_options_are_told():
     with pytest.raises(InputError, match="unknown comparator 'laplase'"):
         create("laplase", surface=torso(), shell=ellipsoid())
     with pytest.raises(InputError, match="has no option edges: it has edge"):
@@ -192,12 +187,12 @@ def test_unknown_names_and_options_are_told() -> None:
 
 
 @pytest.mark.parametrize("name", available())
-def test_a_comparator_made_by_its_class_takes_no_unknown_keyword(name: str) -> None:
+def test_a_comparator_made_by_its_class_takes_no_unknown_keyword(name):
     with pytest.raises(TypeError, match="unexpected keyword argument 'edges'"):
-        kind(name)(surface=torso(), shell=ellipsoid(), edges=0.1)  # type: ignore[call-arg]
+        kind(name)(surface=torso(), shell=ellipsoid(), edges=0.1)
 
 
-def test_each_says_in_one_line_what_it_is() -> None:
+def test_each_says_in_one_line_what_it_is():
     for name, summary in available().items():
         assert summary, name
         assert "\n" not in summary

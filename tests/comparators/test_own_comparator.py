@@ -1,7 +1,5 @@
 """The comparator of the documentation works as it stands there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from ttus_opt.comparators.comparison import judged
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "comparators.md"
 
 
-def test_the_shown_comparator_renders_one_spring() -> None:
+def test_the_shown_comparator_renders_one_spring():
     code = re.findall(r'```python title=".*?"\n(.*?)```', PAGE.read_text(), re.S)
     names: dict[str, object] = {"__name__": "own"}
     exec(compile(code[0], "comparators.md", "exec"), names)
@@ -29,6 +27,6 @@ def test_the_shown_comparator_renders_one_spring() -> None:
     assert np.isfinite(row.ripple)
 
 
-def test_the_page_has_every_comparator() -> None:
+def test_the_page_has_every_comparator():
     page = PAGE.read_text()
     assert [name for name in available() if f"`{name}`" not in page] == []

@@ -1,7 +1,5 @@
 """Shares of contact patches add up to 1 and are continuous."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from tests.conftest import torso
 from ttus_opt.comparators.patch_grid import AROUND, HEIGHT, PatchGrid
 
 
-def test_shares_of_patches_add_up_and_are_continuous_round_the_seam() -> None:
+def test_shares_of_patches_add_up_and_are_continuous_round_the_seam():
     grid = PatchGrid(torso())
     for place in ([0.1, -1e-12, 0.07], [0.1, 1e-12, 0.07], [-0.1, 0.0, 9.0]):
         shares = grid.shares(np.array(place))
@@ -23,7 +21,7 @@ def test_shares_of_patches_add_up_and_are_continuous_round_the_seam() -> None:
     assert grid.n_patches % AROUND == 0
 
 
-def test_shares_interpolate_between_evenly_spread_patches() -> None:
+def test_shares_interpolate_between_evenly_spread_patches():
     """Angle and height, which are linear, come back; beyond the ends, the end's."""
     surface, rng = torso(), np.random.default_rng(0)
     grid = PatchGrid(surface)

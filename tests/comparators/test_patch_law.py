@@ -1,7 +1,5 @@
 """What every law with parameters per patch does."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,6 +8,7 @@ import pytest
 from tests.comparators.contacts import NO_PATCH, STILL, contacts, made, samples
 from tests.comparators.recordings import facing, fitted
 from tests.conftest import torso
+from tests.refusals import refuses
 from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.hunt_crossley_log import HuntCrossleyLog
 from ttus_opt.comparators.hunt_crossley_two_stage import HuntCrossleyTwoStage
@@ -19,7 +18,7 @@ from ttus_opt.comparators.patch_model import Contact
 from ttus_opt.core.errors import InputError
 
 
-def test_each_patch_learns_its_own_stiffness() -> None:
+def test_each_patch_learns_its_own_stiffness():
     rng = np.random.default_rng(5)
     found = contacts(1500, rng, rate=0.0)
     stiff = np.array([4.0 if c.place[0] > 0.0 else 8.0 for c in found])
@@ -33,7 +32,7 @@ def test_each_patch_learns_its_own_stiffness() -> None:
 
 
 @pytest.mark.parametrize("kind", [KelvinVoigt, HuntCrossleyLog, HuntCrossleyTwoStage])
-def test_a_probe_that_leaves_fast_is_not_pulled(kind: type[PatchLaw]) -> None:
+def test_a_probe_that_leaves_fast_is_not_pulled(kind):
     rng = np.random.default_rng(6)
     found = contacts(60, rng, rate=0.5)
     forces = np.array([6.0 * c.depth * (1.0 + 0.3 * c.rate) for c in found])
@@ -51,7 +50,7 @@ def test_a_probe_that_leaves_fast_is_not_pulled(kind: type[PatchLaw]) -> None:
 
 
 @pytest.mark.parametrize("name", ["kelvin_voigt", "hunt_crossley_log"])
-def test_a_faster_approach_pushes_no_less(name: str) -> None:
+def test_a_faster_approach_pushes_no_less(name):
     law: Comparator = fitted(name)
     assert isinstance(law, PatchLaw)
     place = np.array([0.03, 0.09, 0.1])
@@ -62,6 +61,5 @@ def test_a_faster_approach_pushes_no_less(name: str) -> None:
     assert forces == sorted(forces)
 
 
-def test_forgetting_that_makes_no_sense_is_told() -> None:
-    with pytest.raises(InputError, match="forgetting must be in"):
-        made(KelvinVoigt, forgetting=0.0)
+def test_forgetting_that_makes_no_sense_is_told():
+    refuses(InputError, "forgetting must be in", made, KelvinVoigt, forgetting=0.0)

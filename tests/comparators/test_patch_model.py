@@ -1,7 +1,5 @@
 """A contact's numbers from its pose and motion, and the frames a law is fitted to."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +16,7 @@ from ttus_opt.comparators.patch_model import DEPTH_UNIT, FEWEST_FRAMES, LEAST_DE
 from ttus_opt.core.errors import InputError
 
 
-def test_a_press_on_a_wall_has_a_depth_a_rate_and_a_foot() -> None:
+def test_a_press_on_a_wall_has_a_depth_a_rate_and_a_foot():
     model = KelvinVoigt(surface=wall(), shell=block())
     R, at = pressed(0.004)
     touch = model.geometry.touch(R, at)
@@ -29,7 +27,7 @@ def test_a_press_on_a_wall_has_a_depth_a_rate_and_a_foot() -> None:
     np.testing.assert_allclose(contact.sliding, [0.0, 0.02, 0.01], atol=2e-3)
 
 
-def test_the_rate_is_how_fast_the_depth_grows() -> None:
+def test_the_rate_is_how_fast_the_depth_grows():
     """Turning counts too: the depth a moment later by the finite difference."""
     model, dt = made(KelvinVoigt), 1e-5
     R, at = facing(torso(), 1.1, 0.1, 0.006)
@@ -53,7 +51,7 @@ def test_the_rate_is_how_fast_the_depth_grows() -> None:
     np.testing.assert_allclose(back, centre, atol=1e-12)
 
 
-def test_samples_are_the_frames_that_touch_and_push() -> None:
+def test_samples_are_the_frames_that_touch_and_push():
     model = made(KelvinVoigt)
     press, _ = recordings()
     assert press.force is not None
@@ -73,10 +71,9 @@ def test_samples_are_the_frames_that_touch_and_push() -> None:
         np.testing.assert_allclose(sample.tangential_force, rest, atol=1e-12)
 
 
-def test_too_few_frames_that_push_are_told() -> None:
+def test_too_few_frames_that_push_are_told():
     model = made(KelvinVoigt)
     press, _ = recordings()
-    assert press.force is not None
     samples = model.samples(press, press.force)
     pushing = np.array([f @ f > 1.0 for f in press.force])
     few = np.flatnonzero(pushing)[:FEWEST_FRAMES]

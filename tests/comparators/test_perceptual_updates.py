@@ -1,7 +1,5 @@
 """Stiffness and friction of the recordings are found, sent and rendered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.core.errors import InputError
 
 
-def test_friction_and_stiffness_of_the_recordings_are_sent() -> None:
+def test_friction_and_stiffness_of_the_recordings_are_sent():
     law = fitted("perceptual_updates")
     assert isinstance(law, PerceptualUpdates)
     sent = law.parameters()
@@ -27,7 +25,7 @@ def test_friction_and_stiffness_of_the_recordings_are_sent() -> None:
     assert friction == pytest.approx(0.2, abs=0.05)
 
 
-def test_a_finer_difference_sends_more() -> None:
+def test_a_finer_difference_sends_more():
     counts = []
     for jnd in (0.0, 0.1, 0.5):
         law = PerceptualUpdates(surface=torso(), shell=ellipsoid(), stiffness_jnd=jnd)
@@ -37,14 +35,10 @@ def test_a_finer_difference_sends_more() -> None:
     assert counts[0] <= law.samples_seen
 
 
-def test_an_update_is_sent_exactly_when_the_difference_is_noticeable() -> None:
+def test_an_update_is_sent_exactly_when_the_difference_is_noticeable():
     law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
     place, still = np.array([0.1, 0.0, 0.1]), RecursiveLeastSquares.start
-    for stiffness, friction, sent in (
-        (5.0, 0.0, 1),
-        (5.49, 0.04, 1),
-        (5.51, 0.0, 2),
-    ):
+    for stiffness, friction, sent in ((5.0, 0.0, 1), (5.49, 0.04, 1), (5.51, 0.0, 2)):
         law._send(
             place,
             still(np.array([stiffness]), np.ones(1), 1.0),
@@ -53,7 +47,7 @@ def test_an_update_is_sent_exactly_when_the_difference_is_noticeable() -> None:
         assert len(law.updates) == sent
 
 
-def test_between_two_places_the_nearer_one_counts() -> None:
+def test_between_two_places_the_nearer_one_counts():
     law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
     start = RecursiveLeastSquares.start
     places = np.array([[0.1, 0.0, 0.1], [0.1, 0.0, 0.12]])
@@ -70,7 +64,7 @@ def test_between_two_places_the_nearer_one_counts() -> None:
     assert 4.0 < nearer < 5.5
 
 
-def test_of_a_single_frame_all_is_sent() -> None:
+def test_of_a_single_frame_all_is_sent():
     law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
     assert law.parameters() == {"updates sent": 0.0, "share": 0.0}
     contact = Contact(1.0, 0.0, np.array([0.1, 0.0, 0.1]), STILL, NO_PATCH)
@@ -78,7 +72,7 @@ def test_of_a_single_frame_all_is_sent() -> None:
     assert law.parameters() == {"updates sent": 1.0, "share": 1.0}
 
 
-def test_rendered_drag_is_against_the_motion_and_in_proportion() -> None:
+def test_rendered_drag_is_against_the_motion_and_in_proportion():
     law = fitted("perceptual_updates")
     assert isinstance(law, PerceptualUpdates)
     R, at = facing(torso(), 1.3, 0.1, 0.005)
@@ -95,6 +89,6 @@ def test_rendered_drag_is_against_the_motion_and_in_proportion() -> None:
     np.testing.assert_allclose(turned, np.cross(arm, drag), atol=1e-9)
 
 
-def test_a_jnd_that_makes_no_sense_is_told() -> None:
+def test_a_jnd_that_makes_no_sense_is_told():
     with pytest.raises(InputError, match="stiffness_jnd"):
         PerceptualUpdates(surface=torso(), shell=ellipsoid(), stiffness_jnd=-0.1)

@@ -1,7 +1,5 @@
 """The surface of equal pressure on blocks, balls and single triangles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.comparators.walls import (
@@ -17,7 +15,7 @@ from ttus_opt.comparators.pressure_field import PressureField, integrated
 from ttus_opt.probe.point_shell import PointShell
 
 
-def test_pressure_field_gives_a_rigid_block_area_times_depth() -> None:
+def test_pressure_field_gives_a_rigid_block_area_times_depth():
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
     shell = PointShell(
         0.5 * signs * BLOCK, -signs / 3.0**0.5, np.full(8, 1e-4), np.zeros(3)
@@ -33,11 +31,11 @@ def test_pressure_field_gives_a_rigid_block_area_times_depth() -> None:
     np.testing.assert_allclose(unit[3:], 0.0, atol=1e-10)
 
 
-def test_a_pressed_ball_displaces_its_cap() -> None:
+def test_a_pressed_ball_displaces_its_cap():
     check_cap_of_a_ball(PressureField)
 
 
-def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series() -> None:
+def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series():
     made = PressureField(surface=wall(), shell=block(), ratio=3.0)
     arm, depth = made._contact_surface(*pressed(DEPTH))
     R, _ = pressed(DEPTH)
@@ -47,7 +45,7 @@ def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series() -> 
     np.testing.assert_allclose(depth[face], 0.75 * DEPTH, rtol=0.02)
 
 
-def test_triangles_are_integrated_as_by_many_small_ones() -> None:
+def test_triangles_are_integrated_as_by_many_small_ones():
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(6, 3, 3))
     pressure = rng.normal(size=(6, 3))

@@ -1,7 +1,5 @@
 """The constrained proxy against a half-space and a general solver."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,14 +10,14 @@ from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.proxy_six_dof import ProxySixDof, least_motion
 
 
-def test_six_dof_lifts_a_block_straight_out_of_a_half_space() -> None:
+def test_six_dof_lifts_a_block_straight_out_of_a_half_space():
     made = ProxySixDof(surface=wall(), shell=block(400))
     unit, _ = made._unit_wrench(*pressed(0.003))
     np.testing.assert_allclose(unit[0], 0.003, rtol=0.02)
     np.testing.assert_allclose(unit[1:3], 0.0, atol=1e-4)
 
 
-def test_six_dof_leaves_no_point_below_the_surface() -> None:
+def test_six_dof_leaves_no_point_below_the_surface():
     made = fitted_six_dof()
     R, at = facing(torso(), 1.4, 0.1, 0.008)
     R = R @ Rotation.from_rotvec([0.3, 0.2, 0.0]).as_matrix()
@@ -35,7 +33,7 @@ def fitted_six_dof() -> ProxySixDof:
     return ProxySixDof(surface=torso(), shell=ellipsoid())
 
 
-def test_the_least_motion_is_that_of_a_general_solver() -> None:
+def test_the_least_motion_is_that_of_a_general_solver():
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(2)
@@ -53,7 +51,7 @@ def test_the_least_motion_is_that_of_a_general_solver() -> None:
         np.testing.assert_allclose(least_motion(rows, least), found.x, atol=1e-6)
 
 
-def test_contradictions_give_way_like_springs() -> None:
+def test_contradictions_give_way_like_springs():
     rows = np.array([[1.0, 0.0], [-1.0, 0.0]])
     motion = least_motion(rows, np.array([2.0, 1.0]))
     # min ½x² + ½((2 − x)² + (1 + x)²)/SOFT²
@@ -61,14 +59,14 @@ def test_contradictions_give_way_like_springs() -> None:
     assert motion[0] == pytest.approx(soft / (1.0 + 2.0 * soft), rel=1e-6)
 
 
-def test_where_no_point_is_below_the_surface_nothing_moves() -> None:
+def test_where_no_point_is_below_the_surface_nothing_moves():
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(8, 6)) + np.eye(6)[0]
     for least in (-rng.uniform(0.1, 1.0, 8), np.zeros(8)):
         assert not least_motion(rows, least).any()
 
 
-def test_six_dof_turns_by_the_moment_of_its_force() -> None:
+def test_six_dof_turns_by_the_moment_of_its_force():
     """Where one spot touches, the torque is its lever times the force."""
     made = fitted_six_dof()
     R, at = facing(torso(), 1.4, 0.1, 0.002)

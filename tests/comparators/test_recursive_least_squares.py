@@ -1,16 +1,13 @@
 """The recursion against stacked least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
-from ttus_opt.core.arrays import Array
 
 
 @pytest.mark.parametrize("weights", [np.ones(40), np.linspace(0.1, 1.0, 40)])
-def test_the_recursion_is_least_squares_with_a_prior(weights: Array) -> None:
+def test_the_recursion_is_least_squares_with_a_prior(weights):
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(40, 3)), rng.normal(size=40)
     first, spread = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
@@ -25,7 +22,7 @@ def test_the_recursion_is_least_squares_with_a_prior(weights: Array) -> None:
     assert recursion.samples == pytest.approx(weights.sum())
 
 
-def test_forgetting_weighs_old_samples_less() -> None:
+def test_forgetting_weighs_old_samples_less():
     rng = np.random.default_rng(1)
     x, y = rng.normal(size=(60, 2)), rng.normal(size=60)
     recursion = RecursiveLeastSquares.start(np.zeros(2), np.full(2, 1e4), 0.9)

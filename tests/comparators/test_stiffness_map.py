@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -42,7 +40,7 @@ def made(data: Palpation) -> StiffnessMap:
     return found
 
 
-def test_evidence_is_the_density_of_the_forces() -> None:
+def test_evidence_is_the_density_of_the_forces():
     data, law = palpation(30, 0.1), PowerLaw(1.2, 0.02, 0.5, 0.2)
     _, stiffness = data.base(1.2)
     mean = stiffness * data.depth**1.2
@@ -52,12 +50,11 @@ def test_evidence_is_the_density_of_the_forces() -> None:
     assert data.given(law).log_density + constant == pytest.approx(density)
 
 
-def test_kriging_is_regression_on_a_dense_field() -> None:
+def test_kriging_is_regression_on_a_dense_field():
     """The same K(s) from a Gaussian field on many places, conditioned as a whole."""
     data = palpation(25, 0.1)
     found = made(data)
     law, mean = found.law, found.mean_stiffness
-    assert law is not None
     asked = np.column_stack([np.full(7, 0.1), np.linspace(-0.05, 0.05, 7), np.zeros(7)])
     every = np.vstack([data.place, asked])
     prior = (mean * law.deviation) ** 2 * matern(every, every, law.length)
@@ -76,9 +73,7 @@ def test_kriging_is_regression_on_a_dense_field() -> None:
 
 
 @pytest.mark.parametrize("steps", [np.zeros(4), *np.eye(4)])
-def test_priors_are_wide_about_soft_tissue(
-    steps: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_priors_are_wide_about_soft_tissue(steps, monkeypatch):
     """Exponent 1.3, 30 mm, 40 % and 0.15 N, and a deviation from each."""
     monkeypatch.setattr(
         stiffness_map, "posterior_mode", lambda *_: PosteriorMode(steps, 0.0)
@@ -90,9 +85,7 @@ def test_priors_are_wide_about_soft_tissue(
     np.testing.assert_allclose(found, expected)
 
 
-def test_noise_is_never_less_than_a_covariance_needs(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_noise_is_never_less_than_a_covariance_needs(monkeypatch):
     silent = PosteriorMode(np.array([0.0, 0.0, 0.0, -30.0]), 0.0)
     monkeypatch.setattr(stiffness_map, "posterior_mode", lambda *_: silent)
     data = palpation(9, 0.1)
@@ -100,7 +93,7 @@ def test_noise_is_never_less_than_a_covariance_needs(
     assert chosen_law(data).noise == pytest.approx(1e-4 * rms)
 
 
-def test_evidence_finds_what_the_data_were_made_with() -> None:
+def test_evidence_finds_what_the_data_were_made_with():
     law = chosen_law(palpation(200, 0.1))
     assert law.exponent == pytest.approx(1.4, abs=0.1)
     assert law.noise == pytest.approx(0.1, rel=0.3)
@@ -109,7 +102,7 @@ def test_evidence_finds_what_the_data_were_made_with() -> None:
 
 
 @pytest.mark.slow
-def test_unseen_places_are_predicted_better_than_by_one_stiffness() -> None:
+def test_unseen_places_are_predicted_better_than_by_one_stiffness():
     data = palpation(200, 0.05)
     seen = Palpation(data.depth[::2], data.place[::2], data.force[::2])
     found = made(seen)
@@ -118,6 +111,5 @@ def test_unseen_places_are_predicted_better_than_by_one_stiffness() -> None:
         data.depth[1::2], data.place[1::2], data.force[1::2], strict=True
     ):
         own.append(found._normal_force(Contact(h, 0.0, s, np.zeros(3), NO_PATCH)) - f)
-        assert found.law is not None
         single.append(found.mean_stiffness * h**found.law.exponent - f)
     assert np.abs(own).mean() < 0.4 * np.abs(single).mean()

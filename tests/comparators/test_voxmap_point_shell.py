@@ -1,7 +1,5 @@
 """Voxels of two bits and tangent-plane forces against plain loops."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +13,7 @@ from ttus_opt.comparators.voxmap_point_shell import (
 )
 
 
-def test_voxels_hold_two_bits_and_interior_never_meets_free() -> None:
+def test_voxels_hold_two_bits_and_interior_never_meets_free():
     made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
     voxels = made.voxels
     assert set(np.unique(voxels)) == {FREE, INTERIOR, SURFACE}
@@ -24,7 +22,7 @@ def test_voxels_hold_two_bits_and_interior_never_meets_free() -> None:
         assert not ((pairs.min(axis=0) == FREE) & (pairs.max(axis=0) == INTERIOR)).any()
 
 
-def test_tangent_planes_are_those_of_a_plain_loop() -> None:
+def test_tangent_planes_are_those_of_a_plain_loop():
     made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.004)
     R, at = facing(torso(), 1.1, 0.1, 0.007)
     R = R @ Rotation.from_rotvec([0.5, 0.4, 0.0]).as_matrix()
@@ -50,7 +48,7 @@ def test_tangent_planes_are_those_of_a_plain_loop() -> None:
     assert np.linalg.norm(high - low) < 0.3 * np.linalg.norm(high)
 
 
-def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most() -> None:
+def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most():
     made = fitted("voxmap_point_shell")
     assert isinstance(made, VoxmapPointShell)
     path = np.linspace(0.0, 0.006, 300)
@@ -64,7 +62,7 @@ def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most() -> Non
     assert 0.0 < jump < 8.0 * most
 
 
-def test_a_probe_beside_the_voxels_touches_nothing() -> None:
+def test_a_probe_beside_the_voxels_touches_nothing():
     """Wholly, or in part beyond their edge."""
     made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
     edge = -made.corner[0]
@@ -78,7 +76,7 @@ def test_a_probe_beside_the_voxels_touches_nothing() -> None:
             assert points == 0 and not unit.any()
 
 
-def test_beyond_its_ends_the_patient_continues() -> None:
+def test_beyond_its_ends_the_patient_continues():
     made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
     heights = made.corner[2] + made.edge * (np.array(made.voxels.shape) - 1)[2]
     R, at = facing(torso(), 1.1, 0.1, 0.007)

@@ -1,7 +1,5 @@
 """A patient so large that it is a half-space under the probe: known answers."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The boundary scale against brute force and the covariance of a linear fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +18,7 @@ SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
 
-def test_inner_fit_is_the_least_squares_scale() -> None:
+def test_inner_fit_is_the_least_squares_scale():
     """The fitted scale equals a brute-force search over p_in."""
     scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner="fit", outer=0.5)
     scale = scene.parameters["boundary_scale"]
@@ -38,7 +36,7 @@ def test_inner_fit_is_the_least_squares_scale() -> None:
     assert values[1] < values[2]
 
 
-def test_the_scale_comes_with_its_standard_error() -> None:
+def test_the_scale_comes_with_its_standard_error():
     """Against the covariance of a linear fit by numpy, poses off the skin left out."""
     far = TRAJECTORY.position.copy()
     far[:2] *= [1.3, 1.3, 1.0]
@@ -61,7 +59,7 @@ def test_the_scale_comes_with_its_standard_error() -> None:
     assert not scene.with_boundary(1.0, 1.0).standard_errors
 
 
-def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
+def test_a_scale_the_forces_do_not_bear_is_one_and_said():
     rng = np.random.default_rng(0)
     chance = 0.02 * TRAJECTORY.force + rng.normal(0.0, 3.0, TRAJECTORY.force.shape)
     noise = replace(TRAJECTORY, force=chance)
@@ -79,29 +77,27 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
 
 
 @pytest.mark.parametrize(("scale", "words"), [(-1.8, "give"), (-2.2, "push into")])
-def test_forces_push_inwards_beyond_two_standard_errors(
-    scale: float, words: str
-) -> None:
+def test_forces_push_inwards_beyond_two_standard_errors(scale, words):
     with pytest.warns(TtusWarning, match=words) as told:
         assert words in _report_scale(scale, 1.0)
     advice = "ON the probe" if scale < -2.0 else "record more contact"
     assert advice in str(told[0].message)
 
 
-def test_a_probe_that_never_touches_has_no_scale() -> None:
+def test_a_probe_that_never_touches_has_no_scale():
     apart = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
     told = pytest.warns(TtusWarning, match="touches the patient in none of 12 poses")
     with told, pytest.raises(InputError, match="the probe never touches"):
         Scene.assemble(VOXMAP, SHELL, apart, inner="fit")
 
 
-def test_pulling_forces_are_refused_by_inner_fit() -> None:
+def test_pulling_forces_are_refused_by_inner_fit():
     pulled = replace(TRAJECTORY, force=-1e-3 * TRAJECTORY.force)  # slightly, too
     with pytest.raises(InputError, match="force ON the probe"):
         Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
 
 
-def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for() -> None:
+def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for():
     """So that the sanity report can tell what is wrong with them."""
     assert TRAJECTORY.force is not None
     pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)

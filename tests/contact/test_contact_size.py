@@ -1,18 +1,12 @@
 """The patch's length and what it does: exact patches, Hertz's power, continuity."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
 from ttus_opt.benchmark.plain_frame import numpy_frame
-from ttus_opt.contact.contact_size import (
-    LEAST_LENGTH,
-    REFERENCE_LENGTH,
-    size_factors,
-)
+from ttus_opt.contact.contact_size import LEAST_LENGTH, REFERENCE_LENGTH, size_factors
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
 from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
@@ -38,7 +32,7 @@ def pressed(depths: Array, size: float) -> tuple[Array, Array]:
     return np.broadcast_to(np.eye(3), (len(depths), 3, 3)), at
 
 
-def test_a_ball_presses_a_round_patch_as_long_as_its_width() -> None:
+def test_a_ball_presses_a_round_patch_as_long_as_its_width():
     depths = np.array([0.005, 0.009])
     ball = ball_of(2000)
     lengths = REFERENCE_LENGTH / size_factors(flat(), ball, *pressed(depths, 0.05))
@@ -46,7 +40,7 @@ def test_a_ball_presses_a_round_patch_as_long_as_its_width() -> None:
     np.testing.assert_allclose(lengths, np.hypot(LEAST_LENGTH, width), rtol=0.04)
 
 
-def test_no_contact_and_one_point_are_as_long_as_the_least() -> None:
+def test_no_contact_and_one_point_are_as_long_as_the_least():
     depths = np.array([-0.001, 1e-7])
     ball = ball_of(2000)
     deepest = ball.points[:, 0].min()  # the first point to touch
@@ -54,7 +48,7 @@ def test_no_contact_and_one_point_are_as_long_as_the_least() -> None:
     np.testing.assert_allclose(factors, REFERENCE_LENGTH / LEAST_LENGTH)
 
 
-def test_a_ball_on_a_field_that_grows_with_depth_is_hertz() -> None:
+def test_a_ball_on_a_field_that_grows_with_depth_is_hertz():
     voxmap, ball = flat(), ball_of(2000)
     depths = np.array([0.003, 0.005, 0.009])
     layers = np.repeat(BODY - voxmap.grid.r, voxmap.grid.n_voxels // 8)
@@ -68,7 +62,7 @@ def test_a_ball_on_a_field_that_grows_with_depth_is_hertz() -> None:
     assert power == pytest.approx(1.5, abs=0.08)  # ℓ₀, and a ball is no paraboloid
 
 
-def test_force_is_continuous_where_points_come_into_contact() -> None:
+def test_force_is_continuous_where_points_come_into_contact():
     scene = small_scene("contact-size")
     R, x = scene.trajectory.rotation[0], scene.trajectory.position[0]
     out = x / np.linalg.norm(x)
@@ -87,7 +81,7 @@ def test_force_is_continuous_where_points_come_into_contact() -> None:
     assert np.abs(np.diff(size)).max() < 0.03 * size.max()
 
 
-def test_frame_rows_and_plain_code_agree() -> None:
+def test_frame_rows_and_plain_code_agree():
     scene = small_scene("contact-size")
     values = np.random.default_rng(0).normal(size=scene.voxmap.grid.shape)
     field = PotentialField(scene.voxmap, values, "contact-size")

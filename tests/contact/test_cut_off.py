@@ -1,7 +1,5 @@
 """Contacts across a side of a sector or an end of the grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -33,14 +31,14 @@ def presses(angles: list[float], heights: list[float]) -> tuple[np.ndarray, np.n
     return np.tile(np.eye(3), (len(at), 1, 1)), at
 
 
-def test_a_side_of_the_sector_cuts_contacts_across_it_alone() -> None:
+def test_a_side_of_the_sector_cuts_contacts_across_it_alone():
     voxmap = body((np.radians(40.0), np.radians(140.0)))
     angles = [90.0, 50.0, 41.0, 139.0, 39.0, 30.0, 270.0]
     found = cut_off(voxmap, ball(), *presses(angles, [0.1] * 7))
     assert found.tolist() == [False, False, True, True, True, False, False]
 
 
-def test_so_does_an_end_of_the_grid() -> None:
+def test_so_does_an_end_of_the_grid():
     heights = [0.1, 0.001, 0.199, 0.03, -0.03]
     found = cut_off(body(), ball(), *presses([90.0] * 5, heights))
     assert found.tolist() == [False, True, True, False, False]
@@ -49,7 +47,7 @@ def test_so_does_an_end_of_the_grid() -> None:
     assert not cut_off(body(), ball(), *above).any()
 
 
-def test_an_assembly_tells_of_them() -> None:
+def test_an_assembly_tells_of_them():
     rotation, position = presses([90.0, 41.0], [0.1, 0.1])
     recording = tt.Trajectory(np.arange(2.0), position, rotation)
     voxmap = body((np.radians(40.0), np.radians(140.0)))
@@ -58,7 +56,7 @@ def test_an_assembly_tells_of_them() -> None:
     tt.Scene.assemble(voxmap, ball(), recording.select(slice(0, 1)))
 
 
-def test_the_commands_tell_of_them() -> None:
+def test_the_commands_tell_of_them():
     cut = np.array([True, False])
     with pytest.warns(TtusWarning, match="1 of 2 poses touch .* a wider --sector"):
         warn_of_poses(np.ones(2, bool), np.zeros(2, np.int64), cut)

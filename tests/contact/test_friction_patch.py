@@ -1,7 +1,5 @@
 """Patch, sliding and regions against plain numpy; μ that is never negative."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 
 
-def test_the_patch_is_weighted_by_area_and_depth() -> None:
+def test_the_patch_is_weighted_by_area_and_depth():
     """Against plain numpy, for a probe that leans and whose points are uneven."""
     rng = np.random.default_rng(8)
     probe = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=600)
@@ -33,7 +31,7 @@ def test_the_patch_is_weighted_by_area_and_depth() -> None:
     assert np.abs(flat @ points / flat.sum() - seen.position[0]).max() > 2e-4
 
 
-def test_a_turning_probe_slides_about_its_own_reference() -> None:
+def test_a_turning_probe_slides_about_its_own_reference():
     """The patch moves with the probe's material there, whatever its frame's origin."""
     shift = np.array([0.02, -0.03, 0.05])
     held = replace(
@@ -52,7 +50,7 @@ def test_a_turning_probe_slides_about_its_own_reference() -> None:
         assert np.linalg.norm(first.velocity, axis=1).min() > 0.01
 
 
-def test_bands_and_sectors_are_counted_from_zero() -> None:
+def test_bands_and_sectors_are_counted_from_zero():
     """Patches just below and just above each limit between regions."""
     grid, edge = VOXMAP.grid, 1e-9
     length = grid.z_max - grid.z_min
@@ -68,7 +66,7 @@ def test_bands_and_sectors_are_counted_from_zero() -> None:
     np.testing.assert_array_equal(region % 5, [0, 0, 1, 4, 4])  # band
 
 
-def test_no_estimate_of_friction_is_negative() -> None:
+def test_no_estimate_of_friction_is_negative():
     """Forces that pull along with the motion mean a μ of 0, not one below it."""
     scene = dragged_scene("contact", mu=-0.2)
     for where in ("contact", "reference", "auto"):

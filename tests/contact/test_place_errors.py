@@ -1,7 +1,5 @@
 """Stated errors against their spread over recordings with errors that places share."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -75,19 +73,19 @@ def coverage(shared: float) -> tuple[float, float]:
     return float(usual.mean()), float(told.mean())
 
 
-def test_intervals_cover_what_places_share() -> None:
+def test_intervals_cover_what_places_share():
     usual, told = coverage(shared=1.0)
     assert usual < 0.7
     assert 0.91 < told < 0.98  # 95 ± 1.5 %
 
 
-def test_intervals_are_no_wider_where_they_share_nothing() -> None:
+def test_intervals_are_no_wider_where_they_share_nothing():
     usual, told = coverage(shared=0.0)
     assert 0.92 < usual <= told < 0.99
 
 
 @pytest.mark.parametrize("signal", [1.0, 64.0, 1000.0])
-def test_it_is_about_what_leaving_out_places_gives(signal: float) -> None:
+def test_it_is_about_what_leaving_out_places_gives(signal):
     recordings, rng = Recordings(15, signal), np.random.default_rng(2)
     ratios = []
     for _ in range(10):
@@ -99,7 +97,7 @@ def test_it_is_about_what_leaving_out_places_gives(signal: float) -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
-def test_without_a_field_it_is_the_cluster_robust_error_of_least_squares() -> None:
+def test_without_a_field_it_is_the_cluster_robust_error_of_least_squares():
     rng = np.random.default_rng(3)
     g, place = rng.normal(size=40), np.repeat(np.arange(8), 5)
     t = 0.7 * g + rng.normal(size=40) + 2.0 * rng.normal(size=8)[place]
@@ -116,7 +114,7 @@ def test_without_a_field_it_is_the_cluster_robust_error_of_least_squares() -> No
     assert told.errors[0] == pytest.approx(max(expected, usual))
 
 
-def test_residuals_of_a_value_beside_the_optimum_are_no_errors() -> None:
+def test_residuals_of_a_value_beside_the_optimum_are_no_errors():
     rng = np.random.default_rng(4)
     g, place = rng.normal(size=80), np.repeat(np.arange(16), 5)
     g = 1.0 + 0.3 * g
@@ -131,7 +129,7 @@ def test_residuals_of_a_value_beside_the_optimum_are_no_errors() -> None:
     assert off == pytest.approx(at)
 
 
-def test_a_parameter_of_the_prior_keeps_its_error() -> None:
+def test_a_parameter_of_the_prior_keeps_its_error():
     """Where the measured rows have no part in its variance, places do not matter."""
     rest, place = np.ones(12), np.repeat(np.arange(6), 2)
     change = 1e-3 * np.ones((12, 1))
@@ -140,7 +138,7 @@ def test_a_parameter_of_the_prior_keeps_its_error() -> None:
     assert told.remarks == ("",)
 
 
-def test_of_few_places_the_usual_error_is_told_with_a_word() -> None:
+def test_of_few_places_the_usual_error_is_told_with_a_word():
     rest, change = np.ones(12), np.ones((12, 1))
     few = place_errors(
         np.array([0.2]), rest, change, 24.0 * np.ones(1), np.repeat(np.arange(4), 3)

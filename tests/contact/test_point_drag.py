@@ -1,7 +1,5 @@
 """Rows of drag point by point: against frames, and against drag of the whole patch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +38,7 @@ def moving_by(R: np.ndarray, at: np.ndarray, twist: np.ndarray) -> Trajectory:
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_rows_are_the_drag_of_every_point(sampling: str, seed: int) -> None:
+def test_rows_are_the_drag_of_every_point(sampling, seed):
     rng = np.random.default_rng(seed)
     field = pushing(sampling, LAWS["coulomb-points"])
     R, at, twist = random_pose(rng, highest=0.0)
@@ -52,7 +50,7 @@ def test_rows_are_the_drag_of_every_point(sampling: str, seed: int) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
 
 
-def test_over_a_flat_patch_it_is_the_drag_of_the_patch() -> None:
+def test_over_a_flat_patch_it_is_the_drag_of_the_patch():
     """A box of 20 mm slides 0.1 mm deep on a tube of 2 m: its sides are 2 %."""
     tube = Surface.from_radius(np.full((72, 21), 2.0), np.linspace(0.0, 0.2, 21))
     voxmap = Voxmap.from_surface(tube, shape=(24, 1200, 16), r_inner=1.9)
@@ -75,7 +73,7 @@ def test_over_a_flat_patch_it_is_the_drag_of_the_patch() -> None:
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
-def test_a_field_with_uncertainty_has_rows_of_the_same_law(acts_at: str) -> None:
+def test_a_field_with_uncertainty_has_rows_of_the_same_law(acts_at):
     """What `wrench_rows` makes of a field is what `evaluate` judges."""
     scene = small_scene("trilinear")
     parameters = GlobalCoulomb(scene, acts_at, coefficient=0.3).parameters({})
@@ -94,7 +92,7 @@ def test_a_field_with_uncertainty_has_rows_of_the_same_law(acts_at: str) -> None
     )
 
 
-def test_a_trackers_noise_does_not_turn_the_drag() -> None:
+def test_a_trackers_noise_does_not_turn_the_drag():
     """A press of 8 mm with a slow slide, seen with 0.5 mm and 0.5° at 20 Hz."""
     n, field = 240, pushing("trilinear", LAWS["coulomb-points"])
     time, rng = 0.05 * np.arange(n), np.random.default_rng(4)
@@ -131,7 +129,7 @@ def test_a_trackers_noise_does_not_turn_the_drag() -> None:
     assert off[0] < 0.5 * off[1]
 
 
-def test_rows_are_made_where_drag_acts() -> None:
+def test_rows_are_made_where_drag_acts():
     scene = small_scene("trilinear")
     where = (scene.voxmap, scene.shell, scene.trajectory)
     for acts_at in ("contact", "reference", "points"):

@@ -1,7 +1,5 @@
 """Rows of moved poses against those of scenes, and their derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,14 +9,14 @@ from ttus_opt.probe.tracker_noise import TrackerNoise
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "contact-size"])
-def test_rows_at_the_recorded_poses_are_those_of_contact(sampling: str) -> None:
+def test_rows_at_the_recorded_poses_are_those_of_contact(sampling):
     scene = small_scene(sampling)
     own = scene.trajectory
     rows = PoseRows(scene.voxmap, scene.shell, sampling)
     assert abs(rows.at(own.rotation, own.position) - scene.N).max() < 1e-14
 
 
-def test_derivatives_are_those_of_the_force() -> None:
+def test_derivatives_are_those_of_the_force():
     """By a step a hundred times smaller, for a field without corners."""
     scene = small_scene("trilinear", (9, 20, 10), 12)
     own = scene.trajectory

@@ -1,7 +1,5 @@
 """The kernels' small parts: heap sort, room for more entries, arrays of a shell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ def _sorted(keys: np.ndarray, order: np.ndarray, count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
-def test_heap_sort_orders_the_first_keys(count: int) -> None:
+def test_heap_sort_orders_the_first_keys(count):
     rng = np.random.default_rng(count)
     keys = rng.integers(0, 1000, 100).astype(np.int32)
     order = np.full(100, -1)
@@ -36,7 +34,7 @@ def test_heap_sort_orders_the_first_keys(count: int) -> None:
     assert (order[count:] == -1).all()
 
 
-def test_rows_go_on_where_there_was_no_room() -> None:
+def test_rows_go_on_where_there_was_no_room():
     """Made in many small pieces they are those made in one."""
     scene = small_scene("trilinear")
     trajectory, V = scene.trajectory, scene.n_voxels
@@ -59,7 +57,7 @@ def test_rows_go_on_where_there_was_no_room() -> None:
     assert (scratch.slot == -1).all()  # left as it was found
 
 
-def test_areas_refer_to_a_square_centimetre() -> None:
+def test_areas_refer_to_a_square_centimetre():
     shell = ellipsoid()
     assert shell_arrays(shell).areas.sum() * REFERENCE_AREA == pytest.approx(
         shell.areas.sum()

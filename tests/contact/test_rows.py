@@ -1,12 +1,11 @@
 """N and W against a brute-force loop in plain numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, presses, torso
+from tests.refusals import refuses
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
@@ -84,7 +83,7 @@ def brute_force(
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-def test_rows_equal_brute_force(sampling: str) -> None:
+def test_rows_equal_brute_force(sampling):
     rows = contact_rows(
         VOXMAP, SHELL, POSES.rotation, POSES.position, sampling=sampling
     )
@@ -97,7 +96,7 @@ def test_rows_equal_brute_force(sampling: str) -> None:
         np.testing.assert_allclose(torque[t], tau, atol=1e-12)
 
 
-def test_the_reference_point_is_where_torque_is_about() -> None:
+def test_the_reference_point_is_where_torque_is_about():
     reference = np.array([0.01, -0.02, 0.005])
     moved = PointShell(SHELL.points, SHELL.normals, SHELL.areas, reference)
     p = FIELD.reshape(-1)
@@ -109,7 +108,7 @@ def test_the_reference_point_is_where_torque_is_about() -> None:
     np.testing.assert_allclose((b.W @ p).reshape(-1, 3), expected, atol=1e-12)
 
 
-def test_force_of_a_constant_field_on_a_submerged_probe_vanishes() -> None:
+def test_force_of_a_constant_field_on_a_submerged_probe_vanishes():
     """Closed surface: Σ a n̂ = 0, so a constant pressure pushes nowhere."""
     rotation = Rotation.random(5, rng=np.random.default_rng(0)).as_matrix()
     position = np.tile([0.0, 0.06, 0.1], (5, 1))
@@ -119,7 +118,7 @@ def test_force_of_a_constant_field_on_a_submerged_probe_vanishes() -> None:
     assert np.abs(force).max() < 0.01 * SHELL.areas.sum() / 1e-4
 
 
-def test_a_linear_pressure_lifts_like_archimedes() -> None:
+def test_a_linear_pressure_lifts_like_archimedes():
     """p = x [N/cm²] on a submerged probe: force = -∫ p n_out = -volume·∂p/∂x."""
     grid = VOXMAP.grid
     fine = Voxmap.from_surface(SURFACE, shape=(60, 200, 21))
@@ -135,7 +134,7 @@ def test_a_linear_pressure_lifts_like_archimedes() -> None:
     np.testing.assert_allclose(force, [-volume * 1e4, 0, 0], atol=0.02 * volume * 1e4)
 
 
-def test_pose_off_the_grid_gives_zero_and_says_so() -> None:
+def test_pose_off_the_grid_gives_zero_and_says_so():
     position = np.array([[0.0, 0.1, 5.0], [0.0, 0.09, 0.1], [3.0, 0.0, 0.1]])
     rows = contact_rows(VOXMAP, SHELL, np.tile(np.eye(3), (3, 1, 1)), position)
     assert rows.in_grid.tolist() == [False, True, False]
@@ -144,7 +143,7 @@ def test_pose_off_the_grid_gives_zero_and_says_so() -> None:
     assert repr(rows) == f"ContactRows(3 poses, 1 in contact, {n_voxels} voxels)"
 
 
-def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> None:
+def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump():
     steps = np.linspace(0.0, 0.004, 2001)
     position = np.tile([0.0, 0.094, 0.1], (len(steps), 1))
     position[:, 2] += steps
@@ -171,12 +170,11 @@ def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> Non
         (np.eye(3)[None], np.full((1, 3), np.nan), "NaN"),
     ],
 )
-def test_unusable_poses(rotation: np.ndarray, position: np.ndarray, word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        contact_rows(VOXMAP, SHELL, rotation, position)
+def test_unusable_poses(rotation, position, word):
+    refuses(InputError, word, contact_rows, VOXMAP, SHELL, rotation, position)
 
 
-def test_a_rotation_read_from_a_file_is_precise_enough() -> None:
+def test_a_rotation_read_from_a_file_is_precise_enough():
     """Quaternions with seven digits, as files carry them."""
     exact = Rotation.from_matrix(POSES.rotation)
     rotation = Rotation.from_quat(exact.as_quat().round(7)).as_matrix().round(7)
@@ -188,6 +186,6 @@ def test_a_rotation_read_from_a_file_is_precise_enough() -> None:
     assert abs(found.N - expected.N).max() < 1e-3 * abs(expected.N).max()
 
 
-def test_unknown_sampling() -> None:
+def test_unknown_sampling():
     with pytest.raises(InputError, match="voxel-mean, trilinear"):
         contact_rows(VOXMAP, SHELL, POSES.rotation, POSES.position, sampling="mean")

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 
@@ -8,6 +6,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.refusals import refuses
 from ttus_opt.contact import scene as scene_module
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
@@ -21,7 +20,7 @@ SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
 
-def test_shapes(scene: Scene) -> None:
+def test_shapes(scene):
     V, T = scene.n_voxels, len(scene.trajectory)
     assert scene.L.shape == (V, V)
     assert scene.b.shape == (V,)
@@ -31,7 +30,7 @@ def test_shapes(scene: Scene) -> None:
     assert scene.torque_length == scene.shell.rms_radius
 
 
-def test_boundary_values_reach_b(scene: Scene) -> None:
+def test_boundary_values_reach_b(scene):
     b = scene.voxmap.grid.unflatten(scene.b)
     skin = scene.voxmap.on_surface
     assert b[0, 0, 3] == 2.0
@@ -39,20 +38,20 @@ def test_boundary_values_reach_b(scene: Scene) -> None:
     assert not b[skin].any()
 
 
-def test_with_boundary_assembles_nothing(scene: Scene) -> None:
+def test_with_boundary_assembles_nothing(scene):
     other = scene.with_boundary(4.0, 3.0)
     assert other.rows is scene.rows
     assert other.laplace is scene.laplace
     np.testing.assert_allclose(other.b, 2.0 * scene.b)
 
 
-def test_regions_of_another_surface_warn() -> None:
+def test_regions_of_another_surface_warn():
     wider = replace(SURFACE, radius=SURFACE.radius + 0.4 * VOXMAP.grid.r_step)
     with pytest.warns(TtusWarning, match="region is not that of the surface"):
         Scene.assemble(replace(VOXMAP, surface=wider), SHELL, TRAJECTORY)
 
 
-def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
+def test_no_contact_warns_that_the_fit_is_laplace_only():
     away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
     with pytest.warns(TtusWarning, match="Laplace field alone"):
         Scene.assemble(VOXMAP, SHELL, away)
@@ -63,7 +62,7 @@ def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
         Scene.assemble(VOXMAP, SHELL, away, inner="fit")
 
 
-def test_a_probe_larger_than_the_patient_is_doubted() -> None:
+def test_a_probe_larger_than_the_patient_is_doubted():
     large = tt.PointShell.sphere(0.4, n_points=100)
     with pytest.warns(TtusWarning) as told:
         Scene.assemble(VOXMAP, large, TRAJECTORY, inner=1.0)
@@ -72,14 +71,14 @@ def test_a_probe_larger_than_the_patient_is_doubted() -> None:
     assert any("the patient 0.2" in w for w in words)
 
 
-def test_poses_off_the_grid_are_counted() -> None:
+def test_poses_off_the_grid_are_counted():
     position = TRAJECTORY.position.copy()
     position[:3, 2] += 5.0
     with pytest.warns(MistakeWarning, match="3 of 12 poses lie outside"):
         Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
 
 
-def test_points_beyond_the_inner_layer_are_counted() -> None:
+def test_points_beyond_the_inner_layer_are_counted():
     position = TRAJECTORY.position.copy()
     position[:5, :2] *= 0.3
     with pytest.warns(TtusWarning, match="beyond the inner layer at 0.03 m") as told:
@@ -93,13 +92,13 @@ def test_points_beyond_the_inner_layer_are_counted() -> None:
     assert words.startswith(f"5 of 12 poses press shell points ({(r < 0.03).sum()} in")
 
 
-def test_a_good_scene_warns_of_nothing() -> None:
+def test_a_good_scene_warns_of_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         small_scene.__wrapped__()  # not one that another test has made
 
 
-def test_the_defaults_and_the_papers_choices() -> None:
+def test_the_defaults_and_the_papers_choices():
     scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY)
     assert scene.sampling == "trilinear"
     assert scene.inner == scene.parameters["boundary_scale"] != 1.0
@@ -113,26 +112,24 @@ def test_the_defaults_and_the_papers_choices() -> None:
     ("inner", "word"),
     [("auto", "must be a number"), (float("nan"), "must be finite .* inner nan")],
 )
-def test_bad_inner(inner: object, word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner=inner)
+def test_bad_inner(inner, word):
+    refuses(InputError, word, Scene.assemble, VOXMAP, SHELL, TRAJECTORY, inner=inner)
 
 
-def test_several_recordings_are_joined_first() -> None:
+def test_several_recordings_are_joined_first():
     with pytest.raises(InputError, match=r"got list: join .* Trajectory\.concatenate"):
-        Scene.assemble(VOXMAP, SHELL, [TRAJECTORY, TRAJECTORY])  # type: ignore[arg-type]
+        Scene.assemble(VOXMAP, SHELL, [TRAJECTORY, TRAJECTORY])
 
 
-def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
+def test_poses_without_wrench_have_rows_but_no_measurements():
     bare = Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
     scene = Scene.assemble(VOXMAP, SHELL, bare)
     assert scene.N.nnz > 0
-    with pytest.raises(InputError, match="fx, fy, fz"):
-        _ = scene.f
+    refuses(InputError, "fx, fy, fz", lambda: scene.f)
 
 
 @pytest.mark.slow
-def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
+def test_a_plan_goes_from_scan_to_scene_step_by_step():
     """From a cloud, from its surface and by hand: the same scene."""
     theta, z = np.meshgrid(
         np.linspace(0, 2 * np.pi, 200), np.linspace(0.0, 0.2, 100), indexing="ij"
@@ -159,9 +156,7 @@ def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
         np.testing.assert_array_equal(scene.N.toarray(), expected.N.toarray())
 
 
-def test_the_picture_has_the_outline_in_the_plane(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_picture_has_the_outline_in_the_plane(scene, monkeypatch):
     drawn: list[np.ndarray] = []
     monkeypatch.setattr(
         scene_module, "sections_svg", lambda outlines, *_: drawn.extend(outlines) or ""

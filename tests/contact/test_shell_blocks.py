@@ -1,7 +1,5 @@
 """Blocks hold every point once and bound it; the ceiling bounds the surface."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +12,7 @@ from ttus_opt.scan.surface import Surface
 
 
 @pytest.mark.parametrize("n_points", [4, BLOCK, BLOCK + 1, 333, 1000])
-def test_every_point_lies_in_one_block_and_its_sphere(n_points: int) -> None:
+def test_every_point_lies_in_one_block_and_its_sphere(n_points):
     shell = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=n_points)
     blocks = ShellBlocks.of(shell)
     assert sorted(blocks.order) == list(range(n_points))
@@ -27,7 +25,7 @@ def test_every_point_lies_in_one_block_and_its_sphere(n_points: int) -> None:
 
 
 @pytest.mark.slow
-def test_blocks_are_compact() -> None:
+def test_blocks_are_compact():
     shell = PointShell.sphere(0.02, n_points=1600)
     blocks = ShellBlocks.of(shell)
     # a round patch of 32 of 1600 points: 4πR²/50 = πρ²
@@ -37,9 +35,7 @@ def test_blocks_are_compact() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10_000), st.sampled_from([0.001, 0.005, 0.02]))
-def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(
-    seed: int, reach: float
-) -> None:
+def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(seed, reach):
     rng = np.random.default_rng(seed)
     n_theta, n_z = int(rng.integers(4, 60)), int(rng.integers(2, 30))
     z = np.linspace(-0.05, 0.15, n_z)
@@ -59,7 +55,7 @@ def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(
     assert (there <= above.ceiling[j, k.astype(int)]).all()
 
 
-def test_ceiling_is_close_on_a_smooth_torso() -> None:
+def test_ceiling_is_close_on_a_smooth_torso():
     surface = torso(180, 61)
     above = SurfaceCeiling.of(surface, 0.004)
     theta = (np.arange(TILES[0]) + 0.5) / above.tiles.per_theta

@@ -1,7 +1,5 @@
 """Touch never pulls: straight presses over grids, samplings, fields and surfaces."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,10 +50,7 @@ def fields(folder: Path, shape: tuple[int, int, int], sampling: str) -> Fields:
     scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
     fitted = fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
     return Fields(
-        voxmap,
-        sampling,
-        scene.laplace.solve(scene.b),
-        fitted.field.values.reshape(-1),
+        voxmap, sampling, scene.laplace.solve(scene.b), fitted.field.values.reshape(-1)
     )
 
 
@@ -68,7 +63,7 @@ class Press:
     skin: np.ndarray  # (n, 3) where the tip meets it
 
     @classmethod
-    def of(cls, surface: Surface, places: list[tuple[float, float]]) -> Press:
+    def of(cls, surface: Surface, places: list[tuple[float, float]]) -> "Press":
         angle, share = np.array(places).T
         z = surface.z[0] + share * (surface.z[-1] - surface.z[0])
         out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -115,7 +110,7 @@ CASES = [
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize(("name", "grid"), CASES)
-def test_a_straight_press_never_pulls(name: str, grid: str, sampling: str) -> None:
+def test_a_straight_press_never_pulls(name, grid, sampling):
     """It once pulled by 2 N on the coarse grid, 8 N with voxel means."""
     at = fields(surface_folder(name), GRIDS[grid], sampling)
     press = Press.of(at.voxmap.surface, PLACES)
@@ -133,7 +128,7 @@ def test_a_straight_press_never_pulls(name: str, grid: str, sampling: str) -> No
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize(("name", "grid"), CASES)
-def test_force_starts_from_zero(name: str, grid: str, sampling: str) -> None:
+def test_force_starts_from_zero(name, grid, sampling):
     """At the very depth of first touch, found by bisection."""
     at = fields(surface_folder(name), GRIDS[grid], sampling)
     press = Press.of(at.voxmap.surface, PLACES)
@@ -153,7 +148,7 @@ def test_force_starts_from_zero(name: str, grid: str, sampling: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("grid", ["coarse", "S", "anisotropic"])
-def test_trilinear_presses_are_continuous(grid: str) -> None:
+def test_trilinear_presses_are_continuous(grid):
     """Half the step, half the largest jump; also with both ends of the press."""
     at = fields(surface_folder("example"), GRIDS[grid], "trilinear")
     press = Press.of(at.voxmap.surface, PLACES)
@@ -166,9 +161,7 @@ def test_trilinear_presses_are_continuous(grid: str) -> None:
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("r_inner", [0.10, 0.03])
-def test_beyond_the_inner_layer_the_force_keeps_its_direction(
-    r_inner: float, sampling: str
-) -> None:
+def test_beyond_the_inner_layer_the_force_keeps_its_direction(r_inner, sampling):
     """It once fell from 62 N to −155 N when the inner layer was passed."""
     folder = surface_folder("example")
     surface = Surface.load(folder / "surface.nc")

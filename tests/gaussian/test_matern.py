@@ -1,7 +1,5 @@
 """Sparse Matérn fields against the covariances they stand for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -17,14 +15,14 @@ from ttus_opt.gaussian.matern import (
 )
 
 
-def test_matern_32_is_that_of_bessel_functions() -> None:
+def test_matern_32_is_that_of_bessel_functions():
     d, length, nu = np.linspace(0.001, 0.1, 9), 0.03, 1.5
     u = np.sqrt(2.0 * nu) * d / length
     expected = 2.0 ** (1.0 - nu) / gamma(nu) * u**nu * kv(nu, u)
     np.testing.assert_allclose(matern(d, length), expected, rtol=1e-12)
 
 
-def test_a_line_has_the_matern_32_covariance_to_second_order() -> None:
+def test_a_line_has_the_matern_32_covariance_to_second_order():
     errors = []
     for n in (101, 201):
         step, length = 0.4 / (n - 1), 0.02
@@ -36,7 +34,7 @@ def test_a_line_has_the_matern_32_covariance_to_second_order() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
-def test_the_ends_of_a_line_reflect_its_covariance(share: float) -> None:
+def test_the_ends_of_a_line_reflect_its_covariance(share):
     """No flux at the rim: the sum over the mirror images of a node (variance 2 there).
 
     Of a node at this share of the line's length; to second order.
@@ -59,7 +57,7 @@ def test_the_ends_of_a_line_reflect_its_covariance(share: float) -> None:
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
-def test_a_tube_has_the_matern_1_covariance_along_and_around() -> None:
+def test_a_tube_has_the_matern_1_covariance_along_and_around():
     radius, height, length = 0.15, 0.6, 0.06
     errors = []
     for n_theta, n_z in ((60, 41), (120, 81)):
@@ -86,7 +84,7 @@ def test_a_tube_has_the_matern_1_covariance_along_and_around() -> None:
     assert errors[0] > 2.5 * errors[1]
 
 
-def test_a_length_around_of_its_own_is_a_tube_of_another_radius() -> None:
+def test_a_length_around_of_its_own_is_a_tube_of_another_radius():
     theta = np.arange(40) * 2 * np.pi / 40
 
     def factor(radius: float, height: float, ratio: float) -> MaternFactor:
@@ -103,7 +101,7 @@ def test_a_length_around_of_its_own_is_a_tube_of_another_radius() -> None:
     assert got[3] / got[0] == pytest.approx(own * k1(own), abs=0.03)
 
 
-def test_kronecker_is_that_of_scipy() -> None:
+def test_kronecker_is_that_of_scipy():
     rng = np.random.default_rng(3)
     for shapes in [((5, 4), (7, 9)), ((1, 1), (6, 6)), ((3, 3), (1, 2))]:
         left, right = (
@@ -120,7 +118,7 @@ def test_kronecker_is_that_of_scipy() -> None:
         assert found.has_canonical_format
 
 
-def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
+def test_rows_columns_and_products_agree_with_dense_algebra():
     voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
     V = voxmap.grid.n_voxels
     scale = np.random.default_rng(0).uniform(0.5, 2.0, V)
@@ -140,9 +138,7 @@ def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
     assert np.abs(covariance.times(every) - dense @ every).max() < 1e-7 * size
 
 
-def test_blocks_of_rows_agree_with_dense_algebra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_blocks_of_rows_agree_with_dense_algebra(monkeypatch):
     """Also where the surface's part is solved for in several goes."""
     monkeypatch.setattr(matern_module, "AT_ONCE", 7)
     voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
@@ -154,7 +150,7 @@ def test_blocks_of_rows_agree_with_dense_algebra(
     np.testing.assert_allclose(covariance.among_rows(rows, 3), blocks, rtol=1e-8)
 
 
-def test_the_rows_make_white_noise_of_a_drawn_field() -> None:
+def test_the_rows_make_white_noise_of_a_drawn_field():
     voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
     scale = np.random.default_rng(0).uniform(0.5, 2.0, voxmap.grid.n_voxels)
     covariance = SeparableCovariance.over(voxmap, scale, 0.05, 0.02)
@@ -172,7 +168,7 @@ def uneven_tube() -> np.ndarray:
     return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
 
 
-def test_a_tube_is_the_same_from_either_side_and_end() -> None:
+def test_a_tube_is_the_same_from_either_side_and_end():
     points = uneven_tube()
     whole = MaternFactor.on_surface(points, 0.05, ratio=2.0).operator.toarray()
     for flip in (np.s_[::-1], np.s_[:, ::-1]):
@@ -181,7 +177,7 @@ def test_a_tube_is_the_same_from_either_side_and_end() -> None:
         np.testing.assert_allclose(turned.toarray(), whole[np.ix_(order, order)])
 
 
-def test_an_open_tube_stands_apart_from_its_wall() -> None:
+def test_an_open_tube_stands_apart_from_its_wall():
     points = uneven_tube()
     n_theta, n_z, _ = points.shape
     factor = MaternFactor.on_surface(points, 0.05, is_open=True)

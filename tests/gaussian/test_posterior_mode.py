@@ -1,13 +1,11 @@
 """The most probable numbers against a Gaussian's own."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 
-def test_a_gaussian_evidence() -> None:
+def test_a_gaussian_evidence():
     """Evidence −½ (s − m)ᵀ K (s − m) and the unit prior: (K + I) s = K m."""
     K, m = np.array([[30.0, 5.0], [5.0, 80.0]]), np.array([2.0, -1.0])
 
@@ -21,7 +19,7 @@ def test_a_gaussian_evidence() -> None:
     assert best - 0.1 <= found.log_posterior <= best
 
 
-def test_it_climbs_the_higher_of_two_hills_where_it_may_begin_there() -> None:
+def test_it_climbs_the_higher_of_two_hills_where_it_may_begin_there():
     def log_evidence(s: np.ndarray) -> float:
         hills = np.exp(-20.0 * (s[0] - np.array([-1.5, 1.5])) ** 2)
         return float(hills @ [10.0, 20.0])
@@ -30,7 +28,7 @@ def test_it_climbs_the_higher_of_two_hills_where_it_may_begin_there() -> None:
     assert abs(found.steps[0] - 1.5) < 0.1
 
 
-def test_without_evidence_the_prior_stays() -> None:
+def test_without_evidence_the_prior_stays():
     calls = []
     found = posterior_mode(lambda s: calls.append(s) or 0.0, 3, 40)
     assert np.abs(found.steps).max() < 0.3
@@ -38,7 +36,7 @@ def test_without_evidence_the_prior_stays() -> None:
     assert evaluations < 20
 
 
-def test_it_ends_after_the_most_evaluations() -> None:
+def test_it_ends_after_the_most_evaluations():
     """Along a curved ridge, of which a search needs many; a last line is finished."""
     calls = []
 

@@ -1,7 +1,5 @@
 """Drags swapped with their fields: rate, energy, and an update amid a swap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +26,7 @@ def full_twist(walk: Walk, k: int, seconds: float = 1e-3) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_drags_are_swapped_with_their_fields(seed: int) -> None:
+def test_drags_are_swapped_with_their_fields(seed):
     """A convex combination of whole wrenches, within the rate, that takes energy."""
     law = BlendLaw(force_rate=20.0, reserve=1e-4)
     walk = Walk.make(seed)
@@ -68,7 +66,7 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
     assert taken > 1e-3  # joules, in half a second of strokes
 
 
-def test_energy_is_reckoned_without_drag() -> None:
+def test_energy_is_reckoned_without_drag():
     """Ledgers of a swap with and without drag are the same but for the rates' steps."""
     walk, law = Walk.make(4), BlendLaw(force_rate=1e6)
     dry = Renderer(field_of(1.0), shell(), blend=law)
@@ -86,7 +84,7 @@ def test_energy_is_reckoned_without_drag() -> None:
 @pytest.mark.parametrize(
     "other", [{}, {"viscous_coefficient": 3.0}, {"drag_at_points": 1.0}]
 )
-def test_an_update_amid_a_swap_of_drags_does_not_show(other: dict[str, float]) -> None:
+def test_an_update_amid_a_swap_of_drags_does_not_show(other):
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     moving = np.array([0.03, 0.0, 0.02, 0.1, 0.3, -0.2])
     law = BlendLaw(force_rate=1.0, reserve=1.0)

@@ -1,7 +1,5 @@
 """One step of a swap between wrenches given by hand: rates, tank, trapezoid, air."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -47,14 +45,14 @@ NOTHING, PUSH = np.zeros(6), np.array([3.0, 0.0, 4.0, 0.0, 0.0, 0.0])
 TWISTING = np.array([0.0, 0.0, 0.0, 0.0, 0.06, 0.08])  # a tenth of 1 N·m
 
 
-def test_a_step_keeps_to_the_rates_of_force_and_of_torque() -> None:
+def test_a_step_keeps_to_the_rates_of_force_and_of_torque():
     law = BlendLaw(force_rate=2.0)
     assert stepped(NOTHING, PUSH, law=law)[PROGRESS] == pytest.approx(2e-3 / 5.0)
     turned = stepped(NOTHING, TWISTING, law=law)[PROGRESS]
     assert turned == pytest.approx(2e-3 * 0.02 / 0.1)
 
 
-def test_the_rates_are_of_contact_and_drag_together() -> None:
+def test_the_rates_are_of_contact_and_drag_together():
     law, drags = BlendLaw(force_rate=2.0), (0.5 * PUSH, -0.25 * PUSH)
     step = stepped(NOTHING, PUSH, law=law, drags=drags)[PROGRESS]
     assert step == pytest.approx(2e-3 / (0.25 * 5.0))
@@ -63,7 +61,7 @@ def test_the_rates_are_of_contact_and_drag_together() -> None:
     assert step == pytest.approx(2e-3 * 0.02 / 0.1)
 
 
-def test_the_tank_holds_no_more_than_its_capacity() -> None:
+def test_the_tank_holds_no_more_than_its_capacity():
     law = BlendLaw(force_rate=1e6, capacity=0.01)
     ledger = stepped(NOTHING, NOTHING, gap=-0.5, tank=0.004, law=law)
     assert ledger[PROGRESS] == 1.0
@@ -71,7 +69,7 @@ def test_the_tank_holds_no_more_than_its_capacity() -> None:
     assert ledger[INJECTED] == -0.5
 
 
-def test_stored_energy_falls_by_the_trapezoid() -> None:
+def test_stored_energy_falls_by_the_trapezoid():
     """Half of the last difference and half of this one, along the way; not of drag."""
     motion, last = np.array([1e-3, 0.0, 2e-3]), np.array([1.0, 0, 2.0, 0, 0, 0])
     ledger = stepped(
@@ -82,7 +80,7 @@ def test_stored_energy_falls_by_the_trapezoid() -> None:
     np.testing.assert_array_equal(ledger[DIFFERENCE:BENT], PUSH)
 
 
-def test_in_the_air_nothing_is_stored() -> None:
+def test_in_the_air_nothing_is_stored():
     """Whatever had been observed: the swap is complete in one frame, for nothing."""
     ledger = stepped(NOTHING, NOTHING, contact=0, gap=0.3, last=PUSH)
     assert ledger[GAP] == 0.0

@@ -1,7 +1,5 @@
 """The frame called from C agrees with `render_into` bit for bit, updates included."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re
@@ -50,7 +48,7 @@ class Loop(ctypes.Structure):
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+def library(tmp_path_factory):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler here")
@@ -110,9 +108,7 @@ def poses_of(scene: Scene, n: int = 40) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.slow
-def test_frames_from_c_are_those_from_python(
-    scene: Scene, library: ctypes.CDLL
-) -> None:
+def test_frames_from_c_are_those_from_python(scene, library):
     """Twists given, then estimated from times; amid a swap of fields, drag included."""
     field, law = pressing(scene, DRAG), BlendLaw(force_rate=5.0, reserve=1.0)
     new = PotentialField(field.voxmap, 1.5 * field.values, field.sampling, DRAG)
@@ -140,9 +136,7 @@ def test_frames_from_c_are_those_from_python(
     assert sum(0.0 < share < 1.0 for share in shares) > 10
 
 
-def test_a_caller_in_c_sees_what_limited_a_frame(
-    scene: Scene, library: ctypes.CDLL
-) -> None:
+def test_a_caller_in_c_sees_what_limited_a_frame(scene, library):
     """The header's function against `Wrench.limited_by`, frame by frame."""
     R, at = deepest_pose(scene)
     zero = (ctypes.c_double * 6)()
@@ -163,7 +157,7 @@ def test_a_caller_in_c_sees_what_limited_a_frame(
     assert {"", "force", "torque"} <= seen
 
 
-def test_one_function_for_all_and_one_context_for_each(scene: Scene) -> None:
+def test_one_function_for_all_and_one_context_for_each(scene):
     renderer = Renderer(pressing(scene), scene.shell)
     first, second = renderer.c_function(), renderer.c_function()
     other = Renderer(pressing(scene), scene.shell).c_function()
@@ -171,7 +165,7 @@ def test_one_function_for_all_and_one_context_for_each(scene: Scene) -> None:
     assert first.context == second.context != other.context
 
 
-def test_bad_input_has_a_code_and_leaves_the_wrench(scene: Scene) -> None:
+def test_bad_input_has_a_code_and_leaves_the_wrench(scene):
     given = Renderer(pressing(scene, DRAG), scene.shell).c_function()
     R, at = (np.ascontiguousarray(a) for a in deepest_pose(scene))
     call, nan = given.call, float("nan")
@@ -202,9 +196,7 @@ def test_bad_input_has_a_code_and_leaves_the_wrench(scene: Scene) -> None:
     np.testing.assert_allclose(rounded[1], exact[1], atol=1e-3)
 
 
-def test_updates_reach_a_running_loop_and_never_jump(
-    scene: Scene, library: ctypes.CDLL
-) -> None:
+def test_updates_reach_a_running_loop_and_never_jump(scene, library):
     """Fields come and go under a loop in C: all that it reads stays where it is."""
     field, law = pressing(scene), BlendLaw(force_rate=5.0, reserve=1.0)
     renderer = Renderer(field, scene.shell, blend=law)
@@ -235,16 +227,13 @@ def test_updates_reach_a_running_loop_and_never_jump(
     np.testing.assert_allclose(last.wrench[0], scale * out, rtol=1e-12)
 
 
-def test_a_frame_leaves_the_ledger_to_a_waiting_update(
-    scene: Scene, library: ctypes.CDLL
-) -> None:
+def test_a_frame_leaves_the_ledger_to_a_waiting_update(scene, library):
     field = pressing(scene)
     renderer = Renderer(field, scene.shell)
     R, at = deepest_pose(scene)
     once = (R[None], at[None], np.zeros((1, 6)), np.full(1, np.nan))
     CLoop(library, renderer, once).run()
     renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
-    assert renderer._c is not None
     renderer._c.pause()
     before = renderer._fields.pair.ledger.copy()
     CLoop(library, renderer, once).run()
@@ -255,7 +244,7 @@ def test_a_frame_leaves_the_ledger_to_a_waiting_update(
 
 
 @pytest.mark.slow
-def test_the_how_to_page_runs(scene: Scene, tmp_path: Path) -> None:
+def test_the_how_to_page_runs(scene, tmp_path):
     """Its C++ loop and its Python host, as they are printed."""
     page = Path(__file__).parents[2] / "docs" / "how-to" / "rendering-cpp.md"
     if shutil.which("c++") is None or not page.exists():
@@ -276,12 +265,9 @@ def test_the_how_to_page_runs(scene: Scene, tmp_path: Path) -> None:
     assert re.fullmatch(r"[1-9]\d+ frames", done.stdout.strip())
 
 
-def test_an_update_gives_up_on_a_frame_that_never_ends(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_update_gives_up_on_a_frame_that_never_ends(scene, monkeypatch):
     renderer = Renderer(pressing(scene), scene.shell)
     renderer.c_function()
-    assert renderer._c is not None
     renderer._c.words[DONE] -= 1
     monkeypatch.setattr(c_interface, "PATIENCE", 0.01)
     with pytest.raises(TtusError, match=r"has not ended within 0\.01 s"):

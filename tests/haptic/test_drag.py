@@ -1,7 +1,5 @@
 """Drag of one pose and twist: against plain numpy, and what it may never do."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -21,6 +19,7 @@ from tests.drags import (
     normal_forces,
     pushing,
 )
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.renderer import Renderer
@@ -46,7 +45,7 @@ def unlimited(field: PotentialField) -> Renderer:
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @pytest.mark.parametrize("law", LAWS)
-def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
+def test_drag_is_that_of_the_points_depths(law, sampling):
     rng = np.random.default_rng(4)
     field = pushing(sampling, LAWS[law])
     renderer, bare = unlimited(field), unlimited(pushing(sampling, {}))
@@ -68,7 +67,7 @@ def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
 @pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))
-def test_friction_only_takes_energy(seed: int) -> None:
+def test_friction_only_takes_energy(seed):
     """Its power is never above 0: any pose, any twist, fields that pull too."""
     rng = np.random.default_rng(seed)
     R, at, twist = random_pose(rng)
@@ -87,7 +86,7 @@ def test_friction_only_takes_energy(seed: int) -> None:
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-def test_a_point_that_pulls_does_not_drag(sampling: str) -> None:
+def test_a_point_that_pulls_does_not_drag(sampling):
     """Where points pull and others press: of these alone."""
     rng, pulled = np.random.default_rng(8), 0
     field = pushing(sampling, LAWS["coulomb-points"])
@@ -106,7 +105,7 @@ def test_a_point_that_pulls_does_not_drag(sampling: str) -> None:
     assert pulled > 8
 
 
-def test_a_straight_press_is_resisted_by_the_flanks() -> None:
+def test_a_straight_press_is_resisted_by_the_flanks():
     """The patch slides nowhere; its points do, so that a press takes energy."""
     angle, z = np.array(1.2), np.array(0.1)
     r = float(SURFACE.radius_at(angle, z))
@@ -123,7 +122,7 @@ def test_a_straight_press_is_resisted_by_the_flanks() -> None:
 
 
 @pytest.mark.parametrize("law", ["coulomb", "coulomb-points"])
-def test_no_motion_or_no_contact_no_drag(law: str) -> None:
+def test_no_motion_or_no_contact_no_drag(law):
     renderer = Renderer(pushing("trilinear", LAWS[law]), SHELL)
     bare = Renderer(pushing("trilinear", {}), SHELL)
     R, at, twist = random_pose(np.random.default_rng(1), highest=0.0)
@@ -160,16 +159,16 @@ def test_no_motion_or_no_contact_no_drag(law: str) -> None:
         ({"drag_at_reference": -1.0}, "drag_at_reference of a field must be 0 or 1"),
     ],
 )
-def test_what_is_no_drag(parameters: dict[str, float], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        DragLaw.of(parameters, VOXMAP.grid)
+def test_what_is_no_drag(parameters, word):
+    refuses(InputError, word, DragLaw.of, parameters, VOXMAP.grid)
     if any(map(math.isnan, parameters.values())):  # no field has such a parameter
         word = "must be a finite number, got nan"
-    with pytest.raises(InputError, match=word):
-        Renderer(pushing("trilinear", parameters), SHELL)
+    refuses(
+        InputError, word, lambda: Renderer(pushing("trilinear", parameters), SHELL)
+    )
 
 
-def test_a_neutral_coefficient_is_no_drag() -> None:
+def test_a_neutral_coefficient_is_no_drag():
     """What the data could not bear is 0, and asks nobody for a motion."""
     neutral = {"friction_coefficient": 0.0, "viscous_coefficient": 0.0}
     assert not DragLaw.of(neutral, VOXMAP.grid).active
@@ -178,7 +177,7 @@ def test_a_neutral_coefficient_is_no_drag() -> None:
     assert renderer.render(R, at).drag == "none"
 
 
-def test_points_weigh_by_their_area() -> None:
+def test_points_weigh_by_their_area():
     """In voxel means too, whose contact forces know no areas."""
     rng = np.random.default_rng(9)
     uneven = replace(SHELL, areas=SHELL.areas * rng.uniform(0.2, 5.0, len(SHELL)))

@@ -1,7 +1,5 @@
 """Fields that replace each other: what frames read of them, and which are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -39,7 +37,7 @@ def rubbing(scene: Scene, mu: float) -> RenderedField:
     return RenderedField.of(replace(random_field(scene), parameters={FRICTION: mu}))
 
 
-def test_a_field_is_copied_and_names_its_drag(scene: Scene) -> None:
+def test_a_field_is_copied_and_names_its_drag(scene):
     plain = random_field(scene)
     read = RenderedField.of(plain)
     assert read.coefficients == ""
@@ -53,7 +51,7 @@ def test_a_field_is_copied_and_names_its_drag(scene: Scene) -> None:
     )
 
 
-def test_before_the_first_frame_a_field_is_simply_taken(scene: Scene) -> None:
+def test_before_the_first_frame_a_field_is_simply_taken(scene):
     old, field = RenderedField.of(random_field(scene)), random_field(scene)
     new = RenderedField.of(replace(field, parameters={FRICTION: 0.2}))
     data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
@@ -74,9 +72,7 @@ def test_before_the_first_frame_a_field_is_simply_taken(scene: Scene) -> None:
         (0.0, 0.0, 0.5, ""),
     ],
 )
-def test_drag_is_named_while_there_is_any(
-    scene: Scene, current: float, target: float, progress: float, told: str
-) -> None:
+def test_drag_is_named_while_there_is_any(scene, current, target, progress, told):
     ledger = settled_ledger(0.5)
     ledger[PROGRESS] = progress
     pair = (rubbing(scene, mu) for mu in (current, target))
@@ -84,9 +80,7 @@ def test_drag_is_named_while_there_is_any(
 
 
 @pytest.mark.parametrize("touches", [False, True])
-def test_an_update_amid_a_swap_begins_where_that_one_stands(
-    scene: Scene, touches: bool
-) -> None:
+def test_an_update_amid_a_swap_begins_where_that_one_stands(scene, touches):
     """A quarter of the way from drag to none; in the air μ mixes by the shares."""
     old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.0, 0.0))
     old = old._replace(values=2.0 * old.values)
@@ -114,7 +108,7 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(
     assert opened[DIFFERENCE:BENT].any() == touches
 
 
-def test_after_a_swap_the_field_in_force_is_its_target(scene: Scene) -> None:
+def test_after_a_swap_the_field_in_force_is_its_target(scene):
     old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.1, 0.0))
     ledger = settled_ledger(0.5)
     ledger[SEEN] = 1.0
@@ -125,7 +119,7 @@ def test_after_a_swap_the_field_in_force_is_its_target(scene: Scene) -> None:
     assert now.current_drag is target.drag
 
 
-def test_a_field_of_another_sampling_or_grid_is_refused(scene: Scene) -> None:
+def test_a_field_of_another_sampling_or_grid_is_refused(scene):
     field = random_field(scene)
     other = {"trilinear": "voxel-mean", "voxel-mean": "trilinear"}[scene.sampling]
     with pytest.raises(InputError, match="cannot change the field's sampling"):
@@ -135,7 +129,7 @@ def test_a_field_of_another_sampling_or_grid_is_refused(scene: Scene) -> None:
         require_alike(field, replace(random_field(finer), sampling=field.sampling))
 
 
-def test_a_field_on_another_surface_is_refused(scene: Scene) -> None:
+def test_a_field_on_another_surface_is_refused(scene):
     field, own = random_field(scene), scene.voxmap
     same = Surface.from_radius(own.surface.radius.copy(), own.surface.z)
     require_alike(

@@ -1,9 +1,5 @@
 """One wrench: what is judged, what is rendered and what is written are the same."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -50,7 +46,7 @@ def rendered(field: PotentialField, trajectory: Trajectory) -> np.ndarray:
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @pytest.mark.parametrize("law", LAWS)
-def test_frames_are_what_evaluate_judges(law: str, sampling: str) -> None:
+def test_frames_are_what_evaluate_judges(law, sampling):
     field, trajectory = pushing(sampling, LAWS[law]), motion()
     along = wrenches_along(field, SHELL, trajectory)
     found = rendered(field, trajectory)
@@ -63,7 +59,7 @@ def test_frames_are_what_evaluate_judges(law: str, sampling: str) -> None:
 
 
 @pytest.mark.parametrize("law", ["none", "coulomb-reference", "viscous-regions"])
-def test_the_command_writes_what_evaluate_judges(law: str, tmp_path: Path) -> None:
+def test_the_command_writes_what_evaluate_judges(law, tmp_path):
     """The CSV of ``ttus-opt render`` against both series of an evaluation."""
     probe = "ellipsoid:0.02,0.015,0.012"
     shell = tt.PointShell.from_spec(probe, n_points=400)
@@ -82,7 +78,7 @@ def test_the_command_writes_what_evaluate_judges(law: str, tmp_path: Path) -> No
     assert judged.errors.frames_in_contact > 15
 
 
-def test_a_frame_of_the_bundled_drag_sweep() -> None:
+def test_a_frame_of_the_bundled_drag_sweep():
     """Rendered as evaluated: without drag it was 1.3 N beside it."""
     surface = tt.Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE)
@@ -108,7 +104,7 @@ def test_a_frame_of_the_bundled_drag_sweep() -> None:
     assert np.linalg.norm(whole.force - recorded.force[k]) < 0.6
 
 
-def test_evaluate_counts_points_beyond_the_inner_layer() -> None:
+def test_evaluate_counts_points_beyond_the_inner_layer():
     shallow = Voxmap.from_surface(SURFACE, shape=(8, 30, 14), r_inner=0.07)
     values = np.ones(shallow.grid.shape)
     field = PotentialField(shallow, values, "trilinear")

@@ -1,7 +1,5 @@
 """The standard deviation that a rendered force comes with."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -15,7 +13,7 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 THETA = np.arange(8) * np.pi / 4.0
 
 
-def test_a_frame_has_the_share_of_its_force() -> None:
+def test_a_frame_has_the_share_of_its_force():
     scene = small_scene("trilinear")
     field = tt.fit(scene, "eq10").field
     half = UncertaintyMap(THETA, np.array([0.0, 0.2]), np.full((8, 2), 0.5))
@@ -30,12 +28,12 @@ def test_a_frame_has_the_share_of_its_force() -> None:
     assert math.isnan(plain.force_std)
 
 
-def test_a_map_of_no_or_another_body_is_refused() -> None:
+def test_a_map_of_no_or_another_body_is_refused():
     scene = small_scene("trilinear")
     field = tt.fit(scene, "eq10").field
     for bad in (True, 1.0, "field.nc"):
         with pytest.raises(InputError, match="uncertainty=True needs"):
-            tt.Renderer(field, scene.shell, uncertainty=bad)  # type: ignore[arg-type]
+            tt.Renderer(field, scene.shell, uncertainty=bad)
     for low, high in ((0.0, 2.0), (-0.5, 0.1)):
         other = UncertaintyMap(THETA, np.array([low, high]), np.zeros((8, 2)))
         why = f"has heights from {low:g} to {high:g} m, the field's body from 0 to 0.2 "

@@ -1,7 +1,5 @@
 """The culled, vectorised search against the definition, point by point."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 
@@ -57,7 +55,7 @@ def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))
-def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
+def test_touches_exactly_the_points_inside(sampling, seed):
     """Anywhere: pressed, sunk, across the axis, at the ends, in the air."""
     rng = np.random.default_rng(seed)
     data = data_of(sampling)
@@ -87,7 +85,7 @@ def turned(direction: np.ndarray, to: np.ndarray) -> np.ndarray:
     return Rotation.align_vectors(to[None], direction[None])[0].as_matrix()
 
 
-def test_a_point_on_its_blocks_sphere_is_found() -> None:
+def test_a_point_on_its_blocks_sphere_is_found():
     """Each block's farthest point, 1 µm inside, all others of the block above it."""
     data = FrameData.of(tube(), shell(), trilinear=True)
     blocks, points = ShellBlocks.of(shell()), shell().points
@@ -118,9 +116,7 @@ def test_a_point_on_its_blocks_sphere_is_found() -> None:
         ((0.0, 0.0, 1.0), (0.09, 0.0, 0.0), (0.09, 0.0, -0.05)),
     ],
 )
-def test_one_point_in_the_grid_is_enough(
-    direction: tuple[float, ...], edge: tuple[float, ...], far: tuple[float, ...]
-) -> None:
+def test_one_point_in_the_grid_is_enough(direction, edge, far):
     """10 nm within an end or the outer radius, in the air or inside the patient."""
     data = FrameData.of(tube(), shell(), trilinear=True)
     along, points = np.array(direction), shell().points

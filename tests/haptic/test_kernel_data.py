@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +16,7 @@ SHELL = replace(ellipsoid(333), points=ellipsoid(333).points + OFFSET, reference
 
 
 @pytest.mark.parametrize("trilinear", [False, True])
-def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> None:
+def test_points_and_levers_are_the_shells_in_block_order(trilinear):
     data = FrameData.of(VOXMAP, SHELL, trilinear=trilinear)
     order = ShellBlocks.of(SHELL).order
     np.testing.assert_array_equal(data.points.T, SHELL.points[order])
@@ -29,9 +27,7 @@ def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> Non
 
 
 @pytest.mark.parametrize("n_points", [4, RUN * BLOCK * BLOCK + BLOCK])
-def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(
-    n_points: int,
-) -> None:
+def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(n_points):
     """Compiled code writes there without a check."""
     shell = ellipsoid(n_points)
     data = FrameData.of(VOXMAP, shell, trilinear=True)
@@ -40,7 +36,7 @@ def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(
         assert getattr(data, name).shape[1] >= least
 
 
-def test_scratch_of_its_own_shares_no_scratch() -> None:
+def test_scratch_of_its_own_shares_no_scratch():
     data = FrameData.of(VOXMAP, SHELL, trilinear=False)
     other = data.with_own_scratch()
     scratch = "place near node touched depth spot voxel share sampled hits"

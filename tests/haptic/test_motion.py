@@ -1,12 +1,11 @@
 """The twist from poses and times: exact when steady, still at rest, late as stated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.motion import (
@@ -49,7 +48,7 @@ def screw(n: int, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, .
     return rotation, t * velocity - rotation @ REFERENCE
 
 
-def test_a_steady_motion_is_found_exactly() -> None:
+def test_a_steady_motion_is_found_exactly():
     velocity, spin = np.array([0.02, 0.05, -0.01]), np.array([0.5, -1.0, 2.0])
     rotation, position = screw(600, velocity, spin)
     found = follow(rotation, position)
@@ -58,7 +57,7 @@ def test_a_steady_motion_is_found_exactly() -> None:
     np.testing.assert_allclose(found[-1], [*origin, *spin], rtol=1e-6, atol=1e-9)
 
 
-def test_it_lags_by_three_low_passes_and_the_play() -> None:
+def test_it_lags_by_three_low_passes_and_the_play():
     """Against scipy's filters, and the follower of a ramp step by step."""
     speed, kept = 0.02, np.exp(-STEP / LAW.seconds)
     rotation, position = screw(300, np.array([0.0, 0.0, speed]), np.zeros(3))
@@ -81,7 +80,7 @@ def test_it_lags_by_three_low_passes_and_the_play() -> None:
 
 @pytest.mark.parametrize("jitter", [5e-5, 5e-4])
 @pytest.mark.parametrize("rate", [1000.0, 500.0, 60.0])
-def test_a_jitter_is_rest(jitter: float, rate: float) -> None:
+def test_a_jitter_is_rest(jitter, rate):
     """Normal errors of 0.05 and 0.5 mm and degrees: the play follows what it sees."""
     rng, n = np.random.default_rng(3), int(8 * rate)
     position = np.array([0.1, 0.2, 0.3]) + rng.normal(0.0, jitter, (n, 3))
@@ -94,7 +93,7 @@ def test_a_jitter_is_rest(jitter: float, rate: float) -> None:
     assert np.abs(found).max() < 1e-6 * DEADBAND
 
 
-def test_the_play_is_no_wider_than_the_jitter_asks_for() -> None:
+def test_the_play_is_no_wider_than_the_jitter_asks_for():
     """Exact poses, however they are turned, keep the play that is stated."""
     velocity, spin = np.array([0.02, 0.05, -0.01]), np.array([0.5, -1.0, 2.0])
     rotation, position = screw(600, velocity, spin)
@@ -115,7 +114,7 @@ def test_the_play_is_no_wider_than_the_jitter_asks_for() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.0, 2e-4])
-def test_uneven_steps_are_no_jitter(sigma: float) -> None:
+def test_uneven_steps_are_no_jitter(sigma):
     """A steady motion seen after 1 and 3 ms in turn, and errors of its poses."""
     rng = np.random.default_rng(6)
     motion, twist, numbers = np.zeros(MOTION), np.zeros(6), LAW.kernel_numbers(LENGTH)
@@ -130,7 +129,7 @@ def test_uneven_steps_are_no_jitter(sigma: float) -> None:
     assert np.sqrt(np.mean(found[500:])) == pytest.approx(sigma, rel=0.05, abs=1e-9)
 
 
-def test_the_play_is_five_deviations_of_the_smoothed_jitter() -> None:
+def test_the_play_is_five_deviations_of_the_smoothed_jitter():
     """A follower that is drawn along lies that far behind; smoothed by scipy."""
     rng, sigma, n = np.random.default_rng(7), 1e-3, 3000
     kept = np.exp(-STEP / LAW.seconds)
@@ -149,7 +148,7 @@ def test_the_play_is_five_deviations_of_the_smoothed_jitter() -> None:
 
 
 @pytest.mark.parametrize("speed", [3e-3, 1e-2])
-def test_a_slow_slide_keeps_its_direction_under_jitter(speed: float) -> None:
+def test_a_slow_slide_keeps_its_direction_under_jitter(speed):
     rng = np.random.default_rng(5)
     rotation, position = screw(3000, np.array([speed, 0.0, 0.0]), np.zeros(3))
     noisy = position + rng.normal(0.0, 5e-5, position.shape)
@@ -163,7 +162,7 @@ def test_a_slow_slide_keeps_its_direction_under_jitter(speed: float) -> None:
     assert np.percentile(change, 99) < 0.1 * DEADBAND
 
 
-def test_at_a_trackers_rate_it_smooths_over_frames() -> None:
+def test_at_a_trackers_rate_it_smooths_over_frames():
     """10 ms are less than a frame at 60 Hz: the time constant is two frames."""
     rng, n = np.random.default_rng(5), 1200
     position = np.outer(np.arange(n) / 60.0, [0.01, 0.0, 0.0])
@@ -173,7 +172,7 @@ def test_at_a_trackers_rate_it_smooths_over_frames() -> None:
     assert found[:, 0].std() < 0.8e-3
 
 
-def test_the_same_time_again_changes_nothing_and_a_pause_starts_anew() -> None:
+def test_the_same_time_again_changes_nothing_and_a_pause_starts_anew():
     motion, twist, numbers = np.zeros(MOTION), np.zeros(6), LAW.kernel_numbers(LENGTH)
     for k in range(100):
         at = np.array([0.0, 0.05 * STEP * k, 0.0])
@@ -195,7 +194,6 @@ def test_the_same_time_again_changes_nothing_and_a_pause_starts_anew() -> None:
 
 
 @pytest.mark.parametrize("name", ["play", "seconds", "gap"])
-def test_unusable_filters(name: str) -> None:
+def test_unusable_filters(name):
     for value in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(InputError, match=f"{name} must be positive"):
-            MotionFilter(**{name: value})
+        refuses(InputError, f"{name} must be positive", MotionFilter, **{name: value})

@@ -1,18 +1,16 @@
 """Drag in the frames: of a twist, of an estimated one, left out; the force limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.contact.scene import Scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.haptic.renderer import Renderer
 
 
-def test_drag_without_a_motion_is_left_out_and_told_once(scene: Scene) -> None:
+def test_drag_without_a_motion_is_left_out_and_told_once(scene):
     renderer = Renderer(pressing(scene, DRAG), scene.shell)
     pose = deepest_pose(scene)
     with pytest.warns(TtusWarning, match="friction_coefficient.*give render a twist"):
@@ -29,7 +27,7 @@ def test_drag_without_a_motion_is_left_out_and_told_once(scene: Scene) -> None:
     np.testing.assert_array_equal(renderer.render(*pose).force, first.force)
 
 
-def test_drag_that_comes_with_an_update_is_told_too(scene: Scene) -> None:
+def test_drag_that_comes_with_an_update_is_told_too(scene):
     renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
     assert renderer.render(*pose).drag == "none"
     renderer.update(pressing(scene, {"viscous_coefficient": 3.0}))
@@ -37,7 +35,7 @@ def test_drag_that_comes_with_an_update_is_told_too(scene: Scene) -> None:
         assert renderer.render(*pose).drag == "left out"
 
 
-def test_drag_that_an_update_takes_away_is_told_until_it_is_gone(scene: Scene) -> None:
+def test_drag_that_an_update_takes_away_is_told_until_it_is_gone(scene):
     renderer, pose = Renderer(pressing(scene, DRAG), scene.shell), deepest_pose(scene)
     renderer.render(*pose, TWIST)
     renderer.update(pressing(scene))
@@ -61,14 +59,12 @@ def test_drag_that_an_update_takes_away_is_told_until_it_is_gone(scene: Scene) -
         ({"time": -1.0}, "not go back .*got -1.0 after 0.0"),
     ],
 )
-def test_unusable_motions(motion: dict[str, object], word: str) -> None:
+def test_unusable_motions(motion, word):
     scene = small_scene("trilinear")
     renderer, pose = Renderer(pressing(scene, DRAG), scene.shell), deepest_pose(scene)
     renderer.render(*pose, time=0.0)
-    with pytest.raises(InputError, match=word):
-        renderer.render(*pose, **motion)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=word):
-        renderer.render_into(*pose, np.zeros(6), **motion)  # type: ignore[arg-type]
+    refuses(InputError, word, renderer.render, *pose, **motion)
+    refuses(InputError, word, renderer.render_into, *pose, np.zeros(6), **motion)
 
 
 PLACES = {
@@ -84,7 +80,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_drag_of_an_estimated_motion(place: str) -> None:
+def test_drag_of_an_estimated_motion(place):
     """Of a steady slide, its twist's; of a hand at rest, none, without a flicker."""
     scene, law = small_scene("trilinear"), {"friction_coefficient": 0.3}
     field = pressing(scene, law | PLACES[place])
@@ -112,7 +108,7 @@ def test_drag_of_an_estimated_motion(place: str) -> None:
     assert change.max() < 0.1  # while it comes to rest
 
 
-def test_drag_of_an_estimated_motion_takes_energy() -> None:
+def test_drag_of_an_estimated_motion_takes_energy():
     """Of a hand that turns back again and again, seen with errors, nine tenths."""
     scene = small_scene("trilinear")
     field = pressing(scene, {"friction_coefficient": 0.3, "drag_at_points": 1.0})
@@ -137,7 +133,7 @@ def test_drag_of_an_estimated_motion_takes_energy() -> None:
     assert 0.9 * whole < taken < whole
 
 
-def test_the_force_limit_shortens_the_wrench(scene: Scene) -> None:
+def test_the_force_limit_shortens_the_wrench(scene):
     field, pose = pressing(scene, DRAG), deepest_pose(scene)
     free = Renderer(field, scene.shell).render(*pose, TWIST)
     size = float(np.linalg.norm(free.force))
@@ -151,4 +147,4 @@ def test_the_force_limit_shortens_the_wrench(scene: Scene) -> None:
     np.testing.assert_array_equal(whole.force, free.force)
     for limit in (0.0, -1.0, float("nan"), None):
         with pytest.raises(InputError, match="force_limit must be positive"):
-            Renderer(field, scene.shell, force_limit=limit)  # type: ignore[arg-type]
+            Renderer(field, scene.shell, force_limit=limit)

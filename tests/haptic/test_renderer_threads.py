@@ -1,7 +1,5 @@
 """One thread renders, others update and warm up: what they share and what not."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from tests.haptic.test_renderer import random_field
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.contact.scene import Scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.field_swap import swapped
@@ -17,9 +15,7 @@ from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField
 
 
-def test_updates_from_another_thread_never_jump_nor_stop_the_frames(
-    scene: Scene,
-) -> None:
+def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     """A standing probe feels a slow change, and in the air the last field holds."""
     field = random_field(scene)
     law = BlendLaw(force_rate=5.0, reserve=1.0)
@@ -68,9 +64,7 @@ def scratch_of(renderer: Renderer) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("call", ["warm_up", "update"])
-def test_other_threads_calls_leave_a_frames_scratch_alone(
-    scene: Scene, call: str
-) -> None:
+def test_other_threads_calls_leave_a_frames_scratch_alone(scene, call):
     """A frame may be half done when another thread updates or compiles."""
     field = pressing(scene, DRAG)
     renderer = Renderer(field, scene.shell, blend=BlendLaw(force_rate=1e-9))
@@ -90,7 +84,7 @@ def test_other_threads_calls_leave_a_frames_scratch_alone(
             np.testing.assert_array_equal(after[name], array, err_msg=name)
 
 
-def test_frames_give_way_to_an_update(scene: Scene) -> None:
+def test_frames_give_way_to_an_update(scene):
     """While an update wants the turn, frames render and do not take it."""
     field, pose = pressing(scene), deepest_pose(scene)
     renderer = Renderer(field, scene.shell)
@@ -105,9 +99,7 @@ def test_frames_give_way_to_an_update(scene: Scene) -> None:
     assert renderer.blend.progress > 0.0
 
 
-def test_updates_come_one_after_the_other(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_updates_come_one_after_the_other(scene, monkeypatch):
     """A second update still waiting keeps its claim when the first one ends."""
     field = pressing(scene)
     renderer, claims = Renderer(field, scene.shell), []
@@ -121,7 +113,7 @@ def test_updates_come_one_after_the_other(
         else:
             threads[0].join(5.0)
             claims.append(renderer._waiting)
-        return swapped(*arguments)  # type: ignore[arg-type]
+        return swapped(*arguments)
 
     monkeypatch.setattr("ttus_opt.haptic.renderer.swapped", watched)
     threads[0].start()
@@ -131,7 +123,7 @@ def test_updates_come_one_after_the_other(
 
 
 @pytest.mark.parametrize("call", ["render", "render_into"])
-def test_two_threads_that_render_at_once_are_told(scene: Scene, call: str) -> None:
+def test_two_threads_that_render_at_once_are_told(scene, call):
     """A second frame comes while the first is under way; afterwards all is well."""
     renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
     within, told = renderer._set_motion, []
@@ -141,21 +133,19 @@ def test_two_threads_that_render_at_once_are_told(scene: Scene, call: str) -> No
         return getattr(renderer, call)(*pose, *more)
 
     def meanwhile(*arguments: object) -> object:
-        renderer._set_motion = within  # type: ignore[method-assign]
+        renderer._set_motion = within
 
         def other() -> None:
-            with pytest.raises(InputError, match="give each thread its own Renderer"):
-                frame()
+            refuses(InputError, "give each thread its own Renderer", frame)
             told.append(True)
 
         thread = threading.Thread(target=other)
         thread.start()
         thread.join()
-        return within(*arguments)  # type: ignore[arg-type]
+        return within(*arguments)
 
-    renderer._set_motion = meanwhile  # type: ignore[method-assign,assignment]
+    renderer._set_motion = meanwhile
     frame()
     assert told == [True]
-    with pytest.raises(InputError, match="NaN"):
-        renderer.render(np.full((3, 3), np.nan), pose[1])
+    refuses(InputError, "NaN", renderer.render, np.full((3, 3), np.nan), pose[1])
     frame()  # a frame that was refused gives its turn back

@@ -1,7 +1,5 @@
 """Tables hand over the very arrays they list, and a frame of them is the frame."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 import pytest
@@ -39,7 +37,7 @@ SCENE = small_scene("trilinear")
 
 
 @compiled()
-def doubled(table, k):  # type: ignore[no-untyped-def]
+def doubled(table, k):
     """Change array k of a table in its place."""
     values = matrix(table, k, np.float64)
     for i in range(values.shape[0]):
@@ -49,11 +47,11 @@ def doubled(table, k):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def summed(table, k):  # type: ignore[no-untyped-def]
+def summed(table, k):
     return vector(table, k, np.int64).sum()
 
 
-def test_a_table_lists_addresses_and_shapes() -> None:
+def test_a_table_lists_addresses_and_shapes():
     arrays = (np.zeros((3, 4)), np.zeros(5), np.arange(7))
     table = table_of(arrays).reshape(-1, WORDS)
     assert table.dtype == np.int64
@@ -61,7 +59,7 @@ def test_a_table_lists_addresses_and_shapes() -> None:
     np.testing.assert_array_equal(table[:, 1:], [[3, 4], [5, 0], [7, 0]])
 
 
-def test_compiled_code_reads_and_writes_what_is_listed() -> None:
+def test_compiled_code_reads_and_writes_what_is_listed():
     whole, counts = np.arange(12.0).reshape(3, 4), np.arange(7)
     table = table_of((np.zeros(2), whole, counts))
     assert doubled(table, 1) == (3, 4)
@@ -70,7 +68,7 @@ def test_compiled_code_reads_and_writes_what_is_listed() -> None:
 
 
 @pytest.mark.parametrize("trilinear", [False, True])
-def test_a_frame_s_arrays_come_out_in_their_places(trilinear: bool) -> None:
+def test_a_frame_s_arrays_come_out_in_their_places(trilinear):
     """Name by name, by address, shape and kind: none has another's place."""
     data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=trilinear)
     buffers, limits = FrameBuffers.empty(), FrameLimits(np.ones(3), np.ones((2, 2)))
@@ -89,7 +87,7 @@ def test_a_frame_s_arrays_come_out_in_their_places(trilinear: bool) -> None:
 
 
 @pytest.mark.parametrize("trilinear", [False, True])
-def test_a_frame_by_tables_is_the_frame_itself(trilinear: bool) -> None:
+def test_a_frame_by_tables_is_the_frame_itself(trilinear):
     """Amid a swap between two fields with drags of their own."""
     rng, shape = np.random.default_rng(0), SCENE.voxmap.grid.shape
     sampling = "trilinear" if trilinear else "voxel-mean"
@@ -120,14 +118,14 @@ def test_a_frame_by_tables_is_the_frame_itself(trilinear: bool) -> None:
     np.testing.assert_array_equal(*wrenches)
 
 
-def test_counts_are_those_of_the_tuples() -> None:
+def test_counts_are_those_of_the_tuples():
     """The flag of the sampling is no array and stands in no table."""
     data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=True)
     assert sum(isinstance(a, np.ndarray) for a in data) == N_DATA
     assert len(FieldPair._fields) == N_FIELDS
 
 
-def test_without_a_compiler_there_is_no_table(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_there_is_no_table(monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     with pytest.raises(InputError, match="unset NUMBA_DISABLE_JIT"):
         tt.Renderer(

@@ -1,7 +1,5 @@
 """One frame by hand: a sphere over a field that grows with depth, and its limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -46,7 +44,7 @@ def by_hand(R: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("depth", [-0.001, 0.002, 0.006])
-def test_a_press_by_hand(depth: float) -> None:
+def test_a_press_by_hand(depth):
     R = Rotation.from_rotvec([0.2, -0.1, 0.4]).as_matrix()
     at = np.array([RADIUS + 0.01 - depth, 0.0, 0.1])
     wrench = Renderer(FIELD, SHELL).render(R, at)
@@ -58,7 +56,7 @@ def test_a_press_by_hand(depth: float) -> None:
         assert wrench.force[0] > 0.9 * np.linalg.norm(wrench.force)  # outwards
 
 
-def test_a_force_limit_shortens_the_wrench_as_a_whole() -> None:
+def test_a_force_limit_shortens_the_wrench_as_a_whole():
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
     whole = Renderer(FIELD, SHELL).render(R, at)
     size = float(np.linalg.norm(whole.force))
@@ -69,7 +67,7 @@ def test_a_force_limit_shortens_the_wrench_as_a_whole() -> None:
     np.testing.assert_allclose(cut.torque, 0.25 * whole.torque, rtol=1e-12)
 
 
-def test_a_torque_limit_does_so_too_and_the_smaller_one_counts() -> None:
+def test_a_torque_limit_does_so_too_and_the_smaller_one_counts():
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
     whole = Renderer(FIELD, SHELL).render(R, at)
     force, torque = (float(np.linalg.norm(x)) for x in (whole.force, whole.torque))
@@ -85,7 +83,7 @@ def test_a_torque_limit_does_so_too_and_the_smaller_one_counts() -> None:
 
 @pytest.mark.parametrize("sampling", ["trilinear", "contact-size"])
 @pytest.mark.parametrize("end", [0.0, 0.2])
-def test_forces_fade_over_the_last_voxel(end: float, sampling: str) -> None:
+def test_forces_fade_over_the_last_voxel(end, sampling):
     """4 cm deep, across an end: continuous, with drag and without, and named."""
     parameters = {"friction_coefficient": 0.3}
     field = replace(FIELD, sampling=sampling, parameters=parameters)
@@ -115,7 +113,7 @@ def test_forces_fade_over_the_last_voxel(end: float, sampling: str) -> None:
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e77, 1e160])
-def test_whatever_a_field_holds_a_hand_survives(factor: float) -> None:
+def test_whatever_a_field_holds_a_hand_survives(factor):
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
     renderer = Renderer(replace(FIELD, values=factor * FIELD.values), SHELL)
     wrench = renderer.render(R, at)
@@ -128,7 +126,7 @@ def test_whatever_a_field_holds_a_hand_survives(factor: float) -> None:
     )
 
 
-def test_rounding_of_a_rotation_is_undone_and_more_is_refused() -> None:
+def test_rounding_of_a_rotation_is_undone_and_more_is_refused():
     exact = Rotation.from_rotvec([0.3, 1.0, -0.5]).as_matrix()
     rounded = exact + 1e-6 * np.random.default_rng(0).normal(size=(3, 3))
     assert orthonormalise(rounded)
@@ -139,13 +137,13 @@ def test_rounding_of_a_rotation_is_undone_and_more_is_refused() -> None:
         assert not orthonormalise(wrong.copy())
 
 
-def test_mixing_is_linear() -> None:
+def test_mixing_is_linear():
     a, b = np.arange(4.0), np.arange(4.0)[::-1].copy()
     np.testing.assert_allclose(mixed(a, b, 0.25), 0.75 * a + 0.25 * b)
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
-def test_a_wrench_that_is_not_finite_is_none(value: float) -> None:
+def test_a_wrench_that_is_not_finite_is_none(value):
     wrench = np.array([value, 1.0, 0.0, 0.0, 0.0, 0.0])
     assert _cut(wrench, FORCE_LIMIT, TORQUE_LIMIT) == BY_FORCE
     assert not wrench.any()

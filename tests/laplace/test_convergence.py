@@ -4,8 +4,6 @@ The field is p = ln(r₀/r) + a r cos θ + g r² cos 2θ + e I₀(κr) cos κz �
 harmonic, and the patient is where it is positive. Its surface is found by bisection.
 """
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 
@@ -94,14 +92,14 @@ def errors(n: int, boundary: str) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("what", [0, 1], ids=["field", "force"])
-def test_second_order(what: int) -> None:
+def test_second_order(what):
     coarse, fine = errors(12, "subvoxel")[what], errors(24, "subvoxel")[what]
     assert np.log2(coarse / fine) >= 1.8
     # for comparison, with p = 0 at the centres of the nearest voxels
     assert errors(24, "staircase")[what] > 5.0 * fine
 
 
-def test_force_on_a_coarse_grid_points_where_it_does_on_a_fine_one() -> None:
+def test_force_on_a_coarse_grid_points_where_it_does_on_a_fine_one():
     """24 × 60 × 30 against the harmonic field: a degree, 2 % of the largest force."""
     voxmap = Voxmap.from_surface(
         patient(), shape=(24, 60, 30), r_inner=R_INNER, r_outer=R_OUTER
@@ -120,9 +118,7 @@ def test_force_on_a_coarse_grid_points_where_it_does_on_a_fine_one() -> None:
 
 
 @pytest.mark.parametrize("shape", [(10, 24, 12), (17, 30, 11), (24, 60, 30)])
-def test_a_straight_press_starts_from_zero_and_never_pulls(
-    shape: tuple[int, int, int],
-) -> None:
+def test_a_straight_press_starts_from_zero_and_never_pulls(shape):
     voxmap = Voxmap.from_surface(patient(), shape=shape, r_inner=R_INNER)
     system = LaplaceSystem.assemble(voxmap)
     p = system.solve(system.right_side(1.0, 1.0))

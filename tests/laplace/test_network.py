@@ -1,7 +1,5 @@
 """Networks of conductances, against their matrix itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -20,7 +18,7 @@ def conductances_of(slope: Array) -> Array:
     return NeighbourRows.of(D, GRID).links(slope, GRID.n_voxels)
 
 
-def test_links_are_the_matrix_off_its_diagonal() -> None:
+def test_links_are_the_matrix_off_its_diagonal():
     slope = np.random.default_rng(0).uniform(0.0, 2.0, D.shape[0])
     H = sp.csr_array(D.T @ sp.diags_array(slope) @ D)
     index = np.arange(GRID.n_voxels).reshape(GRID.shape)
@@ -32,7 +30,7 @@ def test_links_are_the_matrix_off_its_diagonal() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cut", [0.0, 0.05])
-def test_a_network_is_inverted_well_cut_or_not(cut: float) -> None:
+def test_a_network_is_inverted_well_cut_or_not(cut):
     """Eigenvalues of P⁻¹H lie between 0.5 and 1.5, where the diagonal's are 1e-3."""
     rng = np.random.default_rng(1)
     slope = 3.0 * (rng.uniform(size=D.shape[0]) >= cut)
@@ -52,7 +50,7 @@ def test_a_network_is_inverted_well_cut_or_not(cut: float) -> None:
     assert sizes.min() > 0.5 and sizes.max() < 1.5
 
 
-def test_other_rows_are_no_network() -> None:
+def test_other_rows_are_no_network():
     """Where rows weigh that are no differences of neighbours it is left to others."""
     none = np.zeros((3, GRID.n_voxels))
     assert by_network(LAPLACE, none, np.ones(GRID.n_voxels), ~LAPLACE.free) is None

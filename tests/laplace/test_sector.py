@@ -1,7 +1,5 @@
 """Laplace's equation over a sector of θ with zero flux at its sides."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -55,14 +53,14 @@ def error(n: int) -> float:
     return float(np.abs(grid.unflatten(p) - exact)[voxmap.inside].max())
 
 
-def test_second_order() -> None:
+def test_second_order():
     coarse, fine = error(16), error(32)
     assert np.log2(coarse / fine) >= 1.8
 
 
 @pytest.mark.parametrize("boundary", ["subvoxel", "staircase"])
 @pytest.mark.parametrize("n", [11, 12], ids=["even", "odd"])
-def test_a_symmetric_body_is_its_half(boundary: str, n: int) -> None:
+def test_a_symmetric_body_is_its_half(boundary, n):
     """To the mirror images of a body whose plane of symmetry holds the sides."""
     step = np.pi / n
     theta = 0.5 * step * (1.0 + np.arange(4 * n))[:, None]
@@ -84,7 +82,7 @@ def test_a_symmetric_body_is_its_half(boundary: str, n: int) -> None:
     assert (q[:, n] == 0.0).all()
 
 
-def test_solves_are_those_of_the_matrix() -> None:
+def test_solves_are_those_of_the_matrix():
     """And of variants of the operator, whose grid is another one."""
     voxmap = Voxmap.from_surface(
         torso(), shape=(10, 14, 8), sector=(np.radians(300.0), np.radians(420.0))

@@ -1,7 +1,5 @@
 """Solves through the block on free voxels, symmetric or not, against dense algebra."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +55,7 @@ def made(symmetric: bool) -> tuple[Made, Array]:
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_solves_are_those_with_L_and_its_adjoint(symmetric: bool) -> None:
+def test_solves_are_those_with_L_and_its_adjoint(symmetric):
     system, L = made(symmetric)
     g = np.random.default_rng(1).normal(size=V)
     np.testing.assert_allclose(system.solve(g), np.linalg.solve(L, g), atol=1e-12)

@@ -1,7 +1,5 @@
 """Rows of L and b against the stencil written down voxel by voxel."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -59,9 +57,7 @@ def reference_rows(voxmap: Voxmap) -> sp.csr_array:
 
 @pytest.mark.parametrize("boundary", ["subvoxel", "staircase"])
 @pytest.mark.parametrize("shape", [(9, 12, 7), (8, 5, 4), (12, 4, 3)])
-def test_rows_equal_the_plain_reference(
-    shape: tuple[int, int, int], boundary: str
-) -> None:
+def test_rows_equal_the_plain_reference(shape, boundary):
     voxmap = Voxmap.from_surface(torso(), shape=shape, boundary=boundary)
     system = LaplaceSystem.assemble(voxmap)
     difference = system.L - reference_rows(system.voxmap)
@@ -89,7 +85,7 @@ def touching() -> LaplaceSystem:
 
 @pytest.mark.parametrize("where", ["between", "on the outer layer"])
 @pytest.mark.parametrize("end", [0, -1])
-def test_ends_satisfy_the_polar_stencil_of_a_torso(where: str, end: int) -> None:
+def test_ends_satisfy_the_polar_stencil_of_a_torso(where, end):
     system = between() if where == "between" else touching()
     grid = system.grid
     b = grid.unflatten(system.right_side(2.0, 1.0))[:, :, end]

@@ -1,7 +1,5 @@
 """Other conductivities are the plain operator on a grid with other steps."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np
@@ -14,7 +12,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 PLAIN = CylindricalGrid(0.03, 0.18, 0.0, 0.3, shape=(5, 8, 6))
 
 
-def test_conductances_are_in_the_ratio_of_the_conductivities() -> None:
+def test_conductances_are_in_the_ratio_of_the_conductivities():
     k_r, k_theta, k_z = 2.0, 0.5, 3.0
     own = {f.name: getattr(PLAIN, f.name) for f in fields(PLAIN)}
     stretch = {"theta_stretch": (k_r / k_theta) ** 0.5, "z_stretch": (k_r / k_z) ** 0.5}
@@ -27,7 +25,7 @@ def test_conductances_are_in_the_ratio_of_the_conductivities() -> None:
     np.testing.assert_allclose(along_r, along_r.flat[0], rtol=1e-12)
 
 
-def test_the_steps_alone_differ() -> None:
+def test_the_steps_alone_differ():
     own = {f.name: getattr(PLAIN, f.name) for f in fields(PLAIN)}
     variant = VariantGrid(**own, theta_stretch=2.0, z_stretch=0.25)
     np.testing.assert_array_equal(variant.r, PLAIN.r)

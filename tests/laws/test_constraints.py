@@ -1,7 +1,5 @@
 """Laws of every constraint on the shelf: a new file there is tested by existing."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil
@@ -33,14 +31,14 @@ def members() -> list[type[Constraint]]:
 each_constraint = pytest.mark.parametrize("kind", members())
 
 
-def test_the_shelf_is_found() -> None:
+def test_the_shelf_is_found():
     assert {"Sign", "HardBoundary", "Monotone"} <= {k.__name__ for k in members()}
     names = [kind.name for kind in members()]
     assert len(names) == len(set(names))
 
 
 @each_constraint
-def test_rows_are_well_formed(kind: type[Constraint]) -> None:
+def test_rows_are_well_formed(kind):
     constraint = kind(SCENE)
     rows = constraint.rows()
     assert (rows.lower <= rows.upper).all()
@@ -59,9 +57,7 @@ def test_rows_are_well_formed(kind: type[Constraint]) -> None:
 
 
 @each_constraint
-def test_the_laplace_field_without_drag_obeys_every_one(
-    kind: type[Constraint],
-) -> None:
+def test_the_laplace_field_without_drag_obeys_every_one(kind):
     """Maximum principle: eq. 8 alone has the sign, the growth and the boundary."""
     program = Program.build(SCENE, [LaplaceTerm(SCENE)], [kind(SCENE)])
     x = np.zeros(program.n_variables)

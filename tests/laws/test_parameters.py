@@ -1,7 +1,5 @@
 """Law of parameters: each comes with a standard error, or with a reason."""
 
-from __future__ import annotations
-
 import functools
 
 import pytest
@@ -32,7 +30,7 @@ def fitted() -> Scene:
 
 
 @pytest.mark.parametrize("name", [info.name for info in available()])
-def test_every_parameter_is_told_how_well(name: str) -> None:
+def test_every_parameter_is_told_how_well(name):
     options = {} if name == "laplace_only" else {"force_weight": 1e-2}
     solution = tt.fit(fitted(), name, **options)
     assert solution.status is tt.Status.SOLVED, solution.advice

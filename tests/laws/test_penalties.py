@@ -1,7 +1,5 @@
 """Laws of every penalty on the shelf: a new file there is tested by existing."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil
@@ -39,13 +37,13 @@ def members() -> list[Penalty]:
 each_penalty = pytest.mark.parametrize("phi", members(), ids=lambda p: type(p).__name__)
 
 
-def test_the_shelf_is_found() -> None:
+def test_the_shelf_is_found():
     names = {type(phi).__name__ for phi in members()}
     assert {"Squares", "Huber", "Absolute", "Groups", "Linear"} <= names
 
 
 @each_penalty
-def test_the_value_is_cvxpys(phi: Penalty) -> None:
+def test_the_value_is_cvxpys(phi):
     """Two statements of the same penalty, for our checks and for cone solvers."""
     for scale in (0.1, 1.0, 10.0):
         r = scale * RNG.normal(size=12)
@@ -56,7 +54,7 @@ def test_the_value_is_cvxpys(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_the_subgradient_lies_below_the_penalty(phi: Penalty) -> None:
+def test_the_subgradient_lies_below_the_penalty(phi):
     for _ in range(10):
         r, other = RNG.normal(size=(2, 12))
         below = phi.value(r) + float(phi.subgradient(r) @ (other - r))
@@ -66,13 +64,13 @@ def test_the_subgradient_lies_below_the_penalty(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_a_smooth_penaltys_gradient_vanishes_with_the_residual(phi: Penalty) -> None:
+def test_a_smooth_penaltys_gradient_vanishes_with_the_residual(phi):
     steep = np.abs(phi.subgradient(np.full(12, 1e-9))).max()
     assert (steep < 1e-8) == phi.smooth
 
 
 @each_penalty
-def test_multipliers_are_projected(phi: Penalty) -> None:
+def test_multipliers_are_projected(phi):
     """Nearest, and left alone where they are subgradients already."""
     for _ in range(10):
         g, r = 4.0 * RNG.normal(size=(2, 12))
@@ -85,7 +83,7 @@ def test_multipliers_are_projected(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_fenchels_inequality(phi: Penalty) -> None:
+def test_fenchels_inequality(phi):
     for _ in range(10):
         r = RNG.normal(size=12)
         own, other = phi.subgradient(r), phi.admissible(3.0 * RNG.normal(size=12))
@@ -94,7 +92,7 @@ def test_fenchels_inequality(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_a_split_has_the_penalty_as_its_least_value(phi: Penalty) -> None:
+def test_a_split_has_the_penalty_as_its_least_value(phi):
     split = phi.split
     if split is None:
         return
@@ -113,7 +111,7 @@ def test_a_split_has_the_penalty_as_its_least_value(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_the_gauge_says_how_much_too_long_a_multiplier_is(phi: Penalty) -> None:
+def test_the_gauge_says_how_much_too_long_a_multiplier_is(phi):
     for _ in range(10):
         g = 4.0 * RNG.normal(size=12)
         t = phi.gauge(g)
@@ -126,7 +124,7 @@ def test_the_gauge_says_how_much_too_long_a_multiplier_is(phi: Penalty) -> None:
 
 
 @each_penalty
-def test_no_residual_of_a_value_is_longer(phi: Penalty) -> None:
+def test_no_residual_of_a_value_is_longer(phi):
     """Of one that is all in one place as of one that is spread."""
     alone = np.eye(1, 12).reshape(-1)
     for r in (*RNG.normal(size=(10, 12)), alone, 1e3 * alone, 1e-3 * alone):

@@ -1,7 +1,5 @@
 """Laws of every term on the shelf: a new file there is tested by existing."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil
@@ -62,21 +60,21 @@ each_term = pytest.mark.parametrize(("kind", "options"), CASES)
 
 
 def made(kind: type[Term], options: dict[str, object], weight: float = 0.7) -> Term:
-    return kind(SCENE, weight, **options)  # type: ignore[arg-type]
+    return kind(SCENE, weight, **options)
 
 
 def program_of(term: Term) -> Program:
     return Program.build(SCENE, [term], [])
 
 
-def test_the_shelf_is_found() -> None:
+def test_the_shelf_is_found():
     names = {kind.__name__ for kind in members()}
     assert {"LaplaceTerm", "ForceTerm", "TorqueTerm", "RobustForceTerm"} <= names
     assert len(names) >= 14
 
 
 @each_term
-def test_rows_are_well_formed(kind: type[Term], options: dict[str, object]) -> None:
+def test_rows_are_well_formed(kind, options):
     term = made(kind, options)
     rows = term.rows()
     assert "p" in rows.blocks or kind.__name__ == "DragSmoothnessTerm"
@@ -94,9 +92,7 @@ def test_rows_are_well_formed(kind: type[Term], options: dict[str, object]) -> N
 
 
 @each_term
-def test_gradient_is_the_finite_difference(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_gradient_is_the_finite_difference(kind, options):
     """At a random point every penalty is smooth along a random direction."""
     rng = np.random.default_rng(1)
     program = program_of(made(kind, options))
@@ -112,7 +108,7 @@ def test_gradient_is_the_finite_difference(
 
 
 @each_term
-def test_map_and_adjoint(kind: type[Term], options: dict[str, object]) -> None:
+def test_map_and_adjoint(kind, options):
     rng = np.random.default_rng(2)
     (term,) = program_of(made(kind, options)).terms
     x, y = rng.normal(size=term.matrix.shape[1]), rng.normal(size=term.matrix.shape[0])
@@ -121,9 +117,7 @@ def test_map_and_adjoint(kind: type[Term], options: dict[str, object]) -> None:
 
 
 @each_term
-def test_cost_is_convex_and_not_negative(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_cost_is_convex_and_not_negative(kind, options):
     rng = np.random.default_rng(3)
     program = program_of(made(kind, options))
     for _ in range(5):
@@ -135,9 +129,7 @@ def test_cost_is_convex_and_not_negative(
 
 
 @each_term
-def test_conjugate_meets_the_penalty_at_its_subgradient(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_conjugate_meets_the_penalty_at_its_subgradient(kind, options):
     """φ(r) + φ*(g) ≥ gᵀr for admissible g, equal when g belongs to r (Fenchel)."""
     rng = np.random.default_rng(4)
     (term,) = program_of(made(kind, options)).terms
@@ -152,17 +144,13 @@ def test_conjugate_meets_the_penalty_at_its_subgradient(
 
 
 @each_term
-def test_these_are_no_sums_of_squares(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_these_are_no_sums_of_squares(kind, options):
     (term,) = program_of(made(kind, options)).terms
     assert (not term.penalty.quadratic) == (kind.__name__ in BENT)
 
 
 @pytest.mark.parametrize(("kind", "options"), QUADRATIC_CASES)
-def test_quadratic_form_is_positive_semidefinite(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_quadratic_form_is_positive_semidefinite(kind, options):
     program = program_of(made(kind, options))
     Q, d = program.normal_equations()
     assert abs(Q - Q.T).max() <= 1e-12 * max(abs(Q).max(), 1e-300)
@@ -176,9 +164,7 @@ def test_quadratic_form_is_positive_semidefinite(
 
 
 @each_term
-def test_a_weight_scales_the_cost_and_assembles_nothing(
-    kind: type[Term], options: dict[str, object]
-) -> None:
+def test_a_weight_scales_the_cost_and_assembles_nothing(kind, options):
     term = made(kind, options)
     rows = term.assembled
     heavier = term.with_weight(7.0)
@@ -191,9 +177,7 @@ def test_a_weight_scales_the_cost_and_assembles_nothing(
 
 @each_term
 @pytest.mark.parametrize("weight", [-1e-3, float("nan"), float("inf")])
-def test_a_weight_that_is_none_is_refused(
-    kind: type[Term], options: dict[str, object], weight: float
-) -> None:
+def test_a_weight_that_is_none_is_refused(kind, options, weight):
     with pytest.raises(InputError, match="weight must be finite and not negative"):
         made(kind, options, weight)
     with pytest.raises(InputError, match="weight must be finite"):

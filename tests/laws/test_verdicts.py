@@ -5,8 +5,6 @@ stopped early: whatever is called SOLVED all the same has an objective within th
 tolerance of the optimum and every parameter within 1 %.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -61,7 +59,6 @@ def exact(
     candidate, reduction = fitter._prepared.solve(), fitter._reduction
     solution = judged(declared, reduction, first, candidate, request, TIMES)
     # rounding may end before 1e-9, where a weight is tiny beside the prior's
-    assert solution.kkt is not None
     assert solution.kkt.worst_relative <= 0.5 * TOLERANCE, solution.advice
     return Exact(declared, reduction, candidate, solution)
 
@@ -83,7 +80,6 @@ def assert_law(found: Solution, known: Solution, what: str) -> None:
     if found.status is not Status.SOLVED:
         return
     nothing = found.program.objective(np.zeros(found.program.n_variables))
-    assert known.kkt is not None
     # an objective that is zero at the optimum is judged by the distance from it
     least = max(TOLERANCE * known.objective, (TOLERANCE / 100.0) ** 2 * nothing)
     above = found.objective - known.objective
@@ -97,7 +93,6 @@ def perturbations(known: Exact, rng: np.random.Generator) -> Iterator[tuple[str,
     """Directions of unit size relative to the answer, by name."""
     program = known.reduction.program
     x = known.candidate.x
-    assert x is not None
     scene = known.declared.scene
     V = scene.n_voxels
     for name, part in program.variables.items():
@@ -129,14 +124,14 @@ WEIGHTS = [
 @pytest.mark.parametrize(("weight", "sizes"), WEIGHTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
-    name: str, weight: float, sizes: int
-) -> None:
+    name, weight, sizes
+):
     known, rng = exact(name, weight), np.random.default_rng(7)
-    assert judge(known, known.candidate.x).status is Status.SOLVED  # type: ignore[arg-type]
+    assert judge(known, known.candidate.x).status is Status.SOLVED
     refused = 0
     for what, direction in perturbations(known, rng):
         for size in 10.0 ** rng.uniform(-6.0, 0.0, sizes):
-            found = judge(known, known.candidate.x + size * direction)  # type: ignore[operator]
+            found = judge(known, known.candidate.x + size * direction)
             assert_law(found, known.solution, f"{what} by {size:.1e}")
             refused += found.status is not Status.SOLVED
     assert refused > 0
@@ -192,7 +187,7 @@ def stopped(name: str, solver: str, rng: np.random.Generator) -> Iterator[Soluti
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["structured", "osqp", "clarabel"])
-def test_a_solver_stopped_early_is_not_believed(solver: str) -> None:
+def test_a_solver_stopped_early_is_not_believed(solver):
     """Over all formulations for ours; some for the others, all of them when slow."""
     rng = np.random.default_rng(11)
     names = NAMES if solver == "structured" else NAMES[::3]
@@ -203,7 +198,7 @@ def test_a_solver_stopped_early_is_not_believed(solver: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", STOPS)
 @pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.long)])
-def test_every_solver_stopped_at_random(solver: str, seed: int) -> None:
+def test_every_solver_stopped_at_random(solver, seed):
     if not registry.solvers()[solver].installed:
         pytest.skip(f"{solver} is not installed")
     rng = np.random.default_rng(seed)

@@ -1,7 +1,5 @@
 """Patients that messages are made of: an uneven torso, a dent in it, a fitted field."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Messages with a sound envelope around whatever body."""
 
-from __future__ import annotations
-
 import zlib
 
 from ttus_opt.message.envelope import CHECKSUM, HEAD, MARK, VERSION

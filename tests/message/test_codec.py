@@ -1,11 +1,10 @@
 """One pair of calls: what is decoded is of the kind that was encoded."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.message.patients import dented, fitted, sent, uneven
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.message.codec import decode, encode
 from ttus_opt.message.surface_message import MAX_ERROR
@@ -15,7 +14,7 @@ from ttus_opt.voxmap.field import PotentialField
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
-def test_the_kind_comes_back() -> None:
+def test_the_kind_comes_back():
     surface, field = sent()
     assert isinstance(decode(surface), Surface)
     assert isinstance(decode(field, base=surface), PotentialField)
@@ -23,7 +22,7 @@ def test_the_kind_comes_back() -> None:
     assert isinstance(decode(change, base=encode(uneven())), Surface)
 
 
-def test_several_messages_stand_for_the_last_surface() -> None:
+def test_several_messages_stand_for_the_last_surface():
     """A list, a tuple, or a message alone where there are no changes."""
     first, later = uneven(), dented(uneven())
     whole = encode(first)
@@ -37,23 +36,17 @@ def test_several_messages_stand_for_the_last_surface() -> None:
     assert isinstance(once, Surface)
     np.testing.assert_allclose(once.radius, later.radius, atol=MAX_ERROR)
     # the change back goes with the first change, not with the surface alone
-    with pytest.raises(InputError, match="builds on"):
-        decode(again, base=whole)
+    refuses(InputError, "builds on", decode, again, base=whole)
 
 
-def test_no_bound_is_the_usual_one_and_zero_is_refused() -> None:
+def test_no_bound_is_the_usual_one_and_zero_is_refused():
     assert len(encode(uneven(), max_error=MAX_ERROR)) == len(encode(uneven()))
-    with pytest.raises(InputError):
-        encode(uneven(), max_error=0.0)
+    refuses(InputError, "", encode, uneven(), max_error=0.0)
 
 
-def test_what_builds_on_another_is_told() -> None:
+def test_what_builds_on_another_is_told():
     surface, field = sent()
-    with pytest.raises(InputError, match="message as base"):
-        encode(fitted())
-    with pytest.raises(InputError, match="builds on another"):
-        decode(field)
-    with pytest.raises(InputError, match="no base"):
-        decode(surface, base=surface)
-    with pytest.raises(InputError, match="base is empty"):
-        decode(field, base=[])
+    refuses(InputError, "message as base", encode, fitted())
+    refuses(InputError, "builds on another", decode, field)
+    refuses(InputError, "no base", decode, surface, base=surface)
+    refuses(InputError, "base is empty", decode, field, base=[])

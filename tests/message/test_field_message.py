@@ -1,7 +1,5 @@
 """Fields as messages: the bound holds, both sides solve the same equation."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 from typing import Any
@@ -11,14 +9,9 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
-from tests.message.patients import (
-    SECTOR,
-    fitted,
-    over_a_sector,
-    sent,
-    sent_sector,
-)
+from tests.message.patients import SECTOR, fitted, over_a_sector, sent, sent_sector
 from tests.message.sealing import body, sealed
+from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.laplace.multigrid.solver import Multigrid, MultigridResult
@@ -31,7 +24,7 @@ pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
-def test_there_and_back(sampling: str) -> None:
+def test_there_and_back(sampling):
     field = fitted(sampling)
     surface, message = sent(sampling)
     received = decode(message, base=surface)
@@ -43,7 +36,7 @@ def test_there_and_back(sampling: str) -> None:
     assert received.parameters == {"boundary_scale": 2.0}
 
 
-def test_a_surface_that_is_rounded_after_the_fit() -> None:
+def test_a_surface_that_is_rounded_after_the_fit():
     """The bound holds where contact reads; regions are those of what is decoded."""
     field = fitted()
     coarse = encode(field.voxmap.surface, max_error=4e-3)
@@ -66,9 +59,7 @@ def test_a_surface_that_is_rounded_after_the_fit() -> None:
 
 @pytest.mark.parametrize("boundary", ["subvoxel", "staircase"])
 @pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
-def test_what_contact_reads_is_where_the_bound_holds(
-    sampling: str, boundary: str
-) -> None:
+def test_what_contact_reads_is_where_the_bound_holds(sampling, boundary):
     surface, shell = torso(), ellipsoid()
     voxmap = tt.Voxmap.from_surface(
         surface, shape=(9, 20, 10), r_inner=0.03, boundary=boundary
@@ -79,7 +70,7 @@ def test_what_contact_reads_is_where_the_bound_holds(
     assert sampled(voxmap).reshape(-1)[touched].all()
 
 
-def test_a_bound_of_ones_own() -> None:
+def test_a_bound_of_ones_own():
     surface, message = sent()
     fine = encode(fitted(), base=surface, max_error=1e-5)
     received = decode(fine, base=surface)
@@ -93,7 +84,7 @@ def test_a_bound_of_ones_own() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", [None, 1e-2])
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_size_and_force_of_case_M(weight: float | None) -> None:
+def test_size_and_force_of_case_M(weight):
     """A field of 345,600 voxels takes 3 kB, and 0.02 N at 0.25 mm and 0.005 N/cm²."""
     cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
     frame = tt.Surface.load(example.path("surface.nc")).axis  # of the recordings
@@ -135,29 +126,24 @@ def test_size_and_force_of_case_M(weight: float | None) -> None:
     assert len(effect) > 100
 
 
-def test_messages_in_the_wrong_places() -> None:
+def test_messages_in_the_wrong_places():
     surface, message = sent()
-    with pytest.raises(InputError, match="its surface"):
-        encode(fitted())
-    with pytest.raises(InputError, match="give that as base"):
-        decode(message)
+    refuses(InputError, "its surface", encode, fitted())
+    refuses(InputError, "give that as base", decode, message)
     other = encode(fitted().voxmap.surface, max_error=1e-3)
-    with pytest.raises(InputError, match="builds on message"):
-        decode(message, base=other)
-    with pytest.raises(InputError, match="surface's message first"):
-        decode(message, base=message)
-    with pytest.raises(InputError, match="in their order"):
-        decode(message, base=[surface, message])
+    refuses(InputError, "builds on message", decode, message, base=other)
+    refuses(InputError, "surface's message first", decode, message, base=message)
+    refuses(InputError, "in their order", decode, message, base=[surface, message])
 
 
-def test_a_surface_of_other_heights_is_told() -> None:
+def test_a_surface_of_other_heights_is_told():
     surface = fitted().voxmap.surface
     longer = encode(replace(surface, z=surface.z * 1.1))
     with pytest.raises(InputError, match="encode the surface that the field"):
         encode(fitted(), base=longer)
 
 
-def test_a_field_over_a_sector_there_and_back() -> None:
+def test_a_field_over_a_sector_there_and_back():
     field, (surface, message) = over_a_sector(), sent_sector()
     received = decode(message, base=surface)
     assert isinstance(received, PotentialField)
@@ -187,36 +173,31 @@ def test_a_field_over_a_sector_there_and_back() -> None:
         (61, np.float64(60.0).tobytes(), "two angles"),
     ],
 )
-def test_hostile_sectors(at: int, value: bytes, words: str) -> None:
+def test_hostile_sectors(at, value, words):
     surface, message = sent_sector()
-    with pytest.raises(TtusError, match=words) as told:
-        decode(bent(at, value, message), base=surface)
-    assert "\n" not in str(told.value)
+    refuses(TtusError, words, decode, bent(at, value, message), base=surface)
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, np.nan, np.inf])
-def test_bounds_that_make_no_sense(bound: float) -> None:
-    with pytest.raises(InputError, match="max_error"):
-        encode(fitted(), base=sent()[0], max_error=bound)
+def test_bounds_that_make_no_sense(bound):
+    refuses(InputError, "max_error", encode, fitted(), base=sent()[0], max_error=bound)
 
 
-def test_large_fields_are_refused_unless_asked_for() -> None:
+def test_large_fields_are_refused_unless_asked_for():
     surface, message = sent()
     with pytest.raises(InputError, match=r"1,800 voxels, at most 1,000"):
         decode(message, base=surface, max_voxels=1000)
 
 
-def test_fields_beyond_any_link_are_not_encoded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_fields_beyond_any_link_are_not_encoded(monkeypatch):
     monkeypatch.setattr(field_message, "MOST_SENT", 1000)
     with pytest.raises(InputError, match=r"at most 1,000 voxels, got 1,800"):
         encode(fitted(), base=sent()[0])
 
 
 def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Its time is that of one solve, counted in V-cycles; its memory is traced."""
     surface = torso()
     base = encode(surface)
@@ -264,29 +245,26 @@ def bent(at: int, value: bytes, message: bytes | None = None) -> bytes:
         (44, np.float64(np.nan).tobytes(), "max_error"),
     ],
 )
-def test_hostile_headers(at: int, value: bytes, words: str) -> None:
-    with pytest.raises(TtusError, match=words) as told:
-        decode(bent(at, value), base=sent()[0])
-    assert "\n" not in str(told.value)
+def test_hostile_headers(at, value, words):
+    refuses(TtusError, words, decode, bent(at, value), base=sent()[0])
 
 
 @pytest.mark.parametrize(
     "text", [b"", b"[", b"[" * 60_000, b"[1, 2]", b'[{"a": "b"}, {}]', b"[{}]"]
 )
-def test_hostile_parameters(text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_parameters(text, monkeypatch):
     base = sent()[0]  # which is kept for other tests, so before the patch
     monkeypatch.setattr("json.dumps", lambda _: text.decode())
     message = encode(fitted(), base=base)
-    with pytest.raises(InputError, match="parameters"):
-        decode(message, base=base)
+    refuses(InputError, "parameters", decode, message, base=base)
 
 
-def test_the_longest_message_holds_any_surface() -> None:
+def test_the_longest_message_holds_any_surface():
     # 32 bits a node at most, and the mask
     assert LONGEST > 2**20 * 4.2
 
 
-def test_what_is_rendered_hardly_differs() -> None:
+def test_what_is_rendered_hardly_differs():
     received = decode(sent()[1], base=sent()[0])
     assert isinstance(received, PotentialField)
     poses = small_scene("trilinear").trajectory

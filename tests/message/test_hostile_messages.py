@@ -1,7 +1,5 @@
 """Mutated messages: the package's own errors and no others, bounded memory."""
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Iterator
 
@@ -62,7 +60,7 @@ def hostile(n: int, part: int) -> Iterator[tuple[int, bytes, bytes | None]]:
 
 @pytest.mark.parametrize(("part", "n"), NUMBERS)
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutated_messages(part: int, n: int) -> None:
+def test_mutated_messages(part, n):
     messages = hostile(n, part)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused = 0

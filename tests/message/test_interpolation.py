@@ -1,7 +1,5 @@
 """Prediction: the bound holds, cubics cost nothing, both sides agree to the bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -32,9 +30,7 @@ SCHEMES = [
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("bound", [1e-6, 1e-3, 0.5, 10.0])
 @pytest.mark.parametrize("kind", ["noise", "extremes", "smooth"])
-def test_what_is_decoded_is_within_the_bound(
-    scheme: Scheme, bound: float, kind: str
-) -> None:
+def test_what_is_decoded_is_within_the_bound(scheme, bound, kind):
     rng = np.random.default_rng(scheme.size)
     values = {
         "noise": rng.normal(0.0, 3.0, scheme.shape),
@@ -48,13 +44,13 @@ def test_what_is_decoded_is_within_the_bound(
     np.testing.assert_array_equal(back, decoded)
 
 
-def test_the_weights_are_those_of_the_textbook() -> None:
+def test_the_weights_are_those_of_the_textbook():
     sixteenths = [WEIGHT // 16 * part for part in (-1, 9, 9, -1)]
     assert _lagrange((-3, -1, 1, 3)) == sixteenths
     assert _lagrange((-1, 1)) == [WEIGHT // 2, WEIGHT // 2]
 
 
-def test_the_weights_of_what_may_be_used() -> None:
+def test_the_weights_of_what_may_be_used():
     """Bit i stands for node i; beyond the nodes a straight line through the nearest."""
     quarter = WEIGHT // 4
     table = _weights((-3, -1, 1, 3))
@@ -72,7 +68,7 @@ def test_the_weights_of_what_may_be_used() -> None:
     assert _weights((1, 3, 5))[0b111].tolist() == [6 * quarter, -2 * quarter, 0]
 
 
-def test_nodes_of_another_side_predict_nothing() -> None:
+def test_nodes_of_another_side_predict_nothing():
     """Whatever lies beyond the surface, the same is sent of this side."""
     rng = np.random.default_rng(1)
     r, theta = np.meshgrid(np.arange(12), np.arange(16), indexing="ij")
@@ -97,7 +93,7 @@ def test_nodes_of_another_side_predict_nothing() -> None:
     )
 
 
-def test_inside_the_array_is_known_on_the_surface() -> None:
+def test_inside_the_array_is_known_on_the_surface():
     r = np.arange(17.0)
     sides = np.where(r < 12, 1, 0).astype(np.int8)
     values = np.where(r < 12, (12.0 - r) ** 2, 99.0)
@@ -109,7 +105,7 @@ def test_inside_the_array_is_known_on_the_surface() -> None:
     assert last[1].any()  # otherwise a straight line through two nodes
 
 
-def test_a_cubic_is_predicted_without_differences() -> None:
+def test_a_cubic_is_predicted_without_differences():
     x = np.linspace(-1.0, 1.0, 33)
     scheme = Scheme((33,), (False,), (0,))
     sent, _ = differences(x**3 - x, 1e-3, scheme)
@@ -118,7 +114,7 @@ def test_a_cubic_is_predicted_without_differences() -> None:
     assert np.count_nonzero(fine) == 0
 
 
-def test_a_closed_axis_is_predicted_across_its_seam() -> None:
+def test_a_closed_axis_is_predicted_across_its_seam():
     theta = np.arange(64) * 2 * np.pi / 64
     values = np.cos(theta - 0.1)
     closed, open_ = (
@@ -129,7 +125,7 @@ def test_a_closed_axis_is_predicted_across_its_seam() -> None:
     assert np.abs(np.concatenate(closed)).sum() < np.abs(np.concatenate(open_)).sum()
 
 
-def test_a_bound_too_small_for_32_bits_is_told() -> None:
+def test_a_bound_too_small_for_32_bits_is_told():
     scheme = Scheme((4, 4), (True, False), (1, 0))
     with pytest.raises(OverflowError):
         differences(np.full((4, 4), 1.0), 1e-10, scheme)

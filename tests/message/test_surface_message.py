@@ -1,9 +1,6 @@
 """Surfaces as messages: sizes, bound, changes, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +9,7 @@ import ttus_opt as tt
 from tests.conftest import torso
 from tests.message.patients import dented, uneven
 from tests.message.sealing import body, sealed
+from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.message import decode, encode
@@ -38,12 +36,12 @@ def check(sent: Surface, received: object, bound: float) -> None:
 
 
 @pytest.mark.parametrize("bound", [1e-5, 0.25e-3, 2e-3])
-def test_there_and_back(bound: float) -> None:
+def test_there_and_back(bound):
     check(uneven(), decode(encode(uneven(), max_error=bound)), bound)
 
 
 @pytest.mark.parametrize("shape", [(4, 2), (5, 3), (7, 40), (64, 33)])
-def test_any_counts(shape: tuple[int, int]) -> None:
+def test_any_counts(shape):
     sent = torso(*shape)
     received = decode(encode(sent))
     assert isinstance(received, Surface)
@@ -51,7 +49,7 @@ def test_any_counts(shape: tuple[int, int]) -> None:
     assert received.observed.all()
 
 
-def test_a_smaller_bound_takes_more_bytes() -> None:
+def test_a_smaller_bound_takes_more_bytes():
     lengths = [len(encode(uneven(), max_error=e)) for e in (1e-3, 1e-4, 1e-5)]
     assert lengths == sorted(lengths)
     assert lengths[0] < lengths[-1]
@@ -67,9 +65,7 @@ def test_a_smaller_bound_takes_more_bytes() -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_sizes_of_real_surfaces(
-    shared: Path, scan: str | Path, unit: str, most: int
-) -> None:
+def test_sizes_of_real_surfaces(shared, scan, unit, most):
     cloud = tt.read_cloud(shared / scan, unit=unit)
     surface = tt.extract_surface(
         cloud, axis=tt.Axis.from_cloud(cloud), n_theta=180, n_z=60
@@ -79,7 +75,7 @@ def test_sizes_of_real_surfaces(
     check(surface, decode(message), 0.25e-3)
 
 
-def test_a_change_is_short_and_exact() -> None:
+def test_a_change_is_short_and_exact():
     first, second = uneven(180, 60), dented(uneven(180, 60))
     whole = encode(first)
     change = encode(second, base=whole)
@@ -90,7 +86,7 @@ def test_a_change_is_short_and_exact() -> None:
     np.testing.assert_array_equal(received.observed, second.observed)
 
 
-def test_changes_follow_one_another() -> None:
+def test_changes_follow_one_another():
     surfaces = [uneven(), dented(uneven()), dented(uneven(), -0.003)]
     messages = [encode(surfaces[0])]
     for surface in surfaces[1:]:
@@ -98,18 +94,17 @@ def test_changes_follow_one_another() -> None:
     received = decode(messages[-1], base=messages[:-1])
     assert isinstance(received, Surface)
     assert np.abs(received.radius - surfaces[-1].radius).max() <= 0.25e-3 * (1 + 1e-9)
-    with pytest.raises(InputError, match="builds on message"):
-        decode(messages[2], base=messages[0])
+    refuses(InputError, "builds on message", decode, messages[2], base=messages[0])
 
 
-def test_no_change_is_a_change_too() -> None:
+def test_no_change_is_a_change_too():
     whole = encode(uneven())
     received = decode(encode(uneven(), base=whole), base=whole)
     assert isinstance(received, Surface)
     check(uneven(), received, 0.25e-3)
 
 
-def test_a_change_everywhere_at_a_smaller_bound() -> None:
+def test_a_change_everywhere_at_a_smaller_bound():
     whole = encode(uneven(), max_error=1e-3)
     received = decode(encode(uneven(), base=whole, max_error=1e-5), base=whole)
     assert isinstance(received, Surface)
@@ -126,9 +121,7 @@ def test_a_change_everywhere_at_a_smaller_bound() -> None:
         ([(j, 0) for j in range(10)], (0, 10, 0, 1)),
     ],
 )
-def test_the_window_is_the_smallest_on_the_circle(
-    marked: list[tuple[int, int]], window: tuple[int, int, int, int]
-) -> None:
+def test_the_window_is_the_smallest_on_the_circle(marked, window):
     changed = np.zeros((10, 5), bool)
     for node in marked:
         changed[node] = True
@@ -137,32 +130,25 @@ def test_the_window_is_the_smallest_on_the_circle(
     assert changed[found.indices(changed.shape)].sum() == len(marked)
 
 
-def test_another_grid_or_frame_is_told() -> None:
+def test_another_grid_or_frame_is_told():
     whole = encode(uneven())
     for other in (uneven(44), replace(uneven(), axis=Axis.identity())):
-        with pytest.raises(InputError, match="another grid or patient frame"):
-            encode(other, base=whole)
+        refuses(InputError, "another grid or patient frame", encode, other, base=whole)
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, np.nan, np.inf, 1e-12])
-def test_bounds_that_make_no_sense(bound: float) -> None:
-    with pytest.raises(InputError, match="max_error"):
-        encode(uneven(), max_error=bound)
+def test_bounds_that_make_no_sense(bound):
+    refuses(InputError, "max_error", encode, uneven(), max_error=bound)
 
 
-def test_messages_in_the_wrong_places() -> None:
+def test_messages_in_the_wrong_places():
     whole = encode(uneven())
     change = encode(dented(uneven()), base=whole)
-    with pytest.raises(InputError, match="give that as base"):
-        decode(change)
-    with pytest.raises(InputError, match="no base"):
-        decode(whole, base=whole)
-    with pytest.raises(InputError, match="surface's message first"):
-        decode(change, base=change)
-    with pytest.raises(InputError, match="in their order"):
-        decode(change, base=[whole, whole])
-    with pytest.raises(InputError, match="base is empty"):
-        decode(change, base=[])
+    refuses(InputError, "give that as base", decode, change)
+    refuses(InputError, "no base", decode, whole, base=whole)
+    refuses(InputError, "surface's message first", decode, change, base=change)
+    refuses(InputError, "in their order", decode, change, base=[whole, whole])
+    refuses(InputError, "base is empty", decode, change, base=[])
 
 
 @pytest.mark.parametrize(
@@ -181,18 +167,16 @@ def test_messages_in_the_wrong_places() -> None:
         (92, np.float64(0.9).tobytes()),
     ],
 )
-def test_hostile_headers(at: int, value: bytes) -> None:
+def test_hostile_headers(at, value):
     content = body(encode(uneven()))
     bent = content[:at] + value + content[at + len(value) :]
-    with pytest.raises(TtusError) as told:
-        decode(sealed(bent, SURFACE))
-    assert "\n" not in str(told.value)
+    refuses(TtusError, "", decode, sealed(bent, SURFACE))
 
 
 @pytest.mark.parametrize(
     "window", [(40, 1, 0, 1), (0, 41, 0, 1), (0, 0, 0, 1), (0, 1, 14, 2), (0, 1, 0, 0)]
 )
-def test_windows_beyond_the_surface(window: tuple[int, int, int, int]) -> None:
+def test_windows_beyond_the_surface(window):
     whole = encode(uneven())
     content = body(encode(dented(uneven()), base=whole))
     bent = content[:4] + np.array(window, "<u2").tobytes() + content[12:]

@@ -4,8 +4,6 @@
 pose.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -100,11 +98,7 @@ def _with_identity(M: sp.csr_array, fixed: NDArray[np.bool_]) -> sp.csr_array:
 
 
 def plain_rows(
-    voxmap: Voxmap,
-    shell: PointShell,
-    rotation: Array,
-    position: Array,
-    sampling: str,
+    voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array, sampling: str
 ) -> tuple[sp.csr_array, sp.csr_array]:
     """N and W of paper eqs. 6 and 7.
 

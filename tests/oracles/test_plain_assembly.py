@@ -1,7 +1,5 @@
 """The plain assembly is the compiled one, written differently."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from tests.oracles.plain_assembly import plain_laplace, plain_rows
 
 
 @pytest.mark.parametrize("shape", [(9, 20, 10), (8, 15, 7)], ids=["even", "odd"])
-def test_laplace_is_the_same(shape: tuple[int, int, int]) -> None:
+def test_laplace_is_the_same(shape):
     scene = small_scene(shape=shape)
     L, b = plain_laplace(scene.voxmap, scene.inner, scene.outer)
     assert abs(L - scene.L).max() < 1e-12 * abs(scene.L).max()
@@ -18,7 +16,7 @@ def test_laplace_is_the_same(shape: tuple[int, int, int]) -> None:
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-def test_rows_are_the_same(sampling: str) -> None:
+def test_rows_are_the_same(sampling):
     scene = small_scene(sampling)
     poses = scene.trajectory
     N, W = plain_rows(

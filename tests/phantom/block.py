@@ -6,8 +6,6 @@ Contact Mechanics, 1985, §4.2):
     F = 4/3 · E/(1 − ν²) · √R · d^{3/2},   contact radius a = √(R d).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

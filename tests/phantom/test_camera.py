@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.camera import ScanSetup, View, depth_image, scan, write_cloud
@@ -67,8 +68,7 @@ def test_written_cloud_reads_back(tmp_path):
 
 def test_refuses_no_camera_and_one_that_sees_nothing():
     rng = np.random.default_rng(0)
-    with pytest.raises(InputError, match="at least one view"):
-        scan(SETUP, (), rng)
+    refuses(InputError, "at least one view", scan, SETUP, (), rng)
     with pytest.raises(InputError, match="sees nothing"):
         scan(SETUP, (View((0.0, 1.0, 0.15), target=(0.0, 2.0, 0.15)),), rng)
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from tests.phantom.block import box_mesh
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.phantom import ElasticBody, SkinPatch, elasticity, skin_compliance
 
@@ -76,30 +77,25 @@ def test_saved_and_loaded_patch_is_the_same(coarse_patch, tmp_path):
 def test_refuses_files_that_are_no_patch(tmp_path):
     file = tmp_path / "skin.npz"
     file.write_bytes(b"not a zip")
-    with pytest.raises(FileError, match="not a stored compliance"):
-        SkinPatch.load(file)
-    with pytest.raises(FileError, match="not found"):
-        SkinPatch.load(tmp_path / "none.npz")
+    refuses(FileError, "not a stored compliance", SkinPatch.load, file)
+    refuses(FileError, "not found", SkinPatch.load, tmp_path / "none.npz")
     np.savez_compressed(file, points=np.arange(3000.0).reshape(-1, 3))
     whole = file.read_bytes()
     damaged = [whole[:2000], whole[:500] + b"\0" * 500 + whole[1000:], whole]
     np.save(tmp_path / "array.npy", np.zeros(3))
     for content in (*damaged, (tmp_path / "array.npy").read_bytes()):
         file.write_bytes(content)
-        with pytest.raises(FileError, match="not a stored compliance"):
-            SkinPatch.load(file)
+        refuses(FileError, "not a stored compliance", SkinPatch.load, file)
 
 
 def test_refuses_bodies_without_an_answer():
     body = column(0.3)
-    with pytest.raises(InputError, match="Poisson"):
-        dataclasses.replace(body, poisson=0.5)
+    refuses(InputError, "Poisson", dataclasses.replace, body, poisson=0.5)
     with pytest.raises(InputError, match="float"):
         dataclasses.replace(body, fixed=np.zeros_like(body.fixed))
     with pytest.raises(InputError, match="fixed must have shape"):
         dataclasses.replace(body, fixed=body.fixed[1:])
-    with pytest.raises(InputError, match="normals"):
-        dataclasses.replace(body, normals=body.normals[1:])
+    refuses(InputError, "normals", dataclasses.replace, body, normals=body.normals[1:])
 
 
 def test_progress_counts_every_load(monkeypatch):

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import EllipsoidProbe, Torso
 from ttus_opt.phantom.examination import push_handling, sweep_handling
@@ -69,5 +70,4 @@ def test_paths_follow_their_seed():
 
 
 def test_refuses_a_single_push():
-    with pytest.raises(InputError, match="n_pushes"):
-        push_handling(np.random.default_rng(0), n_pushes=1)
+    refuses(InputError, "n_pushes", push_handling, np.random.default_rng(0), n_pushes=1)

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.phantom.block import box_mesh
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.mesh import graded, ring_mesh
 
@@ -61,9 +62,7 @@ def test_box_has_its_volume():
 
 
 def test_refuses_bad_gradings_and_open_rings():
-    with pytest.raises(InputError, match="cannot grade"):
-        graded(0.0, 1.0, (0.5, 2.0), 0.1)
-    with pytest.raises(InputError, match="cannot grade"):
-        graded(0.0, 1.0, (0.2, 0.5), 0.0)
+    refuses(InputError, "cannot grade", graded, 0.0, 1.0, (0.5, 2.0), 0.1)
+    refuses(InputError, "cannot grade", graded, 0.0, 1.0, (0.2, 0.5), 0.0)
     with pytest.raises(InputError, match="full turn"):
         ring_mesh(np.arange(3.0), np.linspace(0, 6, 9), np.arange(3.0), None)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom import CoulombDrag, EllipsoidProbe, Motion, press
 from ttus_opt.phantom.example_data import PROBE, poses
@@ -130,8 +131,7 @@ def test_refuses_poses_the_patch_says_nothing_about(coarse_patch, pose):
 
 
 def test_refuses_negative_drag():
-    with pytest.raises(InputError, match="must not be negative"):
-        CoulombDrag(-0.1)
+    refuses(InputError, "must not be negative", CoulombDrag, -0.1)
     with pytest.raises(InputError, match="must not be negative"):
         dataclasses.replace(CoulombDrag(0.1), deadband=-1.0)
 
@@ -157,5 +157,4 @@ def test_damping_never_pulls_and_rest_has_none(coarse_patch, pose):
     assert not contact.force.any()
     slow = press(coarse_patch, PROBE, *pose, motion=REST, damping=10.0)
     assert np.array_equal(slow.force, press(coarse_patch, PROBE, *pose).force)
-    with pytest.raises(InputError, match="damping"):
-        press(coarse_patch, PROBE, *pose, damping=-1.0)
+    refuses(InputError, "damping", press, coarse_patch, PROBE, *pose, damping=-1.0)

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import EllipsoidProbe
 
@@ -50,5 +51,4 @@ def test_support_of_a_level_probe_is_its_semi_axis():
 
 @pytest.mark.parametrize("semi", [(0.0, 1.0, 1.0), (1.0, 1.0), (np.nan, 1.0, 1.0)])
 def test_refuses_what_is_no_ellipsoid(semi):
-    with pytest.raises(InputError, match="semi_axes"):
-        EllipsoidProbe(semi)
+    refuses(InputError, "semi_axes", EllipsoidProbe, semi)

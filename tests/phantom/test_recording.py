@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
@@ -64,8 +65,7 @@ def test_compact_file_reads_back_to_seven_digits(smooth, tmp_path):
 
 def test_refuses_trajectories_without_a_wrench():
     path = poses("press_fit")
-    with pytest.raises(InputError, match="no wrench"):
-        add_noise(path, np.random.default_rng(0))
+    refuses(InputError, "no wrench", add_noise, path, np.random.default_rng(0))
 
 
 def still_path(n, step=0.05):

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.scanned import ScannedTorso
@@ -37,5 +38,4 @@ def test_radius_closes_around_the_body_with_its_slope():
 def test_refuses_a_scan_that_is_too_short_or_none():
     with pytest.raises(GeometryError, match="longer scan"):
         ScannedTorso.of(surface_of(Torso(), length=0.2), Torso())
-    with pytest.raises(InputError, match="no surface"):
-        ScannedTorso().radius(np.zeros(1), np.zeros(1))
+    refuses(InputError, "no surface", ScannedTorso().radius, np.zeros(1), np.zeros(1))

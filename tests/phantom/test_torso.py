@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError
 from ttus_opt.phantom import Torso, TorsoMesh, press, skin_compliance, torso_body
 from ttus_opt.phantom.example_data import PROBE, poses
@@ -95,5 +96,4 @@ def test_refinement_closes_in():
 
 
 def test_refuses_a_core_that_reaches_the_skin():
-    with pytest.raises(GeometryError, match="core_radius"):
-        torso_body(Torso(core_radius=0.11))
+    refuses(GeometryError, "core_radius", torso_body, Torso(core_radius=0.11))

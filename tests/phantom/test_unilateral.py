@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.unilateral import solve_unilateral
 
@@ -52,7 +53,5 @@ def test_conditions_hold(seed, n):
 
 
 def test_refuses_wrong_shapes_and_indefinite_compliance():
-    with pytest.raises(InputError, match=r"\(3, 3\)"):
-        solve_unilateral(np.eye(2), np.ones(3))
-    with pytest.raises(InputError, match="positive definite"):
-        solve_unilateral(-np.eye(3), np.ones(3))
+    refuses(InputError, r"\(3, 3\)", solve_unilateral, np.eye(2), np.ones(3))
+    refuses(InputError, "positive definite", solve_unilateral, -np.eye(3), np.ones(3))

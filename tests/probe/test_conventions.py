@@ -1,7 +1,5 @@
 """Recordings written otherwise are read as what they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
+from tests.refusals import refuses
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.conventions import Conventions
@@ -23,11 +22,11 @@ def same(a: Trajectory, b: Trajectory) -> None:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-12)
 
 
-def test_the_packages_own() -> None:
+def test_the_packages_own():
     same(Conventions().read(OWN, CENTROID), OWN)
 
 
-def test_a_quaternion_written_x_first() -> None:
+def test_a_quaternion_written_x_first():
     q = OWN.quat_wxyz
     # a reader of w, x, y, z takes x for w, y for x, z for y and w for z
     misread = Rotation.from_quat(q[:, [1, 2, 3, 0]], scalar_first=True).as_matrix()
@@ -35,7 +34,7 @@ def test_a_quaternion_written_x_first() -> None:
     same(Conventions(quaternion="xyzw").read(written, CENTROID), OWN)
 
 
-def test_a_wrench_in_the_tools_axes_of_the_probe_on_the_patient() -> None:
+def test_a_wrench_in_the_tools_axes_of_the_probe_on_the_patient():
     turn = OWN.rotation.transpose(0, 2, 1)
     written = replace(
         OWN,
@@ -46,7 +45,7 @@ def test_a_wrench_in_the_tools_axes_of_the_probe_on_the_patient() -> None:
     same(told.read(written, CENTROID), OWN)
 
 
-def test_torques_about_another_point() -> None:
+def test_torques_about_another_point():
     """The moment of f at the centroid about the origin is added: τ_o = τ_c + r × f."""
     r = OWN.rotation @ CENTROID
     written = replace(OWN, torque=OWN.torque + np.cross(r, OWN.force))
@@ -57,7 +56,7 @@ def test_torques_about_another_point() -> None:
     same(point.read(OWN, CENTROID), OWN)
 
 
-def test_wrenches_that_lag() -> None:
+def test_wrenches_that_lag():
     """A force that grows linearly is known between frames, too."""
     ramp = np.outer(OWN.time, [1.0, 2.0, 3.0])
     late = replace(OWN, force=ramp - 0.08 * np.array([1.0, 2.0, 3.0]))
@@ -65,14 +64,14 @@ def test_wrenches_that_lag() -> None:
     np.testing.assert_allclose(read.force[:-2], ramp[:-2], atol=1e-12)
 
 
-def test_recordings_are_not_mixed_by_a_lag() -> None:
+def test_recordings_are_not_mixed_by_a_lag():
     both = Trajectory.concatenate([OWN, OWN])
     alone = Conventions(wrench_delay=0.1).read(OWN, CENTROID)
     read = Conventions(wrench_delay=0.1).read(both, CENTROID)
     np.testing.assert_array_equal(read.force, np.tile(alone.force, (2, 1)))
 
 
-def test_poses_alone() -> None:
+def test_poses_alone():
     poses = replace(OWN, force=None, torque=None)
     read = Conventions(flip_wrench=True, torque_about="origin").read(poses, CENTROID)
     assert read.force is None
@@ -102,7 +101,7 @@ def in_frame(to_patient: Array) -> Trajectory:
     )
 
 
-def test_recordings_in_the_scan_and_in_the_robots_base() -> None:
+def test_recordings_in_the_scan_and_in_the_robots_base():
     scan = in_frame(SCAN_TO_PATIENT)
     told = Conventions(frame="scan")
     assert told.wrench_frame == "scan"
@@ -131,7 +130,7 @@ def test_recordings_in_the_scan_and_in_the_robots_base() -> None:
         Conventions(frame="scan").read(scan, CENTROID)
 
 
-def test_forces_alone() -> None:
+def test_forces_alone():
     turn = OWN.rotation.transpose(0, 2, 1)
     written = replace(OWN, force=-(turn @ OWN.force[..., None])[..., 0], torque=None)
     told = Conventions(wrench_frame="tool", flip_wrench=True, torque_about="origin")
@@ -157,6 +156,5 @@ def test_forces_alone() -> None:
         ({"wrench_delay": np.inf}, "wrench_delay must be finite"),
     ],
 )
-def test_refusals(wrong: dict[str, object], text: str) -> None:
-    with pytest.raises(InputError, match=text):
-        Conventions(**wrong)  # type: ignore[arg-type]
+def test_refusals(wrong, text):
+    refuses(InputError, text, Conventions, **wrong)

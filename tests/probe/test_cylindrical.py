@@ -1,7 +1,5 @@
 """The branch-free angle against extended precision."""
 
-from __future__ import annotations
-
 import math
 
 import numba
@@ -32,7 +30,7 @@ def angle(x: float, y: float) -> float:
         (0.0, 0.0, 0.0),
     ],
 )
-def test_corners(x: float, y: float, expected: float) -> None:
+def test_corners(x, y, expected):
     assert angle(x, y) == pytest.approx(expected, abs=1e-15)
 
 
@@ -40,7 +38,7 @@ lengths = st.floats(-10.0, 10.0).filter(lambda v: v == 0 or abs(v) > 1e-12)
 
 
 @given(lengths, lengths)
-def test_within_two_roundings_of_the_exact_angle(x: float, y: float) -> None:
+def test_within_two_roundings_of_the_exact_angle(x, y):
     assume(x != 0 or y != 0)  # the origin has no angle; ours is 0
     exact = np.arctan2(np.longdouble(y), np.longdouble(x))
     if exact < 0:
@@ -52,7 +50,7 @@ def test_within_two_roundings_of_the_exact_angle(x: float, y: float) -> None:
     assert apart <= 4e-16 * exact or turn - apart < 1e-15
 
 
-def test_does_not_fall_across_its_seams() -> None:
+def test_does_not_fall_across_its_seams():
     seams = np.arctan([math.sqrt(2) - 1, 1.0, math.sqrt(2) + 1])
     for seam in np.concatenate([seams, math.pi / 2 + seams, math.pi + seams]):
         around = seam + np.linspace(-1e-13, 1e-13, 2001)

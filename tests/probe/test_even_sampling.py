@@ -3,6 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.even_sampling import (
     SurfaceSamples,
@@ -72,8 +73,7 @@ def test_points_are_samples_and_distinct():
 @pytest.mark.parametrize("n_points", [0, 3, 101])
 def test_counts_that_cannot_be(n_points):
     dense = dense_samples(sphere_mesh(), 100, np.random.default_rng(0))
-    with pytest.raises(InputError, match="between 4 and 100"):
-        spread_evenly(dense, n_points)
+    refuses(InputError, "between 4 and 100", spread_evenly, dense, n_points)
 
 
 def test_moments_are_matched_with_little_change():

@@ -1,13 +1,10 @@
 """Poses in the forms of others; rounding is undone, anything more is refused."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.pose import (
     EXACT,
@@ -35,13 +32,13 @@ WHOLE = np.block([[R, AT[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
         (-1.005 * TURN.as_quat(), AT, "xyzw"),
     ],
 )
-def test_all_forms_are_the_same_pose(given: tuple[Any, ...]) -> None:
+def test_all_forms_are_the_same_pose(given):
     pose = pose_of(*given)
     np.testing.assert_allclose(pose.rotation, R, atol=1e-15)
     np.testing.assert_array_equal(pose.position, AT)
 
 
-def test_a_rigid_transform_is_a_whole_pose() -> None:
+def test_a_rigid_transform_is_a_whole_pose():
     transform = pytest.importorskip("scipy.spatial.transform")
     if not hasattr(transform, "RigidTransform"):
         pytest.skip("this SciPy has no RigidTransform")
@@ -68,12 +65,11 @@ def test_a_rigid_transform_is_a_whole_pose() -> None:
         ((np.zeros(4), AT, "xyzw"), "length 0"),
     ],
 )
-def test_other_forms_are_refused(given: tuple[Any, ...], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        pose_of(*given)
+def test_other_forms_are_refused(given, word):
+    refuses(InputError, word, pose_of, *given)
 
 
-def test_rounding_is_undone_to_the_nearest_rotation() -> None:
+def test_rounding_is_undone_to_the_nearest_rotation():
     """float32, seven digits, and errors just below the limit, against the SVD."""
     exact = Rotation.random(200, rng=RNG).as_matrix()
     noise = 1e-6 * RNG.uniform(-1, 1, exact.shape)
@@ -87,7 +83,7 @@ def test_rounding_is_undone_to_the_nearest_rotation() -> None:
         )
 
 
-def test_exact_rotations_are_left_as_they_are() -> None:
+def test_exact_rotations_are_left_as_they_are():
     exact = Rotation.random(20, rng=RNG).as_matrix()
     assert rotations(exact) is exact
 
@@ -102,17 +98,13 @@ def test_exact_rotations_are_left_as_they_are() -> None:
         (np.where(np.eye(3) > 0, np.nan, R), "NaN"),
     ],
 )
-def test_no_rotation_is_refused_and_its_frame_told(
-    matrix: np.ndarray, word: str
-) -> None:
-    with pytest.raises(InputError, match=word):
-        rotations(matrix)
+def test_no_rotation_is_refused_and_its_frame_told(matrix, word):
+    refuses(InputError, word, rotations, matrix)
     if word != "NaN":
-        with pytest.raises(InputError, match=f"frame 2: .*{word}"):
-            rotations(np.stack([R, R, matrix]))
+        refuses(InputError, f"frame 2: .*{word}", rotations, np.stack([R, R, matrix]))
 
 
-def test_quaternions_there_and_back() -> None:
+def test_quaternions_there_and_back():
     quaternions = Rotation.random(20, rng=RNG).as_quat(
         canonical=True, scalar_first=True
     )

@@ -1,15 +1,13 @@
 """Rigid motions from words and files, and what is none."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import NUMBERS, only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
@@ -25,11 +23,11 @@ def motion(turn: Array | None = None, shift: Array = SHIFT) -> Array:
     return out
 
 
-def test_the_inverse_leads_back() -> None:
+def test_the_inverse_leads_back():
     np.testing.assert_allclose(inverse(motion()), np.linalg.inv(motion()), atol=1e-15)
 
 
-def test_a_scipy_motion() -> None:
+def test_a_scipy_motion():
     transform = pytest.importorskip("scipy.spatial.transform")
     if not hasattr(transform, "RigidTransform"):
         pytest.skip("RigidTransform came with SciPy 1.16")
@@ -37,7 +35,7 @@ def test_a_scipy_motion() -> None:
     np.testing.assert_allclose(rigid_motion(own), motion(), atol=1e-15)
 
 
-def test_every_way_to_write_it(tmp_path: Path) -> None:
+def test_every_way_to_write_it(tmp_path):
     seven = [*SHIFT, *TURN.as_quat()]
     told = {
         "words": ",".join(map(repr, map(float, seven))),
@@ -71,9 +69,8 @@ def test_every_way_to_write_it(tmp_path: Path) -> None:
         (np.eye(3), r"matrix \(4, 4\), got \(3, 3\)"),
     ],
 )
-def test_what_is_no_rigid_motion(matrix: Array, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        rigid_motion(matrix)
+def test_what_is_no_rigid_motion(matrix, message):
+    refuses(InputError, message, rigid_motion, matrix)
 
 
 @pytest.mark.parametrize(
@@ -88,24 +85,21 @@ def test_what_is_no_rigid_motion(matrix: Array, message: str) -> None:
         (b"0 0 0 nan 0 0 1", "NaN"),
     ],
 )
-def test_a_file_that_holds_none(content: bytes, message: str, tmp_path: Path) -> None:
+def test_a_file_that_holds_none(content, message, tmp_path):
     path = tmp_path / "m.txt"
     path.write_bytes(content)
-    with pytest.raises(FileError, match=message) as caught:
-        read_rigid_motion(path)
-    assert "m.txt" in str(caught.value)
+    caught = refuses(FileError, message, read_rigid_motion, path)
+    assert "m.txt" in caught
 
 
-def test_words_that_are_no_file() -> None:
-    with pytest.raises(FileError, match="not found: nowhere"):
-        read_rigid_motion("nowhere")
-    with pytest.raises(InputError, match="got 3 numbers"):
-        read_rigid_motion("1,2,3")
+def test_words_that_are_no_file():
+    refuses(FileError, "not found: nowhere", read_rigid_motion, "nowhere")
+    refuses(InputError, "got 3 numbers", read_rigid_motion, "1,2,3")
 
 
 @pytest.mark.parametrize("n", NUMBERS)
 @pytest.mark.filterwarnings("ignore")
-def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
+def test_mutations_raise_nothing_but_our_own(n, tmp_path):
     np.savetxt(tmp_path / "m.txt", motion(), header="base to scan")
     np.save(tmp_path / "m.npy", motion())
     (tmp_path / "m.json").write_text(json.dumps(motion().tolist()))

@@ -1,7 +1,5 @@
 """Velocities of noisy paths: against dense regression and what was simulated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -58,26 +56,24 @@ def dense(
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_it_is_the_regression_of_the_model(uneven: bool) -> None:
+def test_it_is_the_regression_of_the_model(uneven):
     n = 90
     time = 3.0 + STEP * np.arange(n)
     if uneven:
         time[1:-1] += np.random.default_rng(2).uniform(-0.02, 0.02, n - 2)
     path = hand(time)[0] + noise(n, 0.7e-3, 0.1e-3)
     found = smooth_motion(path, time)
-    assert found is not None
     expected = dense(path, time, found.jerk, found.drift, found.jitter)
     np.testing.assert_allclose(found.velocity, expected, atol=1e-7)
 
 
-def test_the_noise_is_found_and_its_deviation_is_told() -> None:
+def test_the_noise_is_found_and_its_deviation_is_told():
     n = 1200
     time = STEP * np.arange(n)
     path, velocity = hand(time)
     for drift, jitter in ((0.7e-3, 0.0), (0.0, 0.5e-3), (0.7e-3, 0.1e-3)):
         noisy = path + noise(n, drift, jitter)
         found = smooth_motion(noisy, time)
-        assert found is not None
         assert found.drift == pytest.approx(drift, rel=0.2, abs=2e-4)
         assert found.jitter == pytest.approx(jitter, rel=0.2, abs=1e-4)
         off = np.sqrt(((found.velocity - velocity) ** 2).mean())
@@ -99,7 +95,7 @@ def differences(recording: Trajectory) -> np.ndarray:
     return np.hstack([recording.velocity(), recording.angular_velocity()])
 
 
-def test_a_hand_at_rest_under_a_tracker_hardly_moves() -> None:
+def test_a_hand_at_rest_under_a_tracker_hardly_moves():
     """Differences say 4 mm/s and 4 °/s, twice the deadband."""
     turns = np.radians(noise(300, 0.0, 0.5, 3) / np.sqrt(3.0))
     recording = trajectory(noise(300, 0.2e-3, 0.3e-3), turns)
@@ -109,7 +105,7 @@ def test_a_hand_at_rest_under_a_tracker_hardly_moves() -> None:
     assert np.degrees(np.sqrt((twist[:, 3:] ** 2).mean())) < 0.5
 
 
-def test_a_noisy_turn_is_found() -> None:
+def test_a_noisy_turn_is_found():
     n = 600
     spin, start = np.array([0.3, -0.2, 0.1]), Rotation.from_rotvec([0.4, 1.0, -0.3])
     true = Rotation.from_rotvec(STEP * np.arange(n)[:, None] * spin) * start
@@ -122,7 +118,7 @@ def test_a_noisy_turn_is_found() -> None:
     np.testing.assert_array_equal(moving.twist()[:, :3], moving.velocity())
 
 
-def test_differences_of_exact_poses_are_kept() -> None:
+def test_differences_of_exact_poses_are_kept():
     """Also of a robot that starts and stops at once, and of few frames."""
     path, _ = hand(STEP * np.arange(120))
     path[40:60], path[60:] = path[40], path[60:] - path[60] + path[40]
@@ -139,13 +135,13 @@ def test_differences_of_exact_poses_are_kept() -> None:
         np.testing.assert_array_equal(short.twist(), differences(short))
 
 
-def test_places_all_over_the_body_are_no_path() -> None:
+def test_places_all_over_the_body_are_no_path():
     rng = np.random.default_rng(6)
     places = trajectory(rng.normal(0.0, 0.05, (80, 3)), rng.normal(0.0, 0.5, (80, 3)))
     np.testing.assert_array_equal(places.twist(), differences(places))
 
 
-def test_nothing_is_smoothed_across_recordings_and_jumps() -> None:
+def test_nothing_is_smoothed_across_recordings_and_jumps():
     path = hand(STEP * np.arange(200))[0] + noise(200, 0.5e-3, 0.2e-3)
     here = trajectory(path, 10.0 * path)
     there = Trajectory(here.time, 0.5 + path[::-1], here.rotation)
@@ -162,7 +158,7 @@ def test_nothing_is_smoothed_across_recordings_and_jumps() -> None:
     assert np.abs(jumped - smooth)[np.r_[:85, 115:200]].max() < 3e-4
 
 
-def test_one_frame_that_is_off_does_not_spread() -> None:
+def test_one_frame_that_is_off_does_not_spread():
     path = hand(STEP * np.arange(200))[0] + noise(200, 0.3e-3, 0.1e-3)
     off = path.copy()
     off[70] += 0.05

@@ -1,12 +1,11 @@
 """Errors of poses: drawn ones have the stated size and correlation, and come off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import recording
 from ttus_opt.probe.tracker_noise import TrackerNoise
@@ -18,7 +17,7 @@ def two_recordings() -> Trajectory:
     return Trajectory.concatenate([each, each])
 
 
-def test_the_phantoms_errors_have_the_default_noise() -> None:
+def test_the_phantoms_errors_have_the_default_noise():
     """The simulation has numbers and an autoregression of its own."""
     noise = TrackerNoise()
     assert noise.position == recording.POSITION_NOISE
@@ -34,7 +33,7 @@ def test_the_phantoms_errors_have_the_default_noise() -> None:
     np.testing.assert_allclose(seen, expected, atol=0.04)
 
 
-def test_errors_of_two_recordings_have_nothing_to_do_with_each_other() -> None:
+def test_errors_of_two_recordings_have_nothing_to_do_with_each_other():
     both = two_recordings()
     frames = np.array([1, 9])
     alike = TrackerNoise(correlation=0.3).correlations(both, frames)
@@ -45,13 +44,13 @@ def test_errors_of_two_recordings_have_nothing_to_do_with_each_other() -> None:
             assert alike[t, j] == pytest.approx(np.exp(-apart / 0.3) if same else 0.0)
 
 
-def test_errors_that_are_new_in_every_frame() -> None:
+def test_errors_that_are_new_in_every_frame():
     both = two_recordings()
     alike = TrackerNoise(correlation=0.0).correlations(both, np.arange(14))
     np.testing.assert_array_equal(alike, np.eye(14))
 
 
-def test_errors_come_off() -> None:
+def test_errors_come_off():
     noise = TrackerNoise(1e-3, 0.02)
     true = presses(torso(), 5, np.random.default_rng(3))
     xi = np.random.default_rng(4).standard_normal((5, 6))
@@ -79,6 +78,5 @@ def test_errors_come_off() -> None:
         ({"correlation": np.nan}, "correlation time must be finite"),
     ],
 )
-def test_noise_that_is_none(given: dict[str, float], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        TrackerNoise(**given)
+def test_noise_that_is_none(given, said):
+    refuses(InputError, said, TrackerNoise, **given)

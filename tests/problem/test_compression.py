@@ -1,7 +1,5 @@
 """Compression of measured rows against dense algebra; what is left alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -28,9 +26,7 @@ def windows(m: int, n: int, width: int) -> sp.csr_array:
 
 
 @pytest.mark.parametrize("block", [16, 50, 10_000], ids=["many", "some", "one"])
-def test_the_least_squares_stay_the_same(
-    block: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_least_squares_stay_the_same(block, monkeypatch):
     """Normal equations M'M, M't, and a constant difference of the costs."""
     monkeypatch.setattr(compression, "BLOCK", block)
     M, t = windows(400, 30, 5), RNG.standard_normal(400)
@@ -48,16 +44,14 @@ def test_the_least_squares_stay_the_same(
     np.testing.assert_allclose(lost[0], lost[1], rtol=1e-9)
 
 
-def test_rows_that_depend_on_each_other() -> None:
+def test_rows_that_depend_on_each_other():
     M = sp.csr_array(np.outer(np.arange(1.0, 41.0), [1.0, 2.0, 0.0]))
     R, c = compressed_rows(M, np.ones(40))
     np.testing.assert_allclose((R.T @ R).toarray(), (M.T @ M).toarray(), rtol=1e-12)
     np.testing.assert_allclose(R.T @ c, M.T @ np.ones(40), rtol=1e-12)
 
 
-def test_only_squares_with_many_rows_are_compressed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_only_squares_with_many_rows_are_compressed(monkeypatch):
     monkeypatch.setattr(compression, "LEAST_ROWS", 40)
     many, few = np.ones((60, 2)), np.ones((30, 2))
     wide = np.ones((60, 50))
@@ -86,9 +80,7 @@ def test_only_squares_with_many_rows_are_compressed(
 @pytest.mark.parametrize(
     "name", ["eq10", "eq10_sign", "viscous_drag", "tikhonov", "robust"]
 )
-def test_a_fit_is_the_same_and_judged_by_all_rows(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_is_the_same_and_judged_by_all_rows(name, monkeypatch):
     scene = small_scene("trilinear", shape=(9, 12, 8), n_poses=150)
     whole = tt.fit(scene, name)
     monkeypatch.setattr(compression, "LEAST_ROWS", 100)
@@ -103,9 +95,7 @@ def test_a_fit_is_the_same_and_judged_by_all_rows(
     assert short.standard_errors == pytest.approx(whole.standard_errors, rel=1e-3)
 
 
-def test_other_weights_and_values_are_compressed_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_other_weights_and_values_are_compressed_again(monkeypatch):
     monkeypatch.setattr(compression, "LEAST_ROWS", 100)
     monkeypatch.setattr(compression, "OVERDETERMINED", 1.5)
     scene = small_scene("trilinear", shape=(9, 12, 8), n_poses=150)

@@ -1,7 +1,5 @@
 """Programs in cvxpy's words: values and multipliers back by name, cones too."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import cvxpy as cp
@@ -23,7 +21,7 @@ def solved(stated: Program) -> CvxpyProgram:
     return form
 
 
-def test_rows_of_every_kind_have_their_multiplier() -> None:
+def test_rows_of_every_kind_have_their_multiplier():
     """min ‖x − t‖² with an equality, a row held from above, one from below, a bound."""
     t = np.array([3.0, -2.0, 5.0, 1.0])
     stated = program(
@@ -36,18 +34,16 @@ def test_rows_of_every_kind_have_their_multiplier() -> None:
     )
     form = solved(stated)
     x, duals = form.point(), form.duals()
-    assert x is not None
     np.testing.assert_allclose(x, [2.0, -2.0, 3.0, 2.0], atol=1e-6)
     # 2 (x − t) + Aᵀy + z = 0
     np.testing.assert_allclose(duals.rows["sum"], [0.0], atol=1e-5)
     np.testing.assert_allclose(duals.rows["sides"], [2.0, -2.0], atol=1e-5)
-    assert duals.bounds is not None
     np.testing.assert_allclose(duals.bounds, [2.0, 0.0, 0.0, 0.0], atol=1e-5)
     assert kkt_residuals(stated, x, duals).worst_relative < 1e-6
     assert set(form.constraints) == {"sum", "sides", "bounds"}
 
 
-def test_cones_of_several_sizes() -> None:
+def test_cones_of_several_sizes():
     """(x₀, x₁, x₂) in a cone of three and x₃ in one of one row: a sign."""
     cones = ProgramCones("cones", sp.csr_array(sp.eye_array(4)), np.zeros(4), (3, 1))
     t = np.array([0.0, 3.0, 4.0, -1.0])
@@ -56,14 +52,13 @@ def test_cones_of_several_sizes() -> None:
     )
     form = solved(stated)
     x = form.point()
-    assert x is not None
     np.testing.assert_allclose(x, [2.5, 1.5, 2.0, 0.0], atol=1e-5)
     y = form.duals().rows["cones"]
     np.testing.assert_allclose(y, -2.0 * (x - t), atol=1e-4)
     assert kkt_residuals(stated, x, form.duals()).worst_relative < 1e-5
 
 
-def test_a_bent_penalty_gives_its_subgradient() -> None:
+def test_a_bent_penalty_gives_its_subgradient():
     """min |x − 1| + ‖x‖²: x = ½, where the slope of the first is −1."""
     stated = program(
         [term([[1.0]], [1.0], 1.0, Absolute(), "bent"), term([[1.0]], [0.0])]

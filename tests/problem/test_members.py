@@ -1,7 +1,5 @@
 """Second-order cones of a program: projection, multipliers, verification by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -21,7 +19,7 @@ def cones(sizes: tuple[int, ...]) -> ProgramCones:
 
 
 @pytest.mark.slow
-def test_the_projection_is_the_nearest_point() -> None:
+def test_the_projection_is_the_nearest_point():
     """Against a general minimiser; a cone of one row is a sign."""
     one = cones((3,))
     for _ in range(20):
@@ -55,22 +53,13 @@ def test_the_projection_is_the_nearest_point() -> None:
         (1.0, (2.0, 2.0), False),
     ],
 )
-def test_the_conditions_of_a_cone(
-    x: float, y: tuple[float, float], optimal: bool
-) -> None:
+def test_the_conditions_of_a_cone(x, y, optimal):
     """min (x − 2)² over |x| ≤ 1, said as the cone (1, x)."""
     squares = ProgramTerm("fit", 1.0, sp.csr_array([[1.0]]), np.array([2.0]))
     limit = ProgramCones(
         "limit", sp.csr_array([[0.0], [1.0]]), np.array([1.0, 0.0]), (2,)
     )
-    program = Program(
-        {"p": slice(0, 1)},
-        (squares,),
-        (),
-        (),
-        None,  # type: ignore[arg-type]
-        (limit,),
-    )
+    program = Program({"p": slice(0, 1)}, (squares,), (), (), None, (limit,))
     kkt = kkt_residuals(program, np.array([x]), Duals({"limit": np.array(y)}))
     assert (kkt.worst_relative < 1e-12) == optimal
     assert not program.is_quadratic

@@ -1,7 +1,5 @@
 """Huber's and absolute penalties as quadratic programs: same minimum, duals back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -33,14 +31,14 @@ def bent() -> Program:
     return Program.build(SCENE, terms, [HardBoundary(SCENE), Sign(SCENE)])
 
 
-def test_a_quadratic_program_is_left_alone() -> None:
+def test_a_quadratic_program_is_left_alone():
     program = Program.build(SCENE, [LaplaceTerm(SCENE)], [Sign(SCENE)])
     assert reduce(program).program is program
     cones = Program.build(SCENE, [TotalVariationTerm(SCENE, isotropic=True)], [])
     assert reduce(cones).program is cones
 
 
-def test_names_of_what_is_added() -> None:
+def test_names_of_what_is_added():
     reduced = reduce(bent()).program
     assert reduced.is_quadratic
     assert [t.name for t in reduced.terms] == [
@@ -58,7 +56,7 @@ def test_names_of_what_is_added() -> None:
     assert list(reduced.variables)[1] == "robust_force:above"
 
 
-def test_the_best_auxiliary_variables_give_the_original_objective() -> None:
+def test_the_best_auxiliary_variables_give_the_original_objective():
     program = bent()
     reduced = reduce(program).program
     rng = np.random.default_rng(0)
@@ -79,7 +77,7 @@ def test_the_best_auxiliary_variables_give_the_original_objective() -> None:
         assert reduced.objective(x) == pytest.approx(program.objective(p))
 
 
-def test_what_goes_down_comes_back_up() -> None:
+def test_what_goes_down_comes_back_up():
     """A solution of the reduced program is one of the original, duals too."""
     program = bent()
     reduction = reduce(program)
@@ -100,7 +98,7 @@ def test_what_goes_down_comes_back_up() -> None:
     assert kkt_residuals(program, point.x, bare).dual_relative > 1e-3
 
 
-def test_lifting_undoes_restoring_and_keeps_optimality() -> None:
+def test_lifting_undoes_restoring_and_keeps_optimality():
     both = reduce(bent())
     backend = registry.solvers()["clarabel"]
     found = backend.prepare(both.program, Request(1e-9)).solve()
@@ -115,6 +113,6 @@ def test_lifting_undoes_restoring_and_keeps_optimality() -> None:
     assert both.program.declared is both.original
 
 
-def test_other_weights_forget_what_was_declared() -> None:
+def test_other_weights_forget_what_was_declared():
     reduced = reduce(bent()).program
     assert reduced.with_weights(laplace=2.0).declared is None

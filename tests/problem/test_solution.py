@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,12 +13,12 @@ from ttus_opt.solvers.base import Candidate, Request
 SCENE = small_scene(shape=(5, 8, 5), n_poses=4)
 
 
-def test_every_status_is_advice() -> None:
+def test_every_status_is_advice():
     for status in Status:
         assert len(status.value.split()) > 5
 
 
-def test_times_that_were_not_taken_are_left_out() -> None:
+def test_times_that_were_not_taken_are_left_out():
     first = Timings(1.0, 2.0, 3.0)
     told = {"assembly": 1.0, "setup": 2.0, "solve": 3.0, "compile": 0.0}
     assert first.as_dict() == told
@@ -28,7 +26,7 @@ def test_times_that_were_not_taken_are_left_out() -> None:
     assert Timings(1.0, 2.0, 3.0, search=9.0).as_dict()["search"] == 9.0
 
 
-def test_no_solution_carries_program_and_candidate() -> None:
+def test_no_solution_carries_program_and_candidate():
     declared = load("eq10_sign", SCENE)
     reduction = reduce(declared.compile())
     candidate = Candidate(np.ones(SCENE.n_voxels))
@@ -46,7 +44,7 @@ def test_no_solution_carries_program_and_candidate() -> None:
     assert set(solution.variables) == {"p"}
 
 
-def test_a_solution_shows_itself_in_one_line_and_in_a_table() -> None:
+def test_a_solution_shows_itself_in_one_line_and_in_a_table():
     """Verdict, costs, what is active and what was found; text is escaped in HTML."""
     scene = small_scene("trilinear", shape=(8, 12, 8), n_poses=10)
     weights = {"force_weight": 10.0, "torque_weight": 10.0}

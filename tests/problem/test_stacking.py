@@ -1,7 +1,5 @@
 """Blocks over some variables, placed over all of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -14,7 +12,7 @@ RNG = np.random.default_rng(0)
 @pytest.mark.parametrize(
     "names", [["a"], ["b"], ["c"], ["a", "c"], ["b", "c"], ["c", "a"], ["a", "b", "c"]]
 )
-def test_blocks_lie_where_their_variables_do(names: list[str]) -> None:
+def test_blocks_lie_where_their_variables_do(names):
     sizes = {"a": 3, "b": 4, "c": 2}
     dense = {name: RNG.normal(size=(5, sizes[name])) for name in names}
     for block in dense.values():

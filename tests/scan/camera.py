@@ -4,8 +4,6 @@ Deterministic by the rng it is given. It shares nothing with the package: visibi
 is a z-buffer over dense surface samples, the true radius a section of the mesh.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clouds of known shape."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.core.arrays import Array

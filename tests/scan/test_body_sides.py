@@ -1,7 +1,5 @@
 """Head from feet and front from back, by points alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ Z = RNG.uniform(-0.3, 0.3, 20_000)
 ANGLE = RNG.uniform(0.0, 2 * np.pi, Z.size)
 
 
-def test_the_deeper_end_is_the_head() -> None:
+def test_the_deeper_end_is_the_head():
     """Seen all around, the back may fall as the front rises: depth counts."""
     depth = (0.10 + 0.02 * Z) * np.sin(ANGLE) - 0.3 * Z
     assert head_along(Z, depth, supported=False) == 1.0
@@ -24,7 +22,7 @@ def test_the_deeper_end_is_the_head() -> None:
     assert head_along(-Z, height, supported=True) == -1.0
 
 
-def test_ends_and_gaps_do_not_count() -> None:
+def test_ends_and_gaps_do_not_count():
     """A cut end or a shoulder, and sections that no camera saw."""
     height = 0.2 + 0.03 * Z
     height[Z > 0.26] = 0.05
@@ -32,13 +30,13 @@ def test_ends_and_gaps_do_not_count() -> None:
     assert head_along(Z[seen], height[seen], supported=True) == 1.0
 
 
-def test_the_flatter_side_is_the_back() -> None:
+def test_the_flatter_side_is_the_back():
     front = np.where(np.sin(ANGLE) > 0, np.sin(ANGLE), 0.3 * np.sin(ANGLE))
     assert front_along(front) == 1.0
     assert front_along(-front) == -1.0
 
 
-def test_a_guess_is_said() -> None:
+def test_a_guess_is_said():
     with pytest.warns(TtusWarning, match="which end is the head"):
         head_along(Z, 0.1 * np.sin(ANGLE), supported=False)
     with pytest.warns(

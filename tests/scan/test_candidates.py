@@ -1,7 +1,5 @@
 """Candidates of spokes, the usable range of heights, and strays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from tests.scan.clouds import cylinder
 from ttus_opt.scan.candidates import collect, stray, usable_range
 
 
-def test_candidates_are_the_points_near_the_spoke() -> None:
+def test_candidates_are_the_points_near_the_spoke():
     """Against brute force over every pair of point and spoke."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-0.2, 0.2, (400, 3))
@@ -29,7 +27,7 @@ def test_candidates_are_the_points_near_the_spoke() -> None:
             np.testing.assert_allclose(kept, expected)
 
 
-def test_thinning_keeps_the_distribution() -> None:
+def test_thinning_keeps_the_distribution():
     r = np.linspace(0.1, 0.2, 1000)
     points = np.stack([r, 0 * r, 0 * r], axis=1)
     z = np.array([0.0, 0.1])
@@ -40,7 +38,7 @@ def test_thinning_keeps_the_distribution() -> None:
     assert kept.mean() == pytest.approx(0.15, abs=0.002)
 
 
-def test_cut_ends_are_left_out() -> None:
+def test_cut_ends_are_left_out():
     rng = np.random.default_rng(0)
     r = 0.15 * np.sqrt(rng.random(20_000))
     theta = rng.uniform(0, 2 * np.pi, r.size)
@@ -50,7 +48,7 @@ def test_cut_ends_are_left_out() -> None:
     assert 0.185 < found.z_max < 0.2
 
 
-def test_strays_are_dropped_and_surfaces_kept() -> None:
+def test_strays_are_dropped_and_surfaces_kept():
     rng = np.random.default_rng(0)
     cloud = cylinder(rng)
     strays = rng.uniform(0.3, 0.6, (30, 3))

@@ -1,12 +1,11 @@
 """The contour filter's association and Markov model, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_lyapunov
 
+from tests.refusals import refuses
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan import contour_filter
@@ -20,7 +19,7 @@ from ttus_opt.scan.contour_filter import (
 )
 
 
-def test_association_does_not_pull_inwards() -> None:
+def test_association_does_not_pull_inwards():
     """D as printed pulls by 2hσ²/(h² + σ²), 2 mm here; D per surface does not."""
     rng = np.random.default_rng(0)
     sigma, h, truth = 0.003, 0.008, 0.15
@@ -35,7 +34,7 @@ def test_association_does_not_pull_inwards() -> None:
     assert abs(m.y.mean() - truth) < 2e-5
 
 
-def test_association_prefers_the_near_surface() -> None:
+def test_association_prefers_the_near_surface():
     """Skin and bed equally far from the prediction: D decides for the skin."""
     r = np.array([[0.149, 0.150, 0.151, 0.189, 0.190, 0.191, np.inf]])
     m = associate(r, np.array([0.17]), np.array([0.02**2]), 0.003)
@@ -45,7 +44,7 @@ def test_association_prefers_the_near_surface() -> None:
 
 
 @pytest.mark.parametrize("of_each", [False, True])
-def test_two_surfaces_by_hand(of_each: bool) -> None:
+def test_two_surfaces_by_hand(of_each):
     """Weight and variance of a near and a far point, as the module defines them."""
     sigma, P, d = 0.003, 0.01**2, 0.17
     near, far = -0.02, 0.004
@@ -64,7 +63,7 @@ def test_two_surfaces_by_hand(of_each: bool) -> None:
     assert m.variance[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_association_of_coinciding_and_of_no_candidates() -> None:
+def test_association_of_coinciding_and_of_no_candidates():
     r = np.array([[0.15, 0.15, 0.15], [np.inf] * 3, [0.5, np.inf, np.inf]])
     m = associate(r, np.full(3, 0.15), np.full(3, 1e-5), 0.003)
     assert m.seen.tolist() == [True, False, False]  # D is 0/0 in print; beyond gate
@@ -72,7 +71,7 @@ def test_association_of_coinciding_and_of_no_candidates() -> None:
     assert np.isfinite(m.y).all() and np.isfinite(m.variance).all()
 
 
-def test_one_noise_for_all_is_the_same_noise_of_each() -> None:
+def test_one_noise_for_all_is_the_same_noise_of_each():
     rng = np.random.default_rng(4)
     r = np.sort(0.15 + 0.003 * rng.standard_normal((50, 8)), axis=1)
     r[25:, 4:] += 0.02  # two surfaces within the gate
@@ -83,7 +82,7 @@ def test_one_noise_for_all_is_the_same_noise_of_each() -> None:
     np.testing.assert_allclose(each.variance, one.variance, rtol=1e-9)
 
 
-def test_association_weighs_by_prediction_and_noise_together() -> None:
+def test_association_weighs_by_prediction_and_noise_together():
     """S = P + σ²: by hand for two points of one surface, and at the gate's edge."""
     sigma, P, d = 0.003, 0.001**2, 0.15
     v = np.array([-0.002, 0.006])
@@ -98,7 +97,7 @@ def test_association_weighs_by_prediction_and_noise_together() -> None:
         assert m.seen[0] == belongs
 
 
-def test_more_candidates_measure_better() -> None:
+def test_more_candidates_measure_better():
     one = np.full((1, 8), np.inf)
     one[0, 0] = 0.15
     many = np.full((1, 8), 0.15)
@@ -124,7 +123,7 @@ def discretised(model: ContourModel, step: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("n_theta", [9, 36, 180, 1440])
 @pytest.mark.parametrize("slope_angle", [0.02, 0.35, 30.0])
-def test_a_step_is_the_continuous_process(n_theta: int, slope_angle: float) -> None:
+def test_a_step_is_the_continuous_process(n_theta, slope_angle):
     model = ContourModel(slope_std=0.07, slope_angle=slope_angle)
     step = 2 * np.pi / n_theta
     F, Q = model.transition(step)
@@ -134,7 +133,7 @@ def test_a_step_is_the_continuous_process(n_theta: int, slope_angle: float) -> N
 
 
 @pytest.mark.parametrize("n_theta", [9, 36, 180])
-def test_the_slope_has_its_deviation_at_any_number_of_spokes(n_theta: int) -> None:
+def test_the_slope_has_its_deviation_at_any_number_of_spokes(n_theta):
     """Lyapunov's equation of the slope's step, and the steps of one turn at once.
 
     A first-order Q gave 2.0, 1.26 and 1.05 times as much.
@@ -152,7 +151,7 @@ def test_the_slope_has_its_deviation_at_any_number_of_spokes(n_theta: int) -> No
     np.testing.assert_allclose(P, whole_Q, rtol=1e-9)
 
 
-def test_small_steps_keep_their_digits() -> None:
+def test_small_steps_keep_their_digits():
     """A slope that hardly forgets is a walk: nothing of Q cancels away."""
     step, model = 0.01, ContourModel(slope_std=0.1, slope_angle=1e7)
     _, Q = model.transition(step)
@@ -203,7 +202,7 @@ def dense_contour(
 
 
 @pytest.mark.parametrize("n", [9, 24])
-def test_filter_matches_a_dense_gaussian_smoother(n: int) -> None:
+def test_filter_matches_a_dense_gaussian_smoother(n):
     """One candidate per spoke: the posterior mean of the same Markov model."""
     rng = np.random.default_rng(3)
     model = ContourModel(depth_noise=0.004, slope_std=0.08)
@@ -216,9 +215,7 @@ def test_filter_matches_a_dense_gaussian_smoother(n: int) -> None:
     assert found.observed.all()
 
 
-def test_candidates_are_weighed_twice_around_the_smoothed_contour(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_candidates_are_weighed_twice_around_the_smoothed_contour(monkeypatch):
     """The second round is the dense smoother of what the first round weighs."""
     n, rng = 24, np.random.default_rng(0)
     theta = np.arange(n) * 2 * np.pi / n
@@ -235,9 +232,7 @@ def test_candidates_are_weighed_twice_around_the_smoothed_contour(
     assert np.abs(once.radius[:, 0] - mean).max() > 1e-4  # one round is not two
 
 
-def test_a_contour_jumps_after_the_spoke_that_it_missed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_contour_jumps_after_the_spoke_that_it_missed(monkeypatch):
     """The dense smoother of a step up at spoke 8 and down at spoke 20."""
     n, model = 36, ContourModel(depth_noise=0.001, slope_std=0.02)
     r = 0.12 + 1e-4 * np.random.default_rng(0).standard_normal(n)
@@ -256,12 +251,11 @@ def test_a_contour_jumps_after_the_spoke_that_it_missed(
     assert abs(found.radius[10, 0] - 0.16) < 1e-3 > abs(found.radius[22, 0] - 0.12)
 
 
-def test_an_unusable_model() -> None:
-    with pytest.raises(InputError, match="slope_std must be positive"):
-        ContourModel(slope_std=0.0)
+def test_an_unusable_model():
+    refuses(InputError, "slope_std must be positive", ContourModel, slope_std=0.0)
 
 
-def test_cliffs_at_the_ends_are_not_seen() -> None:
+def test_cliffs_at_the_ends_are_not_seen():
     """From the cliff to the end of its spoke's row; one amid the body stays."""
     radius = np.full((8, 60), 0.15)
     radius[2, -2:] = 0.10  # a cap

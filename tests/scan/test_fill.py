@@ -1,7 +1,5 @@
 """Filling: exact where nothing is missing, an ellipse where half is, never through."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ def ellipse(a: Array | float, b: Array | float) -> Array:
     return np.broadcast_to(r, (N_THETA, N_Z)).copy()
 
 
-def test_outline_is_exact_for_an_ellipse() -> None:
+def test_outline_is_exact_for_an_ellipse():
     truth = ellipse(0.12, 0.17)
     everything = np.ones(truth.shape, bool)
     np.testing.assert_allclose(outline(truth, everything), truth, rtol=1e-9)
@@ -28,7 +26,7 @@ def test_outline_is_exact_for_an_ellipse() -> None:
     np.testing.assert_allclose(got, truth, rtol=1e-6)
 
 
-def test_outline_follows_a_taper_and_a_shift() -> None:
+def test_outline_follows_a_taper_and_a_shift():
     """A cone off the axis, seen all around, then three quarters of it."""
     radius = 0.14 + 0.03 * HEIGHT
     shift = 0.02
@@ -42,7 +40,7 @@ def test_outline_follows_a_taper_and_a_shift() -> None:
     assert np.abs(got - truth)[~seen].mean() < np.abs(circle - truth)[~seen].mean()
 
 
-def test_outline_touches_the_support_and_never_passes_it() -> None:
+def test_outline_touches_the_support_and_never_passes_it():
     c = np.cos(THETA)
     with np.errstate(divide="ignore"):
         limit = np.where(c < -1e-6, -0.10 / c, np.inf)
@@ -54,14 +52,14 @@ def test_outline_touches_the_support_and_never_passes_it() -> None:
 
 
 @pytest.mark.parametrize("degrees", [60, 90, 120])
-def test_little_seen_gives_a_finite_outline(degrees: int) -> None:
+def test_little_seen_gives_a_finite_outline(degrees):
     sector = np.broadcast_to(np.radians(degrees) > THETA, (N_THETA, N_Z))
     got = outline(np.where(sector, ellipse(0.12, 0.17), np.nan_to_num(0.0)), sector)
     assert np.isfinite(got).all()
     assert got.min() > 0.05 and got.max() < 0.35
 
 
-def test_what_was_seen_stays() -> None:
+def test_what_was_seen_stays():
     """A wavy surface with small variance is returned as it is."""
     truth = ellipse(0.12, 0.17) + 0.004 * np.sin(3 * THETA) * np.cos(4 * HEIGHT)
     seen = np.ones(truth.shape, bool)
@@ -70,7 +68,7 @@ def test_what_was_seen_stays() -> None:
     np.testing.assert_allclose(filled.std, 1e-5)
 
 
-def test_noise_is_smoothed() -> None:
+def test_noise_is_smoothed():
     rng = np.random.default_rng(0)
     truth = ellipse(0.12, 0.17)
     noisy = truth + 0.001 * rng.standard_normal(truth.shape)
@@ -80,7 +78,7 @@ def test_noise_is_smoothed() -> None:
     assert abs((filled.radius - truth).mean()) < 5e-5
 
 
-def test_hole_is_bridged_across_the_lap() -> None:
+def test_hole_is_bridged_across_the_lap():
     """A hole of 6 cm at θ = 0, where the array begins and ends."""
     truth = ellipse(0.12, 0.17) + 0.01 * HEIGHT
     arc = 0.14 * np.angle(np.exp(1j * THETA))
@@ -92,7 +90,7 @@ def test_hole_is_bridged_across_the_lap() -> None:
     assert filled.std[0, 12] > 3 * filled.std[30, 12]
 
 
-def test_unseen_back_stops_at_the_support() -> None:
+def test_unseen_back_stops_at_the_support():
     c = np.cos(THETA)
     with np.errstate(divide="ignore"):
         limit = np.where(c < -1e-6, -0.08 / c, np.inf)
@@ -107,7 +105,7 @@ def test_unseen_back_stops_at_the_support() -> None:
     np.testing.assert_allclose(held.radius[seen], truth[seen], atol=0.004)
 
 
-def test_deviation_grows_with_the_distance() -> None:
+def test_deviation_grows_with_the_distance():
     truth = ellipse(0.14, 0.14)
     seen = np.broadcast_to(np.cos(THETA) > 0, truth.shape)
     quarter, half = N_THETA // 4 + 1, N_THETA // 2

@@ -1,10 +1,9 @@
 """The patient frame: rigid, written and read back, and the plane it stands on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from tests.scan.test_frame_estimate import bed, body, no_bed, rotation
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -14,7 +13,7 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
 
 
-def test_there_and_back() -> None:
+def test_there_and_back():
     rng = np.random.default_rng(0)
     axis = Axis(rng.standard_normal(3), rotation(rng))
     points = rng.standard_normal((20, 3))
@@ -25,7 +24,7 @@ def test_there_and_back() -> None:
     )
 
 
-def test_attributes_round_trip_exactly() -> None:
+def test_attributes_round_trip_exactly():
     rng = np.random.default_rng(1)
     axis = Axis(rng.standard_normal(3), rotation(rng))
     again = Axis.from_attributes(axis.attributes())
@@ -43,18 +42,16 @@ def test_attributes_round_trip_exactly() -> None:
         np.full((3, 3), np.nan),
     ],
 )
-def test_no_rotation_is_refused(matrix: Array) -> None:
-    with pytest.raises(InputError, match="not a rotation"):
-        Axis(np.zeros(3), matrix)
+def test_no_rotation_is_refused(matrix):
+    refuses(InputError, "not a rotation", Axis, np.zeros(3), matrix)
 
 
-def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(InputError, match=r"origin \(3,\)"):
-        Axis(np.zeros(2), np.eye(3))
+def test_wrong_shapes_are_refused():
+    refuses(InputError, r"origin \(3,\)", Axis, np.zeros(2), np.eye(3))
 
 
 @pytest.mark.slow
-def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_supporting_plane_is_found_once(monkeypatch):
     """It stays in the frame: extraction looks for none, and leaves the bed out."""
     rng = np.random.default_rng(0)
     cloud = np.concatenate([body(rng, upper=False, n=8000), bed(rng, 6000)])

@@ -1,7 +1,5 @@
 """The patient frame estimated from a scan, whatever its attitude."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np
@@ -10,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import SHARED
+from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
@@ -49,7 +48,7 @@ def bed(rng: np.random.Generator, n: int = 20_000) -> Array:
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000), st.booleans())
-def test_found_on_a_bed_in_any_attitude(seed: int, upper: bool) -> None:
+def test_found_on_a_bed_in_any_attitude(seed, upper):
     rng = np.random.default_rng(seed)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
     cloud = np.concatenate([body(rng, upper=upper), bed(rng)]) @ R.T + t
@@ -63,7 +62,7 @@ def test_found_on_a_bed_in_any_attitude(seed: int, upper: bool) -> None:
 
 
 @pytest.mark.slow
-def test_the_user_says_how_the_patient_lies() -> None:
+def test_the_user_says_how_the_patient_lies():
     rng = np.random.default_rng(3)
     cloud = np.concatenate([body(rng, upper=False), bed(rng)])
     found = Axis.from_cloud(cloud).rotation
@@ -76,13 +75,11 @@ def test_the_user_says_how_the_patient_lies() -> None:
     np.testing.assert_array_equal(prone.rotation, found * [-1, -1, 1])
     with pytest.raises(GeometryError, match="90° away from the body's axis"):
         Axis.from_cloud(cloud, head=[1, 0, 0])
-    with pytest.raises(InputError, match="must not be zero"):
-        Axis.from_cloud(cloud, head=[0, 0, 0])
-    with pytest.raises(InputError, match="a direction x,y,z"):
-        Axis.from_cloud(cloud, head=[0, 1])
+    refuses(InputError, "must not be zero", Axis.from_cloud, cloud, head=[0, 0, 0])
+    refuses(InputError, "a direction x,y,z", Axis.from_cloud, cloud, head=[0, 1])
 
 
-def test_what_the_scan_hardly_tells_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_scan_hardly_tells_is_said(monkeypatch):
     no_bed(monkeypatch)
     rng = np.random.default_rng(4)
     theta, z = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(-0.25, 0.25, 20_000)
@@ -108,7 +105,7 @@ def turned_around(cloud: Array, count: int) -> tuple[float, float]:
     return max(angles), max(distances)
 
 
-def test_turning_the_examples_scan_keeps_its_frame() -> None:
+def test_turning_the_examples_scan_keeps_its_frame():
     cloud = read_cloud(example.path("scan.ply"))
     truth = Surface.load(example.path("surface.nc")).axis
     off = truth.rotation.T @ Axis.from_cloud(cloud).rotation
@@ -119,14 +116,14 @@ def test_turning_the_examples_scan_keeps_its_frame() -> None:
 
 
 @pytest.mark.slow
-def test_many_turns_of_the_examples_scan() -> None:
+def test_many_turns_of_the_examples_scan():
     angle, distance = turned_around(read_cloud(example.path("scan.ply")), 40)
     assert angle < 0.5
     assert distance < 2e-3
 
 
 @pytest.mark.slow
-def test_head_and_front_of_a_real_torso() -> None:
+def test_head_and_front_of_a_real_torso():
     """A CT's skin: x to the right, y to the front and z to the head (RAS)."""
     path = DATA / "ct_skin_mm.ply"
     if not path.exists():
@@ -142,7 +139,7 @@ def test_head_and_front_of_a_real_torso() -> None:
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
-def test_found_without_a_bed(seed: int) -> None:
+def test_found_without_a_bed(seed):
     rng = np.random.default_rng(seed)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
     axis = Axis.from_cloud(body(rng, upper=False) @ R.T + t)
@@ -158,9 +155,7 @@ def no_bed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frame_estimate, "find_supporting_plane", lambda *_, **__: None)
 
 
-def test_one_sided_without_a_bed_looks_to_the_seen_side(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_one_sided_without_a_bed_looks_to_the_seen_side(monkeypatch):
     no_bed(monkeypatch)
     rng = np.random.default_rng(0)
     axis = Axis.from_cloud(body(rng, upper=True, n=8000))
@@ -169,7 +164,7 @@ def test_one_sided_without_a_bed_looks_to_the_seen_side(
     assert -0.15 < axis.origin[1] < 0.18  # below the ridge at 0.22
 
 
-def test_real_scan() -> None:
+def test_real_scan():
     path = DATA / "realsense_male_m.pcd"
     if not path.exists():
         pytest.skip("realsense_male_m.pcd is not beside the checkout")
@@ -182,10 +177,9 @@ def test_real_scan() -> None:
     assert np.all((axis.origin > [0.5, -0.45, -0.15]) & (axis.origin < [0.7, -0.3, 0]))
 
 
-def test_refusals() -> None:
+def test_refusals():
     rng = np.random.default_rng(0)
-    with pytest.raises(InputError, match="100 at least"):
-        Axis.from_cloud(np.zeros((10, 3)))
+    refuses(InputError, "100 at least", Axis.from_cloud, np.zeros((10, 3)))
     flat = bed(rng)
     stubs = np.array([[0.0, 0.1, 0]]) + 0.003 * rng.standard_normal((400, 3))
     with pytest.raises(GeometryError, match="points stand above the supporting"):
@@ -201,7 +195,7 @@ def tube(n_around: int, n_along: int, share: float = 1.0) -> tuple[Array, Array]
     return points.reshape(-1, 3), across.reshape(-1, 3)
 
 
-def test_the_axis_is_exact_wherever_the_candidates_stand() -> None:
+def test_the_axis_is_exact_wherever_the_candidates_stand():
     """Caps over the ends face along it and have as many points: they are cut off."""
     points, normals = tube(40, 20)
     caps = np.array([[0.05, 0.05, 0.25], [-0.05, 0.0, -0.25]]).repeat(400, axis=0)
@@ -218,7 +212,7 @@ def test_the_axis_is_exact_wherever_the_candidates_stand() -> None:
         assert abs(found @ R[:, 2]) > 1.0 - 1e-12
 
 
-def test_trial_directions_leave_no_gap() -> None:
+def test_trial_directions_leave_no_gap():
     """No direction is further from one of 4000 than evenly spread ones would be."""
     trials = frame_estimate._half_sphere(4000)
     np.testing.assert_allclose(np.linalg.norm(trials, axis=1), 1.0)
@@ -230,7 +224,7 @@ def test_trial_directions_leave_no_gap() -> None:
     assert nearest.max() < cell
 
 
-def test_density_does_not_count() -> None:
+def test_density_does_not_count():
     """Means of cells, by a dictionary; a cell with few points is stray."""
     rng = np.random.default_rng(2)
     points = np.concatenate(
@@ -249,7 +243,7 @@ def test_density_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
-def test_a_tube_has_its_centre_wherever_it_was_seen_from(share: float) -> None:
+def test_a_tube_has_its_centre_wherever_it_was_seen_from(share):
     points, normals = tube(60, 20, share)
     rng = np.random.default_rng(3)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
@@ -264,14 +258,14 @@ def test_a_tube_has_its_centre_wherever_it_was_seen_from(share: float) -> None:
         np.testing.assert_allclose(found.upward, seen, atol=1e-9)
 
 
-def test_no_round_body_is_refused() -> None:
+def test_no_round_body_is_refused():
     points, _ = tube(60, 20)
     plane = points * [1.0, 0.0, 1.0]
     with pytest.raises(GeometryError, match="not round"):
         frame_estimate._free_frame(plane, np.tile([0.0, 1.0, 0.0], (len(plane), 1)))
 
 
-def test_on_a_plane_the_origin_is_half_way_up() -> None:
+def test_on_a_plane_the_origin_is_half_way_up():
     """A half tube on a plane that is tilted: by its height, width and length."""
     points, normals = tube(200, 60, 0.5)
     R, offset = rotation(np.random.default_rng(4)), 0.3

@@ -1,7 +1,5 @@
 """Damaged and hostile clouds: one of the package's own errors, never another."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path
@@ -12,6 +10,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import torso
 from tests.hostile import NUMBERS, only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.scan.cloud import read_cloud
 
@@ -55,11 +54,9 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_one_line_that_names_the_file(name: str, tmp_path: Path) -> None:
+def test_one_line_that_names_the_file(name, tmp_path):
     (tmp_path / name).write_bytes(HOSTILE[name])
-    with pytest.raises(FileError, match=name) as told:
-        read_cloud(tmp_path / name)
-    assert "\n" not in str(told.value)
+    refuses(FileError, name, read_cloud, tmp_path / name)
 
 
 def seeds(folder: Path) -> list[Path]:
@@ -85,14 +82,13 @@ def seeds(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize("n", NUMBERS)
 @pytest.mark.filterwarnings("ignore")
-def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
+def test_mutations_raise_nothing_but_our_own(n, tmp_path):
     only_our_errors(seeds(tmp_path), read_cloud, n)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")  # front and head, of noise
-def test_a_cloud_that_fills_a_volume_is_refused() -> None:
+def test_a_cloud_that_fills_a_volume_is_refused():
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.3, 0.3, (5_000, 3))
-    with pytest.raises(TtusError):
-        tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud))
+    refuses(TtusError, "", tt.extract_surface, cloud, axis=tt.Axis.from_cloud(cloud))

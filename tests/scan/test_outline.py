@@ -1,7 +1,5 @@
 """The outline: exact for conics, held by the plane, an ellipse from half of one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.core.arrays import Array
@@ -17,7 +15,7 @@ def ellipse(a: float = 0.16, b: float = 0.11) -> Array:
     return np.broadcast_to(radius, (N_THETA, N_Z)).copy()
 
 
-def test_an_ellipse_is_its_own_outline() -> None:
+def test_an_ellipse_is_its_own_outline():
     np.testing.assert_allclose(outline(ellipse(), ALL), ellipse(), rtol=1e-9)
     # off its centre it is a conic with linear terms
     x, y = 0.13 * np.cos(THETA) + 0.02, 0.13 * np.sin(THETA) - 0.01
@@ -28,7 +26,7 @@ def test_an_ellipse_is_its_own_outline() -> None:
     np.testing.assert_allclose(outline(radius, ALL), radius, rtol=2e-3)
 
 
-def test_half_an_ellipse_is_enough() -> None:
+def test_half_an_ellipse_is_enough():
     seen = np.broadcast_to(np.sin(THETA) > -0.2, ALL.shape)
     radius = np.where(seen, ellipse(), np.nan_to_num(np.nan, nan=7.0))
     found = outline(radius, seen)
@@ -36,7 +34,7 @@ def test_half_an_ellipse_is_enough() -> None:
     np.testing.assert_allclose(found[~seen], ellipse()[~seen], rtol=0.1)
 
 
-def test_nothing_lies_beyond_the_plane_and_it_is_touched() -> None:
+def test_nothing_lies_beyond_the_plane_and_it_is_touched():
     """A plane 9 cm under the axis, the back unseen: the outline reaches it."""
     seen = np.broadcast_to(np.sin(THETA) > 0.0, ALL.shape)
     down = -np.sin(THETA)
@@ -48,7 +46,7 @@ def test_nothing_lies_beyond_the_plane_and_it_is_touched() -> None:
     np.testing.assert_allclose(lowest, 0.09, rtol=0.03)
 
 
-def test_it_stays_within_half_and_twice_the_median() -> None:
+def test_it_stays_within_half_and_twice_the_median():
     seen = np.zeros_like(ALL)
     seen[:5] = True  # next to nothing was seen
     wild = np.where(seen, np.linspace(0.05, 0.4, N_THETA)[:, None], 0.0)

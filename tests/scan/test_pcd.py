@@ -1,14 +1,11 @@
 """PCD: fields of other types, counts and paddings; damage told in one line."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.refusals import refuses
 from tests.scan.test_cloud import POINTS, lzf_compress, pcd_header
 from ttus_opt.core.errors import FileError
 from ttus_opt.scan.pcd import lzf_decompress, read_pcd
@@ -45,20 +42,18 @@ def body(encoding: str) -> bytes:
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_other_fields_are_stepped_over(encoding: str, tmp_path: Path) -> None:
+def test_other_fields_are_stepped_over(encoding, tmp_path):
     path = tmp_path / "c.pcd"
     path.write_bytes(MIXED.format(encoding).encode() + body(encoding))
     np.testing.assert_array_equal(read_pcd(path), POINTS.astype(float))
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_a_cut_file_is_told(encoding: str, tmp_path: Path) -> None:
+def test_a_cut_file_is_told(encoding, tmp_path):
     path = tmp_path / "cut.pcd"
     whole = MIXED.format(encoding).encode() + body(encoding)
     path.write_bytes(whole[: len(whole) - len(body(encoding)) // 2])
-    with pytest.raises(FileError, match=r"cut\.pcd") as told:
-        read_pcd(path)
-    assert "\n" not in str(told.value)
+    refuses(FileError, r"cut\.pcd", read_pcd, path)
 
 
 @pytest.mark.parametrize(
@@ -71,22 +66,19 @@ def test_a_cut_file_is_told(encoding: str, tmp_path: Path) -> None:
         (("DATA binary\n", ""), "no DATA line"),
     ],
 )
-def test_headers_that_cannot_be_meant(
-    change: tuple[str, str], told: str, tmp_path: Path
-) -> None:
+def test_headers_that_cannot_be_meant(change, told, tmp_path):
     path = tmp_path / "c.pcd"
     header = pcd_header(len(POINTS), "binary", fields="x y z").replace(*change)
     path.write_bytes(header.encode() + POINTS.tobytes())
-    with pytest.raises(FileError, match=told):
-        read_pcd(path)
+    refuses(FileError, told, read_pcd, path)
 
 
 @given(st.binary(max_size=400).map(lambda b: b * 3) | st.binary(max_size=2000))
-def test_lzf_round_trip(raw: bytes) -> None:
+def test_lzf_round_trip(raw):
     assert lzf_decompress(lzf_compress(raw), len(raw)) == raw
 
 
-def test_lzf_overlapping_repetition() -> None:
+def test_lzf_overlapping_repetition():
     # two literals "ab", then 7 bytes from 2 back: their own output is repeated
     assert lzf_decompress(bytes([1, 97, 98, 5 << 5, 1]), 9) == b"ababababa"
     with pytest.raises(ValueError, match="before the beginning"):

@@ -1,7 +1,5 @@
 """Points with deviations of their own: by hand, and among good and bad points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 
 
-def test_association_weighs_by_each_deviation() -> None:
+def test_association_weighs_by_each_deviation():
     """β_i ∝ exp(−v²/2S_i)/σ_i² by hand; the gate is each candidate's own."""
     sigma, P, d = np.array([0.001, 0.004]), 0.001**2, 0.15
     v = np.array([-0.001, 0.003])
@@ -27,7 +25,7 @@ def test_association_weighs_by_each_deviation() -> None:
     assert not far.seen[0] and near.seen[0]
 
 
-def test_one_deviation_for_all_is_that_of_each() -> None:
+def test_one_deviation_for_all_is_that_of_each():
     rng = np.random.default_rng(0)
     r = np.sort(0.15 + 0.003 * rng.standard_normal((50, 9)), axis=1)
     r[:10, 6:] = [0.190, 0.192, np.inf]  # a second surface
@@ -38,14 +36,13 @@ def test_one_deviation_for_all_is_that_of_each() -> None:
     np.testing.assert_allclose(each.variance, one.variance, rtol=1e-12)
 
 
-def test_deviations_and_offsets_follow_their_points() -> None:
+def test_deviations_and_offsets_follow_their_points():
     rng = np.random.default_rng(5)
     points = rng.uniform(-0.2, 0.2, (600, 3))
     std = rng.uniform(0.001, 0.01, 600)
     theta, z = np.arange(12) * (2 * np.pi / 12), np.linspace(-0.1, 0.1, 5)
     reach = {"spoke_distance": 0.02, "slice_distance": 0.03}
     found = collect(points, theta, z, std=std, n_most=4, **reach)
-    assert found.std is not None and found.offset is not None
     r = np.hypot(points[:, 0], points[:, 1])
     for j, k, m in np.argwhere(np.isfinite(found.radius)):
         i = int(np.argmin(np.abs(r - found.radius[j, k, m])))
@@ -58,7 +55,7 @@ def test_deviations_and_offsets_follow_their_points() -> None:
     )
 
 
-def test_slope_adds_to_a_points_own_deviation() -> None:
+def test_slope_adds_to_a_points_own_deviation():
     """A candidate off its spoke weighs less: σ² + (slope_std · offset)²."""
     radius = np.tile(np.array([0.149, 0.151]), (36, 1, 1))
     std = np.full(radius.shape, 0.001)
@@ -76,7 +73,7 @@ def test_slope_adds_to_a_points_own_deviation() -> None:
     assert level(0.03) == pytest.approx(expected, abs=1e-4)
 
 
-def test_good_points_among_bad_ones_decide() -> None:
+def test_good_points_among_bad_ones_decide():
     """A scan of two cameras, one six times noisier: the answer is nearer the truth."""
     rng = np.random.default_rng(0)
     cloud = cylinder(rng, noise=0.0)[::2]
@@ -106,7 +103,7 @@ def test_good_points_among_bad_ones_decide() -> None:
         (np.full(20_000, 2.0), "give metres"),
     ],
 )
-def test_unusable_deviations(std: np.ndarray, words: str) -> None:
+def test_unusable_deviations(std, words):
     cloud = cylinder(np.random.default_rng(0))[:20_000]
     if len(std) == 20_000:
         std = np.resize(std, (len(cloud), *std.shape[1:]))

@@ -1,7 +1,5 @@
 """The one lookup of the surface's radius, against plain bilinear interpolation."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 import pytest
@@ -52,7 +50,7 @@ def plain(surface: Surface, theta: float, z: float) -> float:
     st.floats(-0.1, 0.3),
     st.sampled_from([0.0, 0.01, 3.0, -np.pi, 6.2, 9.0]),
 )
-def test_equals_the_surface(theta: float, z: float, first_angle: float) -> None:
+def test_equals_the_surface(theta, z, first_angle):
     surface = turned(first_angle)
     found = look(
         theta,

@@ -1,12 +1,11 @@
 """A later scan updates a surface: kept, averaged, replaced, added."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from tests.scan.clouds import cylinder
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
@@ -25,7 +24,7 @@ def part(cloud: Array, first: float, last: float) -> Array:
 
 
 @pytest.fixture(scope="module")
-def earlier() -> Surface:
+def earlier():
     cloud = part(cylinder(np.random.default_rng(0)), 0, 200)
     return extract_surface(cloud, axis=Axis.identity(), **SIZE)
 
@@ -34,7 +33,7 @@ def degrees(surface: Surface) -> Array:
     return np.rad2deg(surface.theta)
 
 
-def test_a_part_that_changed_and_a_part_that_is_new(earlier: Surface) -> None:
+def test_a_part_that_changed_and_a_part_that_is_new(earlier):
     """Later: 100° to 150° as before, 150° to 200° 20 mm further, 200° to 260° new."""
     rng = np.random.default_rng(1)
     same = part(cylinder(rng), 100, 150)
@@ -61,7 +60,7 @@ def test_a_part_that_changed_and_a_part_that_is_new(earlier: Surface) -> None:
     np.testing.assert_array_equal(found.surface.z, earlier.z)
 
 
-def test_the_same_seen_twice_is_known_better(earlier: Surface) -> None:
+def test_the_same_seen_twice_is_known_better(earlier):
     cloud = part(cylinder(np.random.default_rng(2)), 0, 200)
     found = update_surface(earlier, cloud, support=None)
     seen = earlier.observed
@@ -76,7 +75,7 @@ def test_the_same_seen_twice_is_known_better(earlier: Surface) -> None:
     assert ratio == pytest.approx(np.sqrt(0.5), abs=0.05)
 
 
-def test_a_patch_is_enough(earlier: Surface) -> None:
+def test_a_patch_is_enough(earlier):
     """A hand's breadth of skin, 8 mm further out; the rest stays."""
     swollen = part(cylinder(np.random.default_rng(3), radius=0.158), 60, 100)
     patch = swollen[np.abs(swollen[:, 2]) < 0.05]
@@ -88,18 +87,17 @@ def test_a_patch_is_enough(earlier: Surface) -> None:
     assert found.replaced < 0.06
 
 
-def test_a_patient_who_moved_is_told(earlier: Surface) -> None:
+def test_a_patient_who_moved_is_told(earlier):
     cloud = part(cylinder(np.random.default_rng(2), radius=0.162), 0, 200)
     with pytest.warns(TtusWarning, match=r"lies \+12 mm off.*patient moved"):
         found = update_surface(earlier, cloud, support=None)
     assert found.replaced > 0.98 * earlier.observed.mean()
 
 
-def test_refusals(earlier: Surface) -> None:
+def test_refusals(earlier):
     cloud = part(cylinder(np.random.default_rng(2)), 0, 200)
     turned = replace(earlier, theta=earlier.theta + 0.01)
-    with pytest.raises(InputError, match="expected 0"):
-        update_surface(turned, cloud)
+    refuses(InputError, "expected 0", update_surface, turned, cloud)
     with pytest.raises(GeometryError, match="is nowhere near the axis"):
         update_surface(earlier, cloud + np.array([2.0, 0, 0]), support=None)
     with pytest.raises(InputError, match="unit='mm'"):

@@ -1,12 +1,9 @@
 """Text clouds as other programs write them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan.cloud import read_cloud
 
@@ -38,13 +35,13 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_only_the_coordinates_are_read(name: str, tmp_path: Path) -> None:
+def test_only_the_coordinates_are_read(name, tmp_path):
     path = tmp_path / name
     path.write_text(WRITTEN[name])
     np.testing.assert_array_equal(read_cloud(path), POINTS)
 
 
-def test_a_box_crops_a_room(tmp_path: Path) -> None:
+def test_a_box_crops_a_room(tmp_path):
     room = np.concatenate([1000 * POINTS, [[9000.0, 0.0, 0.0], [0.0, -7000.0, 0.0]]])
     path = tmp_path / "room.npy"
     np.save(path, room)
@@ -68,9 +65,6 @@ def test_a_box_crops_a_room(tmp_path: Path) -> None:
         ((0, 1, 0, np.nan, 0, 1), "xmin,xmax,ymin"),
     ],
 )
-def test_a_box_that_cannot_be_used(
-    box: tuple[float, ...], message: str, tmp_path: Path
-) -> None:
+def test_a_box_that_cannot_be_used(box, message, tmp_path):
     np.save(tmp_path / "c.npy", POINTS)
-    with pytest.raises(InputError, match=message):
-        read_cloud(tmp_path / "c.npy", box=box)
+    refuses(InputError, message, read_cloud, tmp_path / "c.npy", box=box)

@@ -3,8 +3,6 @@
 It shares nothing with the package but the numbers of the intrinsics.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba
@@ -79,7 +77,7 @@ def see_mesh(camera: Camera, vertices: Array, faces: NDArray[np.int64]) -> Array
     return np.asarray(_nearest(own[faces], camera.matrix, camera.shape))
 
 
-@numba.njit(cache=False)  # type: ignore[misc]
+@numba.njit(cache=False)
 def _nearest(corners: Array, K: Array, shape: tuple[int, int]) -> Array:
     """Every pixel's ray against the triangles whose outline it may hit."""
     z = np.full(shape, np.inf)

@@ -1,7 +1,5 @@
 """Raw readings of a force sensor, from a contact wrench and a load that are known."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,13 +1,12 @@
 """Angular speeds of exact and of noisy poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from tests.refusals import refuses
 from tests.sensors.test_clock import wander
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -16,7 +15,7 @@ from ttus_opt.sensors.clock import Signal, clock_offset
 from ttus_opt.sensors.streams import poses_at
 
 
-def test_angular_speed_is_that_of_any_frame() -> None:
+def test_angular_speed_is_that_of_any_frame():
     time = np.arange(0, 20, 0.02)
     turns = Rotation.from_rotvec(np.outer(0.3 * wander(time), [0.2, 0.9, 0.3]))
     poses = Trajectory(time, np.zeros((len(time), 3)), turns.as_matrix())
@@ -45,9 +44,7 @@ def tracked(
 
 @pytest.mark.parametrize("noise", [0.2, 0.5])
 @pytest.mark.parametrize("run", ["run_A_20_17_35_10", "run_B_20_16_44_10"])
-def test_the_offset_of_noisy_poses_is_without_bias(
-    shared: Path, run: str, noise: float
-) -> None:
+def test_the_offset_of_noisy_poses_is_without_bias(shared, run, noise):
     """Differences of the same poses are refused; the stated error holds the bias."""
     rng = np.random.default_rng(0)
     errors, stated = [], []
@@ -64,5 +61,4 @@ def test_the_offset_of_noisy_poses_is_without_bias(
             Signal(poses.time, np.linalg.norm(poses.angular_velocity(), axis=1))
             for poses in pair
         ]
-        with pytest.raises(InputError, match="correlate by"):
-            clock_offset(*raw)
+        refuses(InputError, "correlate by", clock_offset, *raw)

@@ -1,7 +1,5 @@
 """Planes, jumps and lonely pixels: angles by hand, neighbours by plain loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,9 +26,7 @@ def plane(normal: Array, at: float = 1.0) -> Array:
 
 @pytest.mark.parametrize("tilt", [0.0, 30.0, 60.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_incidence_on_a_plane_is_the_angle_to_its_normal(
-    tilt: float, axis: int
-) -> None:
+def test_incidence_on_a_plane_is_the_angle_to_its_normal(tilt, axis):
     turn = np.deg2rad(tilt)
     normal = np.array([0.0, 0.0, np.cos(turn)])
     normal[axis] = np.sin(turn)
@@ -43,7 +39,7 @@ def test_incidence_on_a_plane_is_the_angle_to_its_normal(
     )
 
 
-def test_pixels_beside_a_jump_are_flying_and_no_others() -> None:
+def test_pixels_beside_a_jump_are_flying_and_no_others():
     z = np.where(np.arange(SHAPE[1]) < 14, 1.0, 1.4) * np.ones(SHAPE)
     found = judge(z, rays(), FOCAL, np.full(SHAPE, 1e-3), STEEPEST)
     expected = np.zeros(SHAPE, dtype=bool)
@@ -52,7 +48,7 @@ def test_pixels_beside_a_jump_are_flying_and_no_others() -> None:
     assert np.isnan(found.incidence[found.flying]).all()
 
 
-def test_a_jump_within_the_noise_is_none() -> None:
+def test_a_jump_within_the_noise_is_none():
     """Steps of 1 cm: gone at 5 mm of noise, there at a tenth of a millimetre."""
     z = np.where(np.arange(SHAPE[1]) < 14, 1.0, 1.01) * np.ones(SHAPE)
     level = np.deg2rad(10.0)  # nearly facing the camera
@@ -62,7 +58,7 @@ def test_a_jump_within_the_noise_is_none() -> None:
     assert exact.flying[2:-2, 13:15].all()
 
 
-def test_a_lonely_pixel_is_flying_and_missing_ones_are_nothing() -> None:
+def test_a_lonely_pixel_is_flying_and_missing_ones_are_nothing():
     z = np.full(SHAPE, np.nan)
     z[4, 5] = 1.0
     z[12:20, 10:22] = 1.0
@@ -75,7 +71,7 @@ def test_a_lonely_pixel_is_flying_and_missing_ones_are_nothing() -> None:
 
 
 @pytest.mark.parametrize(("most", "stride"), [(1, 1), (2, 3), (2, 4), (2, 40)])
-def test_neighbours_are_those_of_plain_loops(most: int, stride: int) -> None:
+def test_neighbours_are_those_of_plain_loops(most, stride):
     """Every pixel meets those up to so many strides away, at their distance."""
     shape = (7, 9)
     number = np.arange(63).reshape(shape)

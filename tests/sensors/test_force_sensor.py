@@ -1,15 +1,14 @@
 """Three statements of a sensor, each checked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.sensors.force_sensor import ForceSensor
 
 
-def test_the_statements_are_three() -> None:
+def test_the_statements_are_three():
     told = ForceSensor(np.eye(3), np.array([0, 0, 0.1]), "by-probe").statements()
     assert told == {
         "axes": np.eye(3).tolist(),
@@ -29,6 +28,5 @@ def test_the_statements_are_three() -> None:
         ({"sign": "minus"}, "on-probe or by-probe"),
     ],
 )
-def test_statements_that_are_none(given: dict, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        ForceSensor(**given)
+def test_statements_that_are_none(given, words):
+    refuses(InputError, words, ForceSensor, **given)

@@ -1,9 +1,6 @@
 """Hand-eye calibration: known answers, real pairs, and what OpenCV would not say."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -11,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
 from ttus_opt.probe.rigid_motion import inverse
@@ -46,20 +44,17 @@ def pairs(
 
 
 @pytest.mark.parametrize("camera", ["fixed", "moving"])
-def test_every_solver_finds_a_known_answer(
-    camera: Literal["fixed", "moving"],
-) -> None:
+def test_every_solver_finds_a_known_answer(camera):
     found = hand_eye(*pairs(camera), camera)
     assert {*found.candidates} == {name.lower() for name in HAND_EYE + ROBOT_WORLD}
     for candidate in found.candidates.values():
-        assert candidate.camera is not None
         np.testing.assert_allclose(candidate.camera, X, atol=1e-6)
         np.testing.assert_allclose(candidate.marker, Z, atol=1e-6)
     assert found.loop.gap < 1e-6
     assert found.spread < 1e-6
 
 
-def test_noise_shows_in_the_loop() -> None:
+def test_noise_shows_in_the_loop():
     found = hand_eye(*pairs("fixed", 40, noise=0.002), "fixed")
     np.testing.assert_allclose(found.camera, X, atol=0.005)
     assert 0.001 < found.loop.gap < 0.008
@@ -68,7 +63,7 @@ def test_noise_shows_in_the_loop() -> None:
 
 
 @pytest.mark.slow
-def test_the_real_pairs(shared: Path) -> None:
+def test_the_real_pairs(shared):
     A, B = read_pose_pairs(shared / "markers" / "handeye" / "pose_samples.json")
     found = hand_eye(A, B, "fixed")
     assert found.pairs == 50
@@ -76,12 +71,11 @@ def test_the_real_pairs(shared: Path) -> None:
     for candidate in found.candidates.values():
         assert candidate.loop.gap == pytest.approx(4.3e-3, abs=0.1e-3)
         assert np.rad2deg(candidate.loop.twist) == pytest.approx(0.084, abs=0.005)
-    with pytest.raises(InputError, match=r"4\.3 mm with camera='fixed'"):
-        hand_eye(A, B, "moving")
+    refuses(InputError, r"4\.3 mm with camera='fixed'", hand_eye, A, B, "moving")
 
 
 @pytest.mark.parametrize("which", ["marker", "hand"])
-def test_inverted_poses_are_noticed(which: str) -> None:
+def test_inverted_poses_are_noticed(which):
     A, B = pairs("moving")
     if which == "marker":
         A = np.array([inverse(pose) for pose in A])
@@ -103,22 +97,20 @@ def test_inverted_poses_are_noticed(which: str) -> None:
         + np.random.default_rng(0).normal(0, 0.01, (10, 3)),
     ],
 )
-def test_motions_that_do_not_determine_the_camera(turns: Array) -> None:
+def test_motions_that_do_not_determine_the_camera(turns):
     with pytest.raises(GeometryError, match="tilted about two axes"):
         hand_eye(*pairs("fixed", turns=turns), "fixed")
 
 
-def test_pairs_that_do_not_belong_together() -> None:
+def test_pairs_that_do_not_belong_together():
     A, B = pairs("fixed")
-    with pytest.raises(InputError, match="same instants"):
-        hand_eye(A, B[::-1], "fixed")
+    refuses(InputError, "same instants", hand_eye, A, B[::-1], "fixed")
 
 
-def test_loops_that_hardly_close() -> None:
+def test_loops_that_hardly_close():
     A, B = pairs("fixed", 20)
     A[:, :3, 3] *= 1.3  # a marker larger than was said
-    with pytest.raises(InputError, match="do not close"):
-        hand_eye(A, B, "fixed")
+    refuses(InputError, "do not close", hand_eye, A, B, "fixed")
     with pytest.warns(TtusWarning, match="solvers' results differ"):
         hand_eye(*pairs("fixed", 5, noise=0.004), "fixed", largest_twist=1.0)
 
@@ -133,31 +125,27 @@ def test_loops_that_hardly_close() -> None:
         (pairs("fixed", 4)[0], pairs("fixed", 5)[1], "4 and 5"),
     ],
 )
-def test_poses_that_are_none(A: Array, B: Array, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        hand_eye(A, B, "fixed")
+def test_poses_that_are_none(A, B, words):
+    refuses(InputError, words, hand_eye, A, B, "fixed")
 
 
-def test_millimetres_are_noticed() -> None:
+def test_millimetres_are_noticed():
     A, B = pairs("fixed")
     A[:, :3, 3] *= 1000
-    with pytest.raises(InputError, match="millimetres"):
-        hand_eye(A, B, "fixed")
+    refuses(InputError, "millimetres", hand_eye, A, B, "fixed")
 
 
 @pytest.mark.parametrize("limit", [{"largest_gap": -1.0}, {"largest_twist": np.nan}])
-def test_limits_that_are_none(limit: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="must be above 0"):
-        hand_eye(*pairs("fixed"), "fixed", **limit)
+def test_limits_that_are_none(limit):
+    refuses(InputError, "must be above 0", hand_eye, *pairs("fixed"), "fixed", **limit)
 
 
-def test_another_kind_of_camera() -> None:
-    with pytest.raises(InputError, match="fixed or moving"):
-        hand_eye(*pairs("fixed"), "flying")  # type: ignore[arg-type]
+def test_another_kind_of_camera():
+    refuses(InputError, "fixed or moving", hand_eye, *pairs("fixed"), "flying")
 
 
 @pytest.mark.parametrize("suffix", ["json", "npy"])
-def test_files_of_pairs(tmp_path: Path, suffix: str) -> None:
+def test_files_of_pairs(tmp_path, suffix):
     A, B = pairs("fixed")
     both = np.stack([A, B], axis=1)
     file = tmp_path / f"pairs.{suffix}"
@@ -171,16 +159,14 @@ def test_files_of_pairs(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1, 2]", "[[[1]]]", "no", "[" * 50_000])
-def test_files_that_hold_none(tmp_path: Path, text: str) -> None:
+def test_files_that_hold_none(tmp_path, text):
     (tmp_path / "pairs.json").write_text(text)
-    with pytest.raises(FileError) as told:
-        read_pose_pairs(tmp_path / "pairs.json")
-    assert "\n" not in str(told.value)
+    refuses(FileError, "", read_pose_pairs, tmp_path / "pairs.json")
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutations(tmp_path: Path, n: int) -> None:
+def test_mutations(tmp_path, n):
     both = np.stack(pairs("fixed", 4), axis=1)
     (tmp_path / "pairs.json").write_text(json.dumps(both.round(6).tolist()))
     np.save(tmp_path / "pairs.npy", both)

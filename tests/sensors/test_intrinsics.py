@@ -1,14 +1,12 @@
 """Intrinsics as OpenCV and ROS write them, and what is no intrinsics."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.intrinsics import Intrinsics, read_intrinsics
 
@@ -55,7 +53,7 @@ k: [618.6, 0.0, 321.984, 0.0, 619.11, 241.146, 0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("text", [OPENCV, ROS, MESSAGE])
-def test_yaml_of_opencv_and_ros(tmp_path: Path, text: str) -> None:
+def test_yaml_of_opencv_and_ros(tmp_path, text):
     pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
     (tmp_path / "camera.yaml").write_text(text)
     found = read_intrinsics(tmp_path / "camera.yaml")
@@ -65,7 +63,7 @@ def test_yaml_of_opencv_and_ros(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("matrix", [K, FLAT])
-def test_json(tmp_path: Path, matrix: object) -> None:
+def test_json(tmp_path, matrix):
     (tmp_path / "camera.json").write_text(json.dumps({"camera_matrix": matrix}))
     found = read_intrinsics(tmp_path / "camera.json")
     np.testing.assert_array_equal(found.matrix, K)
@@ -92,23 +90,18 @@ def test_json(tmp_path: Path, matrix: object) -> None:
         (json.dumps({"K": FLAT, "distortion_model": "equidistant"}), "undistort"),
     ],
 )
-def test_what_is_no_intrinsics(tmp_path: Path, text: str, words: str) -> None:
+def test_what_is_no_intrinsics(tmp_path, text, words):
     (tmp_path / "camera.json").write_text(text)
-    with pytest.raises(FileError, match=words) as told:
-        read_intrinsics(tmp_path / "camera.json")
-    assert "\n" not in str(told.value)
+    refuses(FileError, words, read_intrinsics, tmp_path / "camera.json")
 
 
-def test_an_image_of_another_size() -> None:
+def test_an_image_of_another_size():
     camera = Intrinsics(np.array(K), np.zeros(0), (640, 480))
     camera.check_shape((480, 640))
-    with pytest.raises(InputError, match="480 x 640 pixels"):
-        camera.check_shape((640, 480))
+    refuses(InputError, "480 x 640 pixels", camera.check_shape, (640, 480))
 
 
-def test_without_yaml_the_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_yaml_the_extra_is_named(tmp_path, monkeypatch):
     (tmp_path / "camera.yaml").write_text(ROS)
     monkeypatch.setitem(__import__("sys").modules, "yaml", None)
     with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
@@ -116,7 +109,7 @@ def test_without_yaml_the_extra_is_named(
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path: Path, n: int) -> None:
+def test_mutations(tmp_path, n):
     pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
     sources = []
     for i, text in enumerate((OPENCV, ROS, MESSAGE)):

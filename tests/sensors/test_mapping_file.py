@@ -1,13 +1,11 @@
 """Mappings as YAML, JSON and OpenCV write them, and one line on the rest."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
 from tests.hostile import only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError
 from ttus_opt.sensors.mapping_file import LARGEST_FILE, read_mapping
 
@@ -24,7 +22,7 @@ K: !!opencv-matrix
 """
 
 
-def test_yaml_and_json_say_the_same(tmp_path: Path) -> None:
+def test_yaml_and_json_say_the_same(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(CONTENT))
     (tmp_path / "a.yaml").write_text("a: 1\nb:\n  c: [1.5, x, null, true]\n")
     (tmp_path / "json.yaml").write_text("\n " + json.dumps(CONTENT))
@@ -33,14 +31,13 @@ def test_yaml_and_json_say_the_same(tmp_path: Path) -> None:
         assert read_mapping(tmp_path / name, "session") == CONTENT
 
 
-def test_matrices_of_opencv_are_mappings(tmp_path: Path) -> None:
+def test_matrices_of_opencv_are_mappings(tmp_path):
     (tmp_path / "k.yml").write_text(OPENCV)
     found = read_mapping(tmp_path / "k.yml", "camera")["K"]
     assert found == {"rows": 1, "cols": 2, "dt": "d", "data": [1.5, 2.0]}
     # the line that is told is the file's own
     (tmp_path / "k.yml").write_text(OPENCV + "a: b: c\n")
-    with pytest.raises(FileError, match=r"\(line 8\)"):
-        read_mapping(tmp_path / "k.yml", "camera")
+    refuses(FileError, r"\(line 8\)", read_mapping, tmp_path / "k.yml", "camera")
 
 
 @pytest.mark.parametrize(
@@ -54,21 +51,17 @@ def test_matrices_of_opencv_are_mappings(tmp_path: Path) -> None:
         ("", r"session file .* is empty"),
     ],
 )
-def test_what_is_no_mapping_is_told(tmp_path: Path, text: str, told: str) -> None:
+def test_what_is_no_mapping_is_told(tmp_path, text, told):
     (tmp_path / "s.yaml").write_text(text)
-    with pytest.raises(FileError, match=told) as caught:
-        read_mapping(tmp_path / "s.yaml", "session")
-    assert "\n" not in str(caught.value)
+    refuses(FileError, told, read_mapping, tmp_path / "s.yaml", "session")
 
 
-def test_large_and_missing_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="not found"):
-        read_mapping(tmp_path / "s.yaml", "session")
+def test_large_and_missing_files_are_refused(tmp_path):
+    refuses(FileError, "not found", read_mapping, tmp_path / "s.yaml", "session")
     (tmp_path / "s.yaml").write_text("a: " + "x" * LARGEST_FILE)
-    with pytest.raises(FileError):
-        read_mapping(tmp_path / "s.yaml", "session")
+    refuses(FileError, "", read_mapping, tmp_path / "s.yaml", "session")
 
 
-def test_mutations(tmp_path: Path) -> None:
+def test_mutations(tmp_path):
     (tmp_path / "k.yml").write_text(OPENCV)
     only_our_errors([tmp_path / "k.yml"], lambda f: read_mapping(f, "camera"), 60)

@@ -1,9 +1,6 @@
 """Poses of markers: drawn ones with a known answer, and photos."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.marker_pose import (
@@ -78,9 +76,7 @@ def drawn(pose: NDArray[np.float64], side: float = 0.06) -> NDArray[np.uint8]:
     ("turn", "shift"),
     [([0.6, 0.1, 0.2], [0.02, -0.01, 0.35]), ([-0.3, 0.7, 1.5], [-0.05, 0.04, 0.4])],
 )
-def test_a_drawn_marker_is_found_where_it_is(
-    turn: list[float], shift: list[float]
-) -> None:
+def test_a_drawn_marker_is_found_where_it_is(turn, shift):
     truth = looking(turn, shift)
     (found,) = marker_poses(drawn(truth), 0.06, "APRILTAG_36H11", CAMERA)
     assert found.markers == (7,)
@@ -89,11 +85,10 @@ def test_a_drawn_marker_is_found_where_it_is(
     assert np.linalg.norm(error) < 0.002
     assert apart.magnitude() < np.deg2rad(1.0)
     assert found.residual < 0.3
-    assert found.other_residual is not None
     assert found.other_residual > 2 * found.residual
 
 
-def test_the_covariance_is_that_of_many_noisy_photos() -> None:
+def test_the_covariance_is_that_of_many_noisy_photos():
     rng = np.random.default_rng(1)
     truth = looking([0.5, 0.3, 0.1], [0.02, 0.01, 0.3])
     points = 0.03 * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -121,14 +116,14 @@ def test_the_covariance_is_that_of_many_noisy_photos() -> None:
 
 
 @pytest.mark.parametrize("turn", [[0.3, -0.2, 0.5], [2.0, 1.0, -1.5], [1e-6, 0, 0]])
-def test_a_small_turn_after_a_turn(turn: list[float]) -> None:
+def test_a_small_turn_after_a_turn(turn):
     small = np.array([2e-6, -1e-6, 3e-6])
     after = Rotation.from_rotvec(small) * Rotation.from_rotvec(turn)
     change = _from_turns(np.array(turn))[:3, :3] @ small
     np.testing.assert_allclose(after.as_rotvec(), turn + change, atol=1e-10)
 
 
-def test_the_photo_of_a_board(shared: Path) -> None:
+def test_the_photo_of_a_board(shared):
     image = read_image(shared / "markers" / "aruco_photo.png")
     found = board_pose(image, PHOTO, PHOTO_CAMERA)
     assert found.markers == tuple(range(12))
@@ -137,7 +132,7 @@ def test_the_photo_of_a_board(shared: Path) -> None:
     assert found.shift_std.max() < 0.001
 
 
-def test_a_board_with_columns_and_rows_swapped_is_refused(shared: Path) -> None:
+def test_a_board_with_columns_and_rows_swapped_is_refused(shared):
     image = read_image(shared / "markers" / "aruco_photo.png")
     swapped = Board(4, 3, 0.0256, 0.0066, "4X4_250")
     with pytest.raises(InputError, match=r"41\.9 pixels.*3 columns and 4 rows") as told:
@@ -145,7 +140,7 @@ def test_a_board_with_columns_and_rows_swapped_is_refused(shared: Path) -> None:
     assert "it is 0.47" in str(told.value)
 
 
-def test_a_board_that_fits_badly_is_told(shared: Path) -> None:
+def test_a_board_that_fits_badly_is_told(shared):
     image = read_image(shared / "markers" / "aruco_photo.png")
     wide = Board(3, 4, 0.0256, 0.0100, "4X4_250")
     with pytest.warns(TtusWarning, match="pixels off"):
@@ -159,7 +154,7 @@ FIRST = 3 if cv2.__version__.startswith("4.10.") else 4
 
 @pytest.mark.parametrize(("photo", "least"), [(1, FIRST), (2, 5), (3, 6)])
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_photos_of_april_tags(shared: Path, photo: int, least: int) -> None:
+def test_photos_of_april_tags(shared, photo, least):
     image = read_image(shared / "markers" / f"test_image_multiple_0{photo}.png")
     found = marker_poses(image, 0.065, "APRILTAG_36H11", TAG_CAMERA)
     assert len(found) >= least
@@ -168,42 +163,38 @@ def test_photos_of_april_tags(shared: Path, photo: int, least: int) -> None:
         assert 0.3 < pose.pose[2, 3] < 1.5
 
 
-def test_a_marker_with_two_poses_is_told(shared: Path) -> None:
+def test_a_marker_with_two_poses_is_told(shared):
     image = read_image(shared / "markers" / "test_image_multiple_02.png")
     with pytest.warns(TtusWarning, match="marker 24: a second pose"):
         marker_poses(image, 0.065, "APRILTAG_36H11", TAG_CAMERA)
 
 
-def test_what_is_refused() -> None:
+def test_what_is_refused():
     blank = np.full((480, 640), 128, np.uint8)
-    with pytest.raises(InputError, match="no marker of 4X4_250"):
-        board_pose(blank, PHOTO, CAMERA)
+    refuses(InputError, "no marker of 4X4_250", board_pose, blank, PHOTO, CAMERA)
     with pytest.raises(InputError, match="no marker of 4X4_50"):
         marker_poses(blank, 0.05, "4X4_50", CAMERA)
     with pytest.raises(InputError, match="dictionary 'QR' is not known"):
         marker_poses(blank, 0.05, "QR", CAMERA)
-    with pytest.raises(InputError, match="millimetres"):
-        marker_poses(blank, 65.0, "4X4_50", CAMERA)
+    refuses(InputError, "millimetres", marker_poses, blank, 65.0, "4X4_50", CAMERA)
     with pytest.raises(InputError, match=r"between 0\.0001 and 2 m, got 1e-300$"):
         marker_poses(blank, 1e-300, "4X4_50", CAMERA)
-    with pytest.raises(InputError, match="millimetres"):
-        Board(3, 4, 25.6, 6.6, "4X4_250")
-    with pytest.raises(InputError, match="0 x 4"):
-        Board(0, 4, 0.02, 0.01, "4X4_250")
+    refuses(InputError, "millimetres", Board, 3, 4, 25.6, 6.6, "4X4_250")
+    refuses(InputError, "0 x 4", Board, 0, 4, 0.02, 0.01, "4X4_250")
     tag = drawn(looking([0.6, 0.1, 0.2], [0.02, -0.01, 0.35]))
     with pytest.raises(InputError, match="markers seen, 7, is on a board of 1 x 2"):
         board_pose(tag, Board(1, 2, 0.06, 0.01, "APRILTAG_36H11"), CAMERA)
 
 
 @pytest.mark.parametrize("content", [b"no image", b"\x89PNG\r\n\x1a\n" + bytes(40)])
-def test_files_that_are_no_image(tmp_path: Path, content: bytes) -> None:
+def test_files_that_are_no_image(tmp_path, content):
     (tmp_path / "photo.png").write_bytes(content)
     with pytest.raises(FileError, match=r"cannot read \S*photo\.png as an image"):
         read_image(tmp_path / "photo.png")
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutated_photos(tmp_path: Path, n: int) -> None:
+def test_mutated_photos(tmp_path, n):
     grey = drawn(looking([0.6, 0.1, 0.2], [0.02, -0.01, 0.35]))[200:280, 300:400]
     photos = [tmp_path / f"photo.{suffix}" for suffix in ("png", "jpg", "tiff")]
     for photo in photos:
@@ -211,7 +202,7 @@ def test_mutated_photos(tmp_path: Path, n: int) -> None:
     only_our_errors(photos, read_image, n)
 
 
-def test_the_facts_of_a_pose() -> None:
+def test_the_facts_of_a_pose():
     pose = MarkerPose((1,), np.eye(4), np.diag([1.0, 4, 9, 16, 25, 36]), 0.1)
     assert json.dumps([pose.turn_std.tolist(), pose.shift_std.tolist()]) == (
         "[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]"

@@ -1,7 +1,5 @@
 """Bias, weight and centre of mass from free poses; false statements are noticed."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +27,7 @@ from ttus_opt.sensors.wrench_compensation import compensated
 
 
 @pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
-def test_a_known_load_is_found(sign: str) -> None:
+def test_a_known_load_is_found(sign):
     sensor = replace(SENSOR, sign=sign)
     load = identify_load(readings(tilts(), sensor=sensor), sensor, DOWN)
     assert load.mass == pytest.approx(MASS, abs=1e-9)
@@ -39,13 +37,11 @@ def test_a_known_load_is_found(sign: str) -> None:
     assert load.handedness_told
 
 
-def test_standard_errors_are_those_of_noise() -> None:
+def test_standard_errors_are_those_of_noise():
     loads = []
     for seed in range(60):
         free = readings(tilts())
         rng = np.random.default_rng(seed)
-        assert free.force is not None
-        assert free.torque is not None
         free = replace(
             free,
             force=free.force + rng.normal(0, 0.1, free.force.shape),
@@ -65,11 +61,9 @@ def test_standard_errors_are_those_of_noise() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_residuals_of_few_poses_are_not_too_small() -> None:
+def test_residuals_of_few_poses_are_not_too_small():
     """Eight poses, of which four and six numbers are found: the noise all the same."""
     free, squares = readings(tilts(8)), []
-    assert free.force is not None
-    assert free.torque is not None
     for seed in range(200):
         rng = np.random.default_rng(seed)
         force = free.force + rng.normal(0, 0.02, free.force.shape)
@@ -81,7 +75,7 @@ def test_residuals_of_few_poses_are_not_too_small() -> None:
 
 
 @pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
-def test_the_other_sign_is_noticed(sign: str) -> None:
+def test_the_other_sign_is_noticed(sign):
     free = readings(tilts(), sensor=replace(SENSOR, sign=sign), noise=0.05)
     other = {"on-probe": "by-probe", "by-probe": "on-probe"}[sign]
     with pytest.raises(InputError, match=f"give sign {sign}"):
@@ -89,16 +83,15 @@ def test_the_other_sign_is_noticed(sign: str) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_left_handed_sensor_is_noticed(axis: int) -> None:
+def test_a_left_handed_sensor_is_noticed(axis):
     free = readings(tilts(), noise=0.05)
     for values in (free.force, free.torque):
-        assert values is not None
         values[:, axis] *= -1
     with pytest.raises(InputError, match=f"left-handed.*the {'xyz'[axis]} axis"):
         identify_load(free, SENSOR, DOWN)
 
 
-def test_axes_that_are_turned_are_noticed_and_mended() -> None:
+def test_axes_that_are_turned_are_noticed_and_mended():
     free = readings(tilts(), noise=0.02)
     with pytest.raises(InputError, match="from the stated axes: give axes") as told:
         identify_load(free, replace(SENSOR, axes=np.eye(3)), DOWN)
@@ -116,13 +109,13 @@ def about(*axes: list[float], n: int = 12) -> np.ndarray:
     return Rotation.from_rotvec(np.concatenate(turns)).as_matrix()
 
 
-def test_poses_that_hardly_tilt_are_refused() -> None:
+def test_poses_that_hardly_tilt_are_refused():
     for rotation in (about([0, 0, 1.0]), tilts(20, 0.02)):
         with pytest.raises(GeometryError, match="tilted by 30°"):
             identify_load(readings(rotation), SENSOR, DOWN)
 
 
-def test_tilts_in_a_plane_find_the_load_but_no_handedness() -> None:
+def test_tilts_in_a_plane_find_the_load_but_no_handedness():
     plane = about([1.0, 0, 0], n=30)  # gravity stays in the plane of y and z
     plain = ForceSensor()
     load = identify_load(readings(plane, sensor=plain, noise=0.005), plain, DOWN)
@@ -134,9 +127,8 @@ def test_tilts_in_a_plane_find_the_load_but_no_handedness() -> None:
         )
 
 
-def test_drift_is_told() -> None:
+def test_drift_is_told():
     free = readings(tilts(200), noise=0.01)
-    assert free.force is not None
     free.force[:, 1] += 0.01 * free.time
     with pytest.warns(TtusWarning, match=r"drifts by 0\.6\d* N a minute"):
         load = identify_load(free, SENSOR, DOWN)
@@ -144,7 +136,7 @@ def test_drift_is_told() -> None:
     assert load.facts()["drift_N_per_s"] == load.drift.tolist()
 
 
-def test_readings_without_weight_are_told() -> None:
+def test_readings_without_weight_are_told():
     free = readings(tilts(), mass=0.0, noise=0.05)
     with pytest.warns(TtusWarning, match="compensated already"):
         load = identify_load(free, SENSOR, DOWN)
@@ -155,7 +147,7 @@ def test_readings_without_weight_are_told() -> None:
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutations(tmp_path: Path, n: int) -> None:
+def test_mutations(tmp_path, n):
     file = tmp_path / "free.csv"
     readings(tilts(12), noise=0.01).save(file, digits=6)
 
@@ -167,13 +159,12 @@ def test_mutations(tmp_path: Path, n: int) -> None:
     only_our_errors([file], read, n)
 
 
-def test_what_is_refused() -> None:
+def test_what_is_refused():
     free = readings(tilts())
     with pytest.raises(InputError, match="at least 8 free poses"):
         identify_load(free.select(slice(0, 7)), SENSOR, DOWN)
     with pytest.raises(InputError, match="forces and torques"):
         identify_load(replace(free, torque=None), SENSOR, DOWN)
-    assert free.force is not None
     with pytest.raises(InputError, match="counts"):
         identify_load(replace(free, force=1e5 * free.force), SENSOR, DOWN)
     for down in ([0, 0, 0], [1, 2], [np.nan, 0, 1], [np.inf, 0, 0]):

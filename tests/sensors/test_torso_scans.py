@@ -5,8 +5,6 @@ pixels missing, flying pixels at every edge, whole millimetres, and a bed. And a
 depth camera's points in two views, put back on each other.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache
@@ -142,14 +140,14 @@ def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, objec
 
 
 @pytest.mark.slow
-def test_three_sides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_sides(tmp_path, capsys):
     """Mean ≤ 1.0 mm and 95 % ≤ 3 mm where seen."""
     words = written(tmp_path, [camera.pose for camera in cameras()])
     told = run(words, capsys)
     found = tt.Surface.load(tmp_path / "surface.nc")
     off = np.abs(errors(found))
     print(f"mean {1e3 * off.mean():.2f} mm, 95 % {1e3 * np.percentile(off, 95):.2f} mm")
-    assert told["observed"] > 0.6  # type: ignore[operator]
+    assert told["observed"] > 0.6
     assert off.mean() < 0.6e-3  # asked: 1.0 mm
     assert np.percentile(off, 95) < 1.6e-3  # asked: 3 mm
     # the deviations told are those found
@@ -158,7 +156,7 @@ def test_three_sides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.slow
-def test_poses_that_are_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_poses_that_are_off(tmp_path, capsys):
     """By 6 mm and 0.5° each: stitched as measured, and refined."""
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     poses = [camera.pose for camera in cameras()]
@@ -192,8 +190,7 @@ def real_views(apart: float) -> tuple[list[Camera], list[DepthImage]]:
     seen, images = [], []
     for k, side in enumerate((-1, 1)):
         camera = Camera(
-            (x + side * apart, y + 0.1 * side, 0.65),
-            (x + 0.3 * side * apart, y, -0.1),
+            (x + side * apart, y + 0.1 * side, 0.65), (x + 0.3 * side * apart, y, -0.1)
         )
         own = (points[k::2] - camera.pose[:3, 3]) @ camera.pose[:3, :3]
         u, v, _ = np.rint(camera.matrix @ (own / own[:, 2:]).T).astype(int)
@@ -210,7 +207,7 @@ def real_views(apart: float) -> tuple[list[Camera], list[DepthImage]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("apart", "most"), [(0.0, 0.8), (0.1, 0.9), (0.2, 1.4)])
-def test_real_points_are_put_back(apart: float, most: float) -> None:
+def test_real_points_are_put_back(apart, most):
     """Noise, holes, table and arm stub of a real camera; 6 mm and 0.5° off."""
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     seen, images = real_views(apart)

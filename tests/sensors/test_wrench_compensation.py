@@ -1,9 +1,6 @@
 """The wrench of contact comes back from raw readings, synthetic and real."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ REFERENCE = np.array([0.0, 0.005, 0.03])
 
 
 @pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
-def test_a_push_at_a_known_point_comes_back(sign: str) -> None:
+def test_a_push_at_a_known_point_comes_back(sign):
     """A force that acts at the reference point has no torque about it."""
     sensor = replace(SENSOR, sign=sign)
     rotation = tilts(30, 0.3)
@@ -32,7 +29,7 @@ def test_a_push_at_a_known_point_comes_back(sign: str) -> None:
     np.testing.assert_array_equal(clean.rotation, raw.rotation)
 
 
-def test_inertia_of_a_steady_acceleration_is_taken_off() -> None:
+def test_inertia_of_a_steady_acceleration_is_taken_off():
     time = 0.05 * np.arange(30)
     acceleration = np.array([1.0, -2.0, 0.5])
     rotation = np.broadcast_to(tilts(1)[0], (30, 3, 3))
@@ -55,11 +52,9 @@ def test_inertia_of_a_steady_acceleration_is_taken_off() -> None:
 
 
 @pytest.mark.parametrize("run", ["A_20_17_30_18", "A_20_17_35_10", "B_20_16_44_10"])
-def test_a_real_recording_comes_back(shared: Path, run: str) -> None:
+def test_a_real_recording_comes_back(shared, run):
     """Real motion and contact, with a load and biases put on."""
     real = read_trajectory(shared / "wrench" / f"run_{run}.csv")
-    assert real.force is not None
-    assert real.torque is not None
     # the file's torques are about the tool's origin, the sensor's about its own point
     arm = real.rotation @ SENSOR.point
     about_sensor = real.torque - np.cross(arm, real.force)
@@ -67,13 +62,11 @@ def test_a_real_recording_comes_back(shared: Path, run: str) -> None:
     free = readings(tilts(), noise=0.02)
     load = identify_load(free, SENSOR, DOWN)
     clean = compensated(raw, SENSOR, load, DOWN, np.zeros(3))
-    assert clean.force is not None
-    assert clean.torque is not None
     assert np.abs(clean.force - real.force).max() < 0.05
     assert np.abs(clean.torque - real.torque).max() < 0.01
 
 
-def test_recordings_without_readings() -> None:
+def test_recordings_without_readings():
     raw = readings(tilts())
     load = identify_load(raw, SENSOR, DOWN)
     with pytest.raises(InputError, match="forces and torques"):

@@ -1,7 +1,5 @@
 """Where the surface cuts links, by hand and voxel by voxel."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
@@ -30,9 +28,7 @@ def tube(radius: float, boundary: str = "subvoxel") -> Voxmap:
         (0.086, 0.6, 1.4),
     ],
 )
-def test_a_link_along_r_conducts_by_its_length(
-    radius: float, inner: float, outer: float
-) -> None:
+def test_a_link_along_r_conducts_by_its_length(radius, inner, outer):
     voxmap = tube(radius)
     links = voxmap.cut_links
     assert (links.axes == 0).all()
@@ -42,7 +38,7 @@ def test_a_link_along_r_conducts_by_its_length(
     np.testing.assert_allclose(links.factors[layer == 7], 1.0 / outer, rtol=1e-9)
 
 
-def test_every_link_to_the_layer_is_there_once() -> None:
+def test_every_link_to_the_layer_is_there_once():
     """Neighbours counted voxel by voxel; where they meet the surface, by bisection."""
     voxmap = Voxmap.from_surface(torso(), shape=(10, 8, 6))
     grid, links = voxmap.grid, voxmap.cut_links
@@ -66,7 +62,7 @@ def test_every_link_to_the_layer_is_there_once() -> None:
     assert links.factors[inside & (links.axes == 0)].max() < 2.0
 
 
-def test_a_region_of_another_surface_is_counted() -> None:
+def test_a_region_of_another_surface_is_counted():
     voxmap = tube(0.09)
     assert voxmap.cut_links.misplaced == 0
     other = replace(voxmap, surface=tube(0.099).surface)
@@ -77,7 +73,7 @@ def test_a_region_of_another_surface_is_counted() -> None:
         np.testing.assert_allclose(other.cut_links.factors[layer == k], factor)
 
 
-def test_nothing_flows_out_of_a_steep_surface() -> None:
+def test_nothing_flows_out_of_a_steep_surface():
     """A link along θ whose ends are both outside, the layer's end further."""
     region = np.array([1, 1, 0, -1, -1])[:, None, None] * np.ones((1, 3, 1), np.int8)
     region[2, 1] = -1
@@ -90,5 +86,5 @@ def test_nothing_flows_out_of_a_steep_surface() -> None:
     assert found == {0: 0.0, 2: pytest.approx(1.0 - 0.5 / 0.6)}
 
 
-def test_a_staircase_cuts_none() -> None:
+def test_a_staircase_cuts_none():
     assert len(tube(0.094, "staircase").cut_links.voxels) == 0

@@ -1,7 +1,5 @@
 """The law of sampling, place by place: depth-linear fields, order, skin, core, ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -56,9 +54,7 @@ def places_below(
 
 
 @pytest.mark.parametrize("shape", [(24, 40, 21), (12, 32, 16), (40, 36, 12)])
-def test_a_field_that_grows_linearly_with_depth_is_exact(
-    shape: tuple[int, int, int],
-) -> None:
+def test_a_field_that_grows_linearly_with_depth_is_exact(shape):
     """Whatever the skin's slope, and whatever stands on it and outside."""
     rng = np.random.default_rng(0)
     voxmap = Voxmap.from_surface(bumpy(), shape=shape)
@@ -71,7 +67,7 @@ def test_a_field_that_grows_linearly_with_depth_is_exact(
     np.testing.assert_allclose(found, 100.0 * depth, atol=1e-11)
 
 
-def test_second_order_on_a_bumpy_skin() -> None:
+def test_second_order_on_a_bumpy_skin():
     """p = φ(depth) g(θ, z), φ(0) = 0, to the skin itself."""
     surface, rng = bumpy(), np.random.default_rng(1)
     depth = rng.uniform(0.0, 0.03, 6000)
@@ -94,7 +90,7 @@ def test_second_order_on_a_bumpy_skin() -> None:
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
-def test_the_skins_layer_and_the_outside_are_never_sampled(sampling: str) -> None:
+def test_the_skins_layer_and_the_outside_are_never_sampled(sampling):
     rng = np.random.default_rng(2)
     voxmap = Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
     depth = 10.0 ** rng.uniform(-9.0, -1.5, 1000)
@@ -108,7 +104,7 @@ def test_the_skins_layer_and_the_outside_are_never_sampled(sampling: str) -> Non
 
 
 @pytest.mark.parametrize("shape", [(24, 40, 21), (12, 32, 16), (48, 120, 60)])
-def test_values_start_from_zero_at_the_skin(shape: tuple[int, int, int]) -> None:
+def test_values_start_from_zero_at_the_skin(shape):
     """On any grid, on any slope of the skin; here they are 1 inside and outside."""
     rng = np.random.default_rng(3)
     voxmap = Voxmap.from_surface(bumpy(), shape=shape)
@@ -125,7 +121,7 @@ def test_values_start_from_zero_at_the_skin(shape: tuple[int, int, int]) -> None
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("r_inner", [0.03, 0.06])
-def test_beyond_the_inner_layer_its_values_go_on(sampling: str, r_inner: float) -> None:
+def test_beyond_the_inner_layer_its_values_go_on(sampling, r_inner):
     rng = np.random.default_rng(4)
     voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=r_inner)
     grid = voxmap.grid
@@ -144,7 +140,7 @@ def test_beyond_the_inner_layer_its_values_go_on(sampling: str, r_inner: float) 
 
 
 @pytest.mark.slow
-def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other() -> None:
+def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other():
     """Along one line almost to the axis, in steps of 1 µm, then of half a µm."""
     rng = np.random.default_rng(5)
     voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=0.04)
@@ -160,7 +156,7 @@ def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other() -> None:
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
-def test_points_on_the_first_and_the_last_slice(sampling: str) -> None:
+def test_points_on_the_first_and_the_last_slice(sampling):
     """An index past the last slice would be the next spoke's first voxel."""
     voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21))
     grid = voxmap.grid
@@ -177,7 +173,7 @@ def test_points_on_the_first_and_the_last_slice(sampling: str) -> None:
         np.testing.assert_allclose((rows.N @ values.reshape(-1))[::3], share * value)
 
 
-def test_the_table_holds_the_skin_of_every_spoke() -> None:
+def test_the_table_holds_the_skin_of_every_spoke():
     voxmap = Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
     grid = voxmap.grid
     table = spoke_table(voxmap).reshape(40, 21, 3)
@@ -189,7 +185,7 @@ def test_the_table_holds_the_skin_of_every_spoke() -> None:
     np.testing.assert_allclose(table[..., 2], grid.r_step / gap)
 
 
-def test_voxel_mean_is_the_voxels_value_away_from_the_skin() -> None:
+def test_voxel_mean_is_the_voxels_value_away_from_the_skin():
     rng = np.random.default_rng(6)
     voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21))
     grid = voxmap.grid
@@ -205,7 +201,7 @@ def test_voxel_mean_is_the_voxels_value_away_from_the_skin() -> None:
     )
 
 
-def test_the_last_slice_is_sampled_within_the_last_cell() -> None:
+def test_the_last_slice_is_sampled_within_the_last_cell():
     """At the top there is no spoke above: the cell below, at its upper end."""
     voxmap = Voxmap.from_surface(torso(), shape=(9, 20, 10))
     grid = voxmap.grid

@@ -1,10 +1,9 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
@@ -12,7 +11,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
 GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.2, (6, 8, 5))
 
 
-def test_centres_and_steps() -> None:
+def test_centres_and_steps():
     assert GRID.n_voxels == 240
     np.testing.assert_allclose(GRID.r[[0, -1]], [0.03, 0.13])
     np.testing.assert_allclose(np.diff(GRID.r), GRID.r_step)
@@ -20,7 +19,7 @@ def test_centres_and_steps() -> None:
     np.testing.assert_allclose(GRID.z[[0, -1]], [0.0, 0.2])
 
 
-def test_layout_is_c_order_in_numpy_and_in_kernels() -> None:
+def test_layout_is_c_order_in_numpy_and_in_kernels():
     values = np.arange(240).reshape(6, 8, 5)
     flat = GRID.flatten(values)
     assert flat[flat_index(3, 4, 2, 8, 5)] == values[3, 4, 2]
@@ -40,7 +39,7 @@ def test_layout_is_c_order_in_numpy_and_in_kernels() -> None:
         ({"r_inner": 0.001}, GeometryError, "half a radial step"),
     ],
 )
-def test_refuses_what_is_no_grid(change: dict, error: type, word: str) -> None:
+def test_refuses_what_is_no_grid(change, error, word):
     given = {
         "r_inner": 0.03,
         "r_outer": 0.13,
@@ -48,18 +47,15 @@ def test_refuses_what_is_no_grid(change: dict, error: type, word: str) -> None:
         "z_max": 0.2,
         "shape": (6, 8, 5),
     }
-    with pytest.raises(error, match=word):
-        CylindricalGrid(**(given | change))
+    refuses(error, word, CylindricalGrid, **(given | change))
 
 
-def test_wrong_lengths_are_named() -> None:
-    with pytest.raises(InputError, match=r"\(6, 8, 5\)"):
-        GRID.flatten(np.zeros((8, 6, 5)))
-    with pytest.raises(InputError, match="240"):
-        GRID.unflatten(np.zeros(239))
+def test_wrong_lengths_are_named():
+    refuses(InputError, r"\(6, 8, 5\)", GRID.flatten, np.zeros((8, 6, 5)))
+    refuses(InputError, "240", GRID.unflatten, np.zeros(239))
 
 
-def test_cylindrical_angles_lie_in_the_first_turn() -> None:
+def test_cylindrical_angles_lie_in_the_first_turn():
     points = np.array([[1.0, -1e-18, 0.5], [0.0, -2.0, 1.0], [-1.0, 0.0, 0.0]])
     r, theta, z = cylindrical(points)
     np.testing.assert_allclose(r, [1, 2, 1])

@@ -1,7 +1,5 @@
 """A map over the skin: what a frame looks up."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -18,7 +16,7 @@ def linear() -> UncertaintyMap:
     return UncertaintyMap(THETA, z, 0.1 + np.abs(np.cos(THETA))[:, None] + z)
 
 
-def test_between_places_it_is_bilinear_and_closed() -> None:
+def test_between_places_it_is_bilinear_and_closed():
     found = linear()
     for angle, height in ((0.1, 0.03), (2 * np.pi - 0.1, 0.17), (np.pi, 0.2)):
         knots = np.append(np.abs(np.cos(THETA)), 1.0)
@@ -32,7 +30,7 @@ def test_between_places_it_is_bilinear_and_closed() -> None:
 @pytest.mark.parametrize(
     "relative", [np.zeros((3, 8)), np.full((8, 3), -1.0), np.full((8, 3), np.nan)]
 )
-def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
+def test_what_is_no_map_is_refused(relative):
     with pytest.raises(InputError, match="uncertainty map"):
         UncertaintyMap(THETA, np.linspace(0.0, 1.0, 3), relative)
 
@@ -47,8 +45,6 @@ def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
         (THETA, [0.0, np.nan], "heights"),
     ],
 )
-def test_places_stand_in_equal_steps(
-    theta: np.ndarray, z: list[float], why: str
-) -> None:
+def test_places_stand_in_equal_steps(theta, z, why):
     with pytest.raises(InputError, match=f"uncertainty map needs {why}"):
         UncertaintyMap(theta, np.array(z), np.zeros((8, 2)))

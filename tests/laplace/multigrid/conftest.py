@@ -1,7 +1,5 @@
 """One small torso for the kernels: even and odd counts, and levels that differ."""
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 
@@ -35,7 +33,7 @@ def made(shape: tuple[int, int, int]) -> Torso:
 
 
 @pytest.fixture(params=[(10, 12, 8), (9, 11, 7)], ids=["even", "odd"])
-def small(request: pytest.FixtureRequest) -> Torso:
+def small(request):
     return made(request.param)
 
 

@@ -1,9 +1,6 @@
 """The multigrid of pooled voxels against a factorisation of PᵀA P."""
 
-from __future__ import annotations
-
 import pickle
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -129,7 +126,7 @@ def check(grid: CylindricalGrid, free: Mask, pooled: Mask, seed: int = 0) -> Non
 @pytest.mark.parametrize(
     "pooled", [some_pooled, whole_spokes, every_spoke, nearly_whole, one_pair]
 )
-def test_equals_a_factorisation(pooled: Callable[[Mask, int], Mask], name: str) -> None:
+def test_equals_a_factorisation(pooled, name):
     grid = GRIDS[name]
     free = box(grid)
     check(grid, free, pooled(free, 3))
@@ -137,15 +134,13 @@ def test_equals_a_factorisation(pooled: Callable[[Mask, int], Mask], name: str) 
 
 @pytest.mark.parametrize("mask", [torso, pockets, neck])
 @pytest.mark.parametrize("pooled", [some_pooled, whole_spokes, every_spoke])
-def test_equals_a_factorisation_on_ill_shaped_masks(
-    mask: Callable[[CylindricalGrid], Mask], pooled: Callable[[Mask, int], Mask]
-) -> None:
+def test_equals_a_factorisation_on_ill_shaped_masks(mask, pooled):
     for name in ("even", "odd"):
         free = mask(GRIDS[name])
         check(GRIDS[name], free, pooled(free, 4))
 
 
-def test_a_block_through_a_neck_of_one_voxel() -> None:
+def test_a_block_through_a_neck_of_one_voxel():
     """Two chambers that meet in a block which is the neck itself."""
     grid = make_grid((15, 12, 9))
     free = box(grid)
@@ -165,15 +160,15 @@ def test_a_block_through_a_neck_of_one_voxel() -> None:
     seed=st.integers(0, 1000),
 )
 def test_equals_a_factorisation_on_any_mask_and_ties(
-    shape: tuple[int, int, int], fixed: float, joined: float, height: float, seed: int
-) -> None:
+    shape, fixed, joined, height, seed
+):
     grid = make_grid(shape, z_max=height)
     free = box(grid) & (np.random.default_rng(seed).random(shape) >= fixed)
     if free.any():
         check(grid, free, some_pooled(free, seed + 1, joined), seed)
 
 
-def test_is_linear_in_sizes_and_symmetric() -> None:
+def test_is_linear_in_sizes_and_symmetric():
     grid = GRIDS["odd"]
     free = torso(grid)
     solver, shown = aggregated(grid, free, some_pooled(free, 1))
@@ -187,7 +182,7 @@ def test_is_linear_in_sizes_and_symmetric() -> None:
     assert not solver.solve(np.zeros(free.size)).x.any()
 
 
-def test_what_stands_elsewhere_is_left_out() -> None:
+def test_what_stands_elsewhere_is_left_out():
     grid = GRIDS["even"]
     free = box(grid)
     pooled = some_pooled(free, 2)
@@ -197,7 +192,7 @@ def test_what_stands_elsewhere_is_left_out() -> None:
     np.testing.assert_array_equal(solver.solve(b).x, kept)
 
 
-def test_a_residual_out_of_reach_is_an_error() -> None:
+def test_a_residual_out_of_reach_is_an_error():
     grid = GRIDS["even"]
     free = box(grid)
     pooled = every_spoke(free, 0)
@@ -208,7 +203,7 @@ def test_a_residual_out_of_reach_is_an_error() -> None:
     assert solver.solve(b, rtol=0.0).relative_residual <= 1e-13  # down to rounding
 
 
-def test_pickles() -> None:
+def test_pickles():
     grid = GRIDS["even"]
     free = torso(grid)
     pooled = some_pooled(free, 1)
@@ -218,7 +213,7 @@ def test_pickles() -> None:
     np.testing.assert_array_equal(copy.solve(b).x, solver.solve(b).x)
 
 
-def test_blocks_cost_hardly_more_cycles_than_none() -> None:
+def test_blocks_cost_hardly_more_cycles_than_none():
     grid = make_grid((24, 48, 24))
     free = torso(grid)
     b = np.where(

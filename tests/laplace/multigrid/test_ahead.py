@@ -1,9 +1,6 @@
 """The process that compiles the multigrid while another reads its data."""
 
-from __future__ import annotations
-
 import subprocess
-from typing import Any
 
 import pytest
 
@@ -11,7 +8,7 @@ from ttus_opt.laplace.multigrid import ahead
 from ttus_opt.laplace.multigrid.ahead import LAST
 
 
-def test_what_it_solves_compiles_the_solver() -> None:
+def test_what_it_solves_compiles_the_solver():
     ahead.compile_multigrid()
     for function in LAST:
         assert function.signatures
@@ -19,19 +16,19 @@ def test_what_it_solves_compiles_the_solver() -> None:
 
 
 @pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def done(monkeypatch):
     """What is done with the other process, which is a stand-in."""
     events: list[str] = []
 
     class Helper:
-        def __init__(self, command: list[str], **_: Any) -> None:
+        def __init__(self, command, **_):
             assert command[1:] == ["-P", "-m", "ttus_opt.laplace.multigrid.ahead"]
             events.append("started")
 
-        def terminate(self) -> None:
+        def terminate(self):
             events.append("ended")
 
-        def wait(self) -> None:
+        def wait(self):
             events.append("waited for")
 
     monkeypatch.setattr(subprocess, "Popen", Helper)
@@ -40,8 +37,8 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.mark.parametrize("is_cached", [True, False])
 def test_a_process_is_started_only_when_there_is_something_to_do(
-    is_cached: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
-) -> None:
+    is_cached, monkeypatch, done
+):
     monkeypatch.setattr(ahead, "is_cached", lambda _: is_cached)
     with pytest.raises(KeyError), ahead.compiling_ahead():
         raise KeyError("a mistake meanwhile")

@@ -1,24 +1,21 @@
 """Networks of conductances against the operator written down, and dense elimination."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.laplace.multigrid.conftest import Torso
 from tests.laplace.multigrid.test_solver import box, make_grid
 from ttus_opt.laplace.multigrid.coarsening import THETA, R, Z, coarsen, finest, plan
 from ttus_opt.laplace.multigrid.red_black import Single
 
 
-def test_the_finest_network_is_the_operator(small: Torso) -> None:
+def test_the_finest_network_is_the_operator(small):
     at = np.flatnonzero(small.free)
     A = finest(small.grid, small.free).matrix()
     np.testing.assert_allclose(A, small.A[np.ix_(at, at)], rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("axis", [R, THETA, Z])
-def test_a_line_is_coarsened_by_eliminating_its_nodes(axis: int) -> None:
+def test_a_line_is_coarsened_by_eliminating_its_nodes(axis):
     """Without links across, coarsening is the Schur complement, cell by cell."""
     grid = make_grid((9, 12, 9))
     free = box(grid)
@@ -42,7 +39,7 @@ def test_a_line_is_coarsened_by_eliminating_its_nodes(axis: int) -> None:
     np.testing.assert_allclose(coarse.matrix(), schur, rtol=1e-4, atol=1e-6)
 
 
-def test_conductances_grow_with_the_width_of_the_cells() -> None:
+def test_conductances_grow_with_the_width_of_the_cells():
     grid = make_grid((9, 12, 9))
     network = finest(grid, box(grid))
     coarse = coarsen(network, Z)
@@ -53,7 +50,7 @@ def test_conductances_grow_with_the_width_of_the_cells() -> None:
     assert network.cells(THETA).sum() == pytest.approx(network.turn)
 
 
-def test_a_surface_between_coarse_nodes_stays_closed() -> None:
+def test_a_surface_between_coarse_nodes_stays_closed():
     grid = make_grid((17, 16, 9))
     free = box(grid)
     free[7] = False  # a node that the next level drops
@@ -65,7 +62,7 @@ def test_a_surface_between_coarse_nodes_stays_closed() -> None:
         assert network.grounds[R][cut, :, 1:-1].all()  # at its distance
 
 
-def test_the_plan_takes_the_narrow_directions_first() -> None:
+def test_the_plan_takes_the_narrow_directions_first():
     flags = list(plan(make_grid((16, 16, 60), z_max=0.02)))
     assert flags[0] == (False, False, True)
     counts = np.array([16, 16, 60])
@@ -76,7 +73,7 @@ def test_the_plan_takes_the_narrow_directions_first() -> None:
 
 
 @pytest.mark.parametrize("axis", [R, THETA, Z])
-def test_weights_are_the_elimination_read_backwards(axis: int) -> None:
+def test_weights_are_the_elimination_read_backwards(axis):
     """What a dropped node gets from the one before and the one after it."""
     grid = make_grid((9, 12, 9))
     network = finest(grid, box(grid))

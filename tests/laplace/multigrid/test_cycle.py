@@ -1,7 +1,5 @@
 """A V-cycle as the linear map that its parts make, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -24,7 +22,7 @@ def applied(work: Workspace, hierarchy: Hierarchy, free: np.ndarray, b: Array) -
 
 
 @pytest.mark.parametrize("shape", [(5, 4, 5), (6, 5, 4)])
-def test_a_single_level_is_solved_exactly(shape: tuple[int, int, int]) -> None:
+def test_a_single_level_is_solved_exactly(shape):
     grid = make_grid(shape)
     free = box(grid)
     h = Hierarchy.build(grid, free)
@@ -35,7 +33,7 @@ def test_a_single_level_is_solved_exactly(shape: tuple[int, int, int]) -> None:
     np.testing.assert_allclose(x, expected, rtol=1e-4, atol=1e-5 * np.abs(x).max())
 
 
-def test_the_map_is_symmetric_and_near_the_inverse() -> None:
+def test_the_map_is_symmetric_and_near_the_inverse():
     """All of B as a matrix: eigenvalues of B A near one."""
     small = made((10, 12, 8))
     free, h = small.free, small.hierarchy

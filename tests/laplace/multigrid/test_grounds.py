@@ -1,7 +1,5 @@
 """Links cut by a boundary, against the same matrix written down and solved directly."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -20,7 +18,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 @pytest.fixture(
     scope="module", params=[(14, 24, 15), (11, 15, 12)], ids=["even", "odd"]
 )
-def system(request: pytest.FixtureRequest) -> LaplaceSystem:
+def system(request):
     return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=request.param))
 
 
@@ -31,7 +29,7 @@ def block(system: LaplaceSystem) -> sp.csr_array:
     return sp.csr_array(A)
 
 
-def test_the_block_is_symmetric_and_positive_definite(system: LaplaceSystem) -> None:
+def test_the_block_is_symmetric_and_positive_definite(system):
     """Symmetric, connected and diagonally dominant with no link below zero."""
     A = block(system)
     assert abs(A - A.T).max() <= 1e-15
@@ -40,7 +38,7 @@ def test_the_block_is_symmetric_and_positive_definite(system: LaplaceSystem) -> 
     assert (A.diagonal() > 0.0).all()
 
 
-def test_a_solve_is_the_direct_one(system: LaplaceSystem) -> None:
+def test_a_solve_is_the_direct_one(system):
     free, rng = system.free, np.random.default_rng(0)
     b = np.where(free, rng.normal(size=len(free)), 0.0)
     answer = system.multigrid.solve(b)
@@ -56,7 +54,7 @@ def test_a_solve_is_the_direct_one(system: LaplaceSystem) -> None:
     assert answer.iterations <= at_most + 2
 
 
-def test_both_adjoints(system: LaplaceSystem) -> None:
+def test_both_adjoints(system):
     g = np.random.default_rng(1).normal(size=len(system.free))
     np.testing.assert_allclose(system.L @ system.solve(g), g, rtol=0, atol=1e-9)
     np.testing.assert_allclose(
@@ -64,16 +62,15 @@ def test_both_adjoints(system: LaplaceSystem) -> None:
     )
 
 
-def test_a_pickle_solves_the_same(system: LaplaceSystem) -> None:
+def test_a_pickle_solves_the_same(system):
     b = np.where(system.free, 1.0, 0.0)
     again = pickle.loads(pickle.dumps(system.multigrid))
     np.testing.assert_array_equal(again.solve(b).x, system.multigrid.solve(b).x)
 
 
-def test_a_part_of_the_grid_has_its_own(system: LaplaceSystem) -> None:
+def test_a_part_of_the_grid_has_its_own(system):
     """Places and changes there, found voxel by voxel."""
     grid, grounds = system.grid, system.grounds
-    assert grounds is not None
     part = Subdomain(grid, (3, grid.shape[1] - 4, 2), (6, 8, 7))
     dense = np.zeros((3, grid.n_voxels))
     dense[:, grounds.voxels] = grounds.changes.T
@@ -87,7 +84,7 @@ def test_a_part_of_the_grid_has_its_own(system: LaplaceSystem) -> None:
     assert own.any()
 
 
-def test_one_cycle_is_near_the_inverse(system: LaplaceSystem) -> None:
+def test_one_cycle_is_near_the_inverse(system):
     """Without the grounds it would be off by tens of per cent at the surface."""
     free = system.free
     x = np.where(free, 1.0, 0.0)
@@ -96,10 +93,9 @@ def test_one_cycle_is_near_the_inverse(system: LaplaceSystem) -> None:
     assert np.abs(cycle.solve(b).x - x)[free].max() < 0.2
 
 
-def test_grounds_of_fixed_voxels_do_not_count() -> None:
+def test_grounds_of_fixed_voxels_do_not_count():
     """A voxel that is held besides takes its own cut links along."""
     system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(11, 16, 9)))
-    assert system.grounds is not None
     held = system.free.copy()
     held[system.grounds.voxels[::2]] = False
     grid = system.grid
@@ -111,7 +107,7 @@ def test_grounds_of_fixed_voxels_do_not_count() -> None:
     np.testing.assert_allclose(less.solve(b).x[free], expected, rtol=0, atol=1e-10)
 
 
-def test_where_keeps_order() -> None:
+def test_where_keeps_order():
     grounds = Grounds(np.array([1, 3, 5]), np.arange(9.0).reshape(3, 3))
     kept = grounds.where(np.array([True, False, False, True, True, True]))
     np.testing.assert_array_equal(kept.voxels, [3, 5])

@@ -1,10 +1,7 @@
 """Levels packed for compiled code: what they hold, and the coarsest one's inverse."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from tests.laplace.multigrid.conftest import Torso
 from tests.laplace.multigrid.test_aggregated import some_pooled
 from ttus_opt.laplace.multigrid.coarsening import (
     DIRECT_NODES,
@@ -17,7 +14,7 @@ from ttus_opt.laplace.multigrid.workspace import Workspace
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
-def test_levels_are_the_coarsened_networks(small: Torso) -> None:
+def test_levels_are_the_coarsened_networks(small):
     network = finest(small.grid, small.free)
     for level in small.hierarchy.levels:
         assert level.layout.shape == network.shape
@@ -40,7 +37,7 @@ def test_levels_are_the_coarsened_networks(small: Torso) -> None:
     )
 
 
-def test_pooled_blocks_are_stiff_links_of_the_finest_level(small: Torso) -> None:
+def test_pooled_blocks_are_stiff_links_of_the_finest_level(small):
     pooled = some_pooled(small.free, 0)
     plain, tied = small.hierarchy, Hierarchy.build(small.grid, small.free, pooled)
     layout = plain.levels[0].layout
@@ -54,14 +51,14 @@ def test_pooled_blocks_are_stiff_links_of_the_finest_level(small: Torso) -> None
     assert plain.levels[0].R.ndim == 1 and tied.levels[0].T.ndim == 1
 
 
-def test_memory_is_counted_once(small: Torso) -> None:
+def test_memory_is_counted_once(small):
     h = small.hierarchy
     assert h.memory_bytes == h.fields.nbytes + h.inverse.nbytes + h.table.nbytes
     more = Workspace(h, more=2).memory_bytes - Workspace(h).memory_bytes
     assert more == 2 * 4 * h.levels[0].layout.colour_size
 
 
-def test_levels_are_parts_of_one_array() -> None:
+def test_levels_are_parts_of_one_array():
     grid = CylindricalGrid(0.03, 0.18, 0.0, 0.3, (17, 32, 16))
     free = np.zeros(grid.shape, dtype=bool)
     free[1:-1, :, 1:-1] = True

@@ -1,10 +1,8 @@
 """Loops over levels against the operator written down as a matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from tests.laplace.multigrid.conftest import Torso, noise, split
+from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.core.compiled import compiled
 from ttus_opt.laplace.multigrid.kernels import (
     LevelIndex,
@@ -26,7 +24,7 @@ def _fill_ghosts(table: Table, work: Single, x: int, colour: int) -> tuple[int, 
     return first, last
 
 
-def test_the_table_says_where_every_array_lies(small: Torso) -> None:
+def test_the_table_says_where_every_array_lies(small):
     h = small.hierarchy
     for row, level in zip(h.table, h.levels, strict=True):
         index = LevelIndex(*row.tolist())
@@ -38,7 +36,7 @@ def test_the_table_says_where_every_array_lies(small: Torso) -> None:
             np.testing.assert_array_equal(kept, array.reshape(-1))
 
 
-def test_closing_the_circle_copies_the_outer_rows(small: Torso) -> None:
+def test_closing_the_circle_copies_the_outer_rows(small):
     layout = small.hierarchy.levels[0].layout
     whole = split(layout, noise(small.free))
     work = np.zeros(small.hierarchy.work_size, np.float32)
@@ -53,7 +51,7 @@ def test_closing_the_circle_copies_the_outer_rows(small: Torso) -> None:
     np.testing.assert_array_equal(stored[:, 1:-1], whole[:, 1:-1])
 
 
-def test_flow_is_what_red_nodes_send_to_black_ones(small: Torso) -> None:
+def test_flow_is_what_red_nodes_send_to_black_ones(small):
     """On the finest level, whose conductances depend on the layer; with a rest kept."""
     h, layout = small.hierarchy, small.hierarchy.levels[0].layout
     j, k = np.indices(small.grid.shape)[1:]

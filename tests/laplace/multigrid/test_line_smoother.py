@@ -1,17 +1,15 @@
 """Radial lines solved exactly: pivots and sweeps against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from tests.laplace.multigrid.conftest import Torso, noise, split
+from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.laplace.multigrid.coarsening import coarsen, finest
 from ttus_opt.laplace.multigrid.line_smoother import inverse_pivots, sweep
 from ttus_opt.laplace.multigrid.red_black import BLACK, RED, Layout
 from ttus_opt.laplace.multigrid.workspace import Workspace
 
 
-def test_pivots_are_those_of_an_elimination() -> None:
+def test_pivots_are_those_of_an_elimination():
     """One line of five nodes, one of them fixed, links of very different strength."""
     aside = np.zeros((2, 7, 1), np.float32)
     aside[0, :, 0] = [0.0, 2.0, 0.5, 0.0, 1.0, 3.0, 0.0]
@@ -28,7 +26,7 @@ def test_pivots_are_those_of_an_elimination() -> None:
     assert not inverse[[0, 3, 6]].any()
 
 
-def test_a_sweep_leaves_no_residual_on_its_colour(small: Torso) -> None:
+def test_a_sweep_leaves_no_residual_on_its_colour(small):
     layout = small.hierarchy.levels[0].layout
     j, k = np.indices(small.grid.shape)[1:]
     colours = (((j + 1) * layout.pitch + k) % 2).reshape(-1)
@@ -50,7 +48,7 @@ def test_a_sweep_leaves_no_residual_on_its_colour(small: Torso) -> None:
         assert np.abs(rest).max() < 1e-5 * np.abs(b).max()
 
 
-def test_a_sweep_where_every_link_has_its_own_conductance(small: Torso) -> None:
+def test_a_sweep_where_every_link_has_its_own_conductance(small):
     """On the second level, against the network's own matrix."""
     h, n = small.hierarchy, 1
     network = finest(small.grid, small.free)

@@ -1,11 +1,9 @@
 """One V-cycle as a map: linear, symmetric, positive definite, near the inverse."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg
 
-from tests.laplace.multigrid.conftest import Torso, noise
+from tests.laplace.multigrid.conftest import noise
 from ttus_opt.laplace.multigrid.coarsening import Added
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 
@@ -20,7 +18,7 @@ def written_out(cycle: OneCycle, free: np.ndarray) -> np.ndarray:
     return np.array(columns)[:, free]
 
 
-def test_it_is_spectrally_equivalent_to_the_inverse(small: Torso) -> None:
+def test_it_is_spectrally_equivalent_to_the_inverse(small):
     free = small.free.reshape(-1)
     at = np.flatnonzero(free)
     A = small.A[np.ix_(at, at)]
@@ -34,7 +32,7 @@ def test_it_is_spectrally_equivalent_to_the_inverse(small: Torso) -> None:
         assert 0.6 < ratios.min() <= ratios.max() < 1.4
 
 
-def test_it_is_linear_and_leaves_fixed_voxels_alone(small: Torso) -> None:
+def test_it_is_linear_and_leaves_fixed_voxels_alone(small):
     free = small.free.reshape(-1)
     cycle = OneCycle(small.grid, free)
     a, b = noise(small.free), noise(small.free, 1)

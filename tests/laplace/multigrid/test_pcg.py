@@ -1,7 +1,5 @@
 """Vector kernels, the operator and conjugate gradients, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from ttus_opt.laplace.multigrid.pcg import Vectors, dot, extend, operate, step
 from ttus_opt.laplace.multigrid.red_black import BLACK, RED
 
 
-def test_vector_kernels_by_numpy() -> None:
+def test_vector_kernels_by_numpy():
     rng = np.random.default_rng(0)
     n_r, width = 3, 16
     size = n_r * width
@@ -28,7 +26,7 @@ def test_vector_kernels_by_numpy() -> None:
     np.testing.assert_allclose(work[2 * size : 3 * size], q + 0.5 * p, atol=1e-6)
 
 
-def test_operate_is_A_and_its_energy(small: Torso) -> None:
+def test_operate_is_A_and_its_energy(small):
     h, layout = small.hierarchy, small.hierarchy.levels[0].layout
     x = noise(small.free)
     size = layout.colour_size
@@ -54,9 +52,7 @@ def test_operate_is_A_and_its_energy(small: Torso) -> None:
 
 
 @pytest.mark.parametrize("goal", [1e-1, 1e-4])
-def test_a_correction_solves_to_the_accuracy_asked_for(
-    small: Torso, goal: float
-) -> None:
+def test_a_correction_solves_to_the_accuracy_asked_for(small, goal):
     layout, b = small.hierarchy.levels[0].layout, noise(small.free, 1)
     work = Vectors(small.hierarchy)
     work.b[:] = split(layout, b)

@@ -1,7 +1,5 @@
 """Pooled blocks against P written down as a matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,13 +13,13 @@ GRID = make_grid((9, 6, 6))
 FREE = box(GRID)
 
 
-def test_heads_by_hand() -> None:
+def test_heads_by_hand():
     pooled = np.array([0, 1, 1, 0, 0, 1, 0], dtype=bool)  # one spoke
     np.testing.assert_array_equal(block_heads(pooled, 1), [0, 1, 1, 1, 4, 5, 5])
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_prolong_and_restrict_are_P_and_its_transpose(seed: int) -> None:
+def test_prolong_and_restrict_are_P_and_its_transpose(seed):
     rng = np.random.default_rng(seed)
     pooled = some_pooled(FREE, seed, 0.5)
     P, member = spread(FREE, pooled, rng)
@@ -50,7 +48,7 @@ def test_prolong_and_restrict_are_P_and_its_transpose(seed: int) -> None:
     np.testing.assert_allclose(work[5:][real], expected_stored[real], atol=1e-5)
 
 
-def test_no_block_is_one_voxel_long() -> None:
+def test_no_block_is_one_voxel_long():
     nothing = np.zeros(FREE.size, dtype=bool)
     flat = FREE.reshape(-1)
     blocks = PooledBlocks.of(flat, nothing, flat, GRID.strides[0])

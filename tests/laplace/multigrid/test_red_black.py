@@ -1,7 +1,5 @@
 """The red-black order, node by node."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -13,7 +11,7 @@ SHAPES = [(3, 6, 5), (4, 6, 4), (3, 5, 6), (2, 7, 3)]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_node_has_a_place_of_its_colour(shape: tuple[int, int, int]) -> None:
+def test_every_node_has_a_place_of_its_colour(shape):
     layout = Layout.of(shape)
     n_r, n_theta, n_z = shape
     values = 1.0 + np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
@@ -30,9 +28,7 @@ def test_every_node_has_a_place_of_its_colour(shape: tuple[int, int, int]) -> No
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_neighbours_have_the_other_colour_and_the_circle_is_closed(
-    shape: tuple[int, int, int],
-) -> None:
+def test_neighbours_have_the_other_colour_and_the_circle_is_closed(shape):
     layout = Layout.of(shape)
     values = 1.0 + np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
     stored = layout.split(values)

@@ -1,7 +1,5 @@
 """The parts in double precision, on whole grids, against A written down."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -17,7 +15,7 @@ def operator(small: Torso) -> Operator:
     return Operator.of(small.free.reshape(-1), conductances(small.grid), sizes)
 
 
-def test_operate_is_A(small: Torso) -> None:
+def test_operate_is_A(small):
     x = noise(small.free)
     out = np.full_like(x, np.nan)
     operate(out, x, operator(small), (0, 1))
@@ -25,7 +23,7 @@ def test_operate_is_A(small: Torso) -> None:
 
 
 @pytest.mark.parametrize("is_zero", [False, True])
-def test_the_residual_and_its_norm(small: Torso, is_zero: bool) -> None:
+def test_the_residual_and_its_norm(small, is_zero):
     x, b = noise(small.free, 1), noise(small.free, 2)
     layout = small.hierarchy.levels[0].layout
     out = np.zeros(layout.stored_shape, np.float32)
@@ -37,7 +35,7 @@ def test_the_residual_and_its_norm(small: Torso, is_zero: bool) -> None:
     np.testing.assert_allclose(out.reshape(-1)[places], expected[places], rtol=1e-6)
 
 
-def test_add_brings_a_correction_back(small: Torso) -> None:
+def test_add_brings_a_correction_back(small):
     x, e = noise(small.free, 3), noise(small.free, 4)
     layout = small.hierarchy.levels[0].layout
     correction = split(layout, e)

@@ -1,9 +1,6 @@
 """The multigrid solver against sparse factorisations, on well and ill-shaped masks."""
 
-from __future__ import annotations
-
 import pickle
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from tests.conftest import SHARED
+from tests.refusals import refuses
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.laplace.multigrid import Multigrid
@@ -162,7 +160,7 @@ def one_cycle(solver: Multigrid, b: Array) -> Array:
 
 
 @pytest.fixture(params=["even", "odd"])
-def case(request: pytest.FixtureRequest) -> tuple[CylindricalGrid, Mask, Multigrid]:
+def case(request):
     grid = GRIDS[request.param]
     free = torso(grid)
     return grid, free, Multigrid(grid, free)
@@ -177,7 +175,7 @@ PAIRS = [
 
 
 @pytest.mark.parametrize(("mask", "name"), PAIRS)
-def test_equals_a_factorisation(mask: Callable[..., Mask], name: str) -> None:
+def test_equals_a_factorisation(mask, name):
     grid = GRIDS[name]
     free = mask(grid)
     A = explicit(grid, free)
@@ -200,9 +198,7 @@ def test_equals_a_factorisation(mask: Callable[..., Mask], name: str) -> None:
     height=st.floats(0.01, 3.0),
     seed=st.integers(0, 1000),
 )
-def test_equals_a_factorisation_on_any_mask(
-    shape: tuple[int, int, int], fixed: float, height: float, seed: int
-) -> None:
+def test_equals_a_factorisation_on_any_mask(shape, fixed, height, seed):
     grid = make_grid(shape, z_max=height)
     free = box(grid) & (np.random.default_rng(seed).random(shape) >= fixed)
     b = noise(free, seed)
@@ -216,13 +212,13 @@ def test_equals_a_factorisation_on_any_mask(
 
 
 @pytest.mark.parametrize("mask", MASKS)
-def test_cycles_stay_few_on_ill_shaped_masks(mask: Callable[..., Mask]) -> None:
+def test_cycles_stay_few_on_ill_shaped_masks(mask):
     grid = make_grid((24, 72, 30))
     free = mask(grid)
     assert Multigrid(grid, free).solve(noise(free), rtol=1e-10).iterations <= 16
 
 
-def test_cycles_hardly_grow_with_the_grid() -> None:
+def test_cycles_hardly_grow_with_the_grid():
     cycles = []
     for shape in ((12, 36, 15), (24, 72, 30), (48, 144, 60)):
         grid = make_grid(shape)
@@ -232,7 +228,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
     assert max(cycles) <= 1.4 * min(cycles)  # for 64 times as many voxels
 
 
-def test_a_surface_costs_no_more_cycles_than_none() -> None:
+def test_a_surface_costs_no_more_cycles_than_none():
     grid = make_grid((48, 100, 40))
     cycles = [
         Multigrid(grid, free).solve(noise(free), rtol=1e-10).iterations
@@ -241,7 +237,7 @@ def test_a_surface_costs_no_more_cycles_than_none() -> None:
     assert cycles[1] <= cycles[0] + 1
 
 
-def test_the_phantom_surface() -> None:
+def test_the_phantom_surface():
     path = SHARED / "phantom" / "surface.nc"
     if not path.exists():
         pytest.skip("shared data are not here")
@@ -255,9 +251,7 @@ def test_the_phantom_surface() -> None:
     assert solver.memory_bytes < 100 * voxmap.grid.n_voxels
 
 
-def test_apply_is_the_operator(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_apply_is_the_operator(case):
     grid, free, solver = case
     x = np.random.default_rng(3).standard_normal(grid.n_voxels)
     expected = np.zeros(grid.shape)
@@ -267,15 +261,13 @@ def test_apply_is_the_operator(
     )
 
 
-def test_the_norm_bound_holds(case: tuple[CylindricalGrid, Mask, Multigrid]) -> None:
+def test_the_norm_bound_holds(case):
     grid, free, solver = case
     largest = sp.linalg.eigsh(explicit(grid, free), 1, return_eigenvectors=False)[0]
     assert largest <= solver.norm_bound <= 3.0 * largest
 
 
-def test_v_cycle_is_linear_symmetric_and_positive(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_v_cycle_is_linear_symmetric_and_positive(case):
     _, free, solver = case
     vectors = [noise(free, seed) for seed in range(8)]
     images = [one_cycle(solver, v) for v in vectors]
@@ -288,9 +280,7 @@ def test_v_cycle_is_linear_symmetric_and_positive(
     )
 
 
-def test_nothing_is_left_over_from_the_cycle_before(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_nothing_is_left_over_from_the_cycle_before(case):
     _, free, solver = case
     expected = one_cycle(solver, noise(free, 3))
     at, cycle = np.flatnonzero(free), solver.preconditioner()
@@ -302,9 +292,7 @@ def test_nothing_is_left_over_from_the_cycle_before(
 
 
 @pytest.mark.parametrize("shape", [(16, 24, 14), (17, 25, 13), (4, 4, 3)])
-def test_a_cycle_without_red_loads_takes_them_for_zero(
-    shape: tuple[int, int, int],
-) -> None:
+def test_a_cycle_without_red_loads_takes_them_for_zero(shape):
     """Also where the finest level is the coarsest."""
     grid = make_grid(shape)
     free = torso(grid) if shape[0] > 4 else box(grid)
@@ -322,7 +310,7 @@ def test_a_cycle_without_red_loads_takes_them_for_zero(
 
 
 @pytest.mark.parametrize("name", ["even", "odd", "core"])
-def test_v_cycle_is_close_to_the_inverse(name: str) -> None:
+def test_v_cycle_is_close_to_the_inverse(name):
     grid = GRIDS[name]
     free = torso(grid)
     solver = Multigrid(grid, free)
@@ -351,9 +339,7 @@ def test_v_cycle_is_close_to_the_inverse(name: str) -> None:
     assert np.linalg.norm(A @ x - b) <= 1.1e-10 * np.linalg.norm(b)
 
 
-def test_solve_is_linear_and_symmetric(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_solve_is_linear_and_symmetric(case):
     _, free, solver = case
     a, b = noise(free, 1), noise(free, 2)
     x, y = solver.solve(a).x, solver.solve(b).x
@@ -363,9 +349,7 @@ def test_solve_is_linear_and_symmetric(
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e30, 1e300])
-def test_units_do_not_matter(
-    scale: float, case: tuple[CylindricalGrid, Mask, Multigrid]
-) -> None:
+def test_units_do_not_matter(scale, case):
     _, free, solver = case
     b = noise(free)
     expected = solver.solve(b).x
@@ -374,9 +358,7 @@ def test_units_do_not_matter(
     )
 
 
-def test_smooth_right_sides_reach_rounding(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_smooth_right_sides_reach_rounding(case):
     _, free, solver = case
     x = free.astype(float).reshape(-1)
     b = solver.apply(x)
@@ -386,9 +368,7 @@ def test_smooth_right_sides_reach_rounding(
     assert result.relative_residual <= 2.3e-16 * floor
 
 
-def test_start_near_the_answer_saves_cycles(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_start_near_the_answer_saves_cycles(case):
     _, free, solver = case
     b = noise(free)
     cold = solver.solve(b)
@@ -401,7 +381,7 @@ def test_start_near_the_answer_saves_cycles(
     assert solver.solve(b, x0=cold.x, rtol=1e-11).iterations == 0
 
 
-def test_nothing_to_solve() -> None:
+def test_nothing_to_solve():
     grid = make_grid((8, 16, 5))
     nothing = np.zeros(grid.shape, dtype=bool)
     result = Multigrid(grid, nothing).solve(np.ones(grid.n_voxels))
@@ -414,7 +394,7 @@ def test_nothing_to_solve() -> None:
 
 
 @pytest.mark.parametrize("shape", [(4, 4, 3), (4, 5, 4), (5, 7, 3), (6, 4, 40)])
-def test_smallest_grids(shape: tuple[int, int, int]) -> None:
+def test_smallest_grids(shape):
     grid = make_grid(shape)
     free = box(grid)
     b = noise(free)
@@ -423,9 +403,7 @@ def test_smallest_grids(shape: tuple[int, int, int]) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_values_at_fixed_voxels_are_left_out(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_values_at_fixed_voxels_are_left_out(case):
     _, free, solver = case
     b = noise(free)
     dirty = np.where(free.reshape(-1), b, np.nan)
@@ -433,31 +411,24 @@ def test_values_at_fixed_voxels_are_left_out(
     assert np.array_equal(solver.apply(dirty), solver.apply(b))
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     grid = GRIDS["even"]
     solver = Multigrid(grid, box(grid))
     b = noise(box(grid))
-    with pytest.raises(InputError, match="shape"):
-        solver.solve(b[1:])
+    refuses(InputError, "shape", solver.solve, b[1:])
     bad = b.copy()
     bad[np.flatnonzero(b)[5]] = np.nan
-    with pytest.raises(InputError, match="finite"):
-        solver.solve(bad)
-    with pytest.raises(InputError, match="finite"):
-        solver.apply(np.where(np.isnan(bad), np.inf, bad))
-    with pytest.raises(InputError, match="rtol"):
-        solver.solve(b, rtol=-1.0)
-    with pytest.raises(InputError, match="times the right-hand side"):
-        solver.solve(1e-200 * b, x0=b)
+    refuses(InputError, "finite", solver.solve, bad)
+    refuses(InputError, "finite", solver.apply, np.where(np.isnan(bad), np.inf, bad))
+    refuses(InputError, "rtol", solver.solve, b, rtol=-1.0)
+    refuses(InputError, "times the right-hand side", solver.solve, 1e-200 * b, x0=b)
     with pytest.raises(InputError, match="x0 must be finite"):
         solver.solve(0.0 * b, x0=np.where(solver.free, np.nan, 0.0))
-    with pytest.raises(InputError, match="layer"):
-        Multigrid(grid, np.ones(grid.shape, dtype=bool))
-    with pytest.raises(InputError, match="boolean"):
-        Multigrid(grid, np.zeros(grid.shape))
+    refuses(InputError, "layer", Multigrid, grid, np.ones(grid.shape, dtype=bool))
+    refuses(InputError, "boolean", Multigrid, grid, np.zeros(grid.shape))
 
 
-def test_too_few_cycles_are_told() -> None:
+def test_too_few_cycles_are_told():
     grid = GRIDS["odd"]
     solver = Multigrid(grid, box(grid))
     b = noise(box(grid))
@@ -467,9 +438,7 @@ def test_too_few_cycles_are_told() -> None:
     assert solver.solve(b).relative_residual <= 1e-12  # and leave nothing behind
 
 
-def test_several_at_once_equal_one_by_one(
-    case: tuple[CylindricalGrid, Mask, Multigrid],
-) -> None:
+def test_several_at_once_equal_one_by_one(case):
     _, free, solver = case
     rows = np.stack([noise(free, seed) for seed in range(6)])
     alone = [solver.solve(row).x for row in rows]
@@ -479,7 +448,7 @@ def test_several_at_once_equal_one_by_one(
         assert np.array_equal(result.x, one)
 
 
-def test_pickles(case: tuple[CylindricalGrid, Mask, Multigrid]) -> None:
+def test_pickles(case):
     _, free, solver = case
     b = noise(free)
     twin = pickle.loads(pickle.dumps(solver))
@@ -490,7 +459,7 @@ def second_level(grid: CylindricalGrid) -> tuple[int, ...]:
     return Multigrid(grid, box(grid)).hierarchy.levels[1].layout.shape
 
 
-def test_levels_follow_the_steps() -> None:
+def test_levels_follow_the_steps():
     assert second_level(make_grid((48, 120, 60))) == (25, 60, 31)
     # slices far apart against spokes: θ first
     tall = make_grid((16, 64, 20), z_max=3.0)

@@ -1,7 +1,5 @@
 """Boxes of the grid for approximate solves, against the same boxes written as masks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -40,7 +38,7 @@ def run(cycle: VCycle, at: NDArray[np.int64], b: Array) -> Array:
 
 
 @pytest.mark.parametrize("spoke", [30, 0, 62])
-def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
+def test_holds_the_voxels_and_their_margin(spoke):
     """Also where the box passes θ = 0."""
     free = torso(GRID)
     near = patch(GRID, free, spoke)
@@ -56,7 +54,7 @@ def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
 
 
 @pytest.mark.parametrize("spoke", [30, 0])
-def test_its_arrays_are_the_grids(spoke: int) -> None:
+def test_its_arrays_are_the_grids(spoke):
     free = torso(GRID)
     box = Subdomain.around(GRID, patch(GRID, free, spoke))
     values = np.arange(GRID.n_voxels, dtype=float)
@@ -68,7 +66,7 @@ def test_its_arrays_are_the_grids(spoke: int) -> None:
     )
 
 
-def test_large_boxes_are_the_grid() -> None:
+def test_large_boxes_are_the_grid():
     free = torso(GRID)
     everywhere = np.flatnonzero(free)
     assert Subdomain.around(GRID, everywhere).is_whole
@@ -81,7 +79,7 @@ def test_large_boxes_are_the_grid() -> None:
 
 @pytest.mark.parametrize("pooled", [False, True])
 @pytest.mark.parametrize("spoke", [30, 0, 62])
-def test_v_cycle_nearly_inverts_the_box(spoke: int, pooled: bool) -> None:
+def test_v_cycle_nearly_inverts_the_box(spoke, pooled):
     """With zero around the box, and pooled blocks of pooled voxels."""
     free = torso(GRID)
     flat = free.reshape(-1)
@@ -113,7 +111,7 @@ def test_v_cycle_nearly_inverts_the_box(spoke: int, pooled: bool) -> None:
 
 
 @pytest.mark.slow
-def test_zero_around_a_box_hardly_matters_near_its_voxels() -> None:
+def test_zero_around_a_box_hardly_matters_near_its_voxels():
     """What loads of the patch do there keeps its energy, but for the widest one."""
     free = torso(GRID)
     near = patch(GRID, free, 0)

@@ -1,7 +1,5 @@
 """Restriction and prolongation, written down as matrices from unit vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.laplace.multigrid.conftest import made
@@ -65,7 +63,7 @@ def coarse_free(h: Hierarchy) -> np.ndarray:
     return free
 
 
-def test_restriction_is_the_transpose() -> None:
+def test_restriction_is_the_transpose():
     """Where an odd circle closes, both leave out what the sweep mends."""
     small = made((10, 12, 8))
     R, P = matrices(small.hierarchy, small.free, coarse_free(small.hierarchy))
@@ -73,7 +71,7 @@ def test_restriction_is_the_transpose() -> None:
     assert P.any(axis=1).mean() > 0.5
 
 
-def test_prolongation_keeps_constants_and_never_passes_a_fixed_node() -> None:
+def test_prolongation_keeps_constants_and_never_passes_a_fixed_node():
     grid = make_grid((9, 12, 9))
     free = box(grid)
     free[:, 5] = False  # a wall

@@ -1,15 +1,13 @@
 """The V-cycle as a preconditioner: where voxels lie, and what a box knows."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from tests.laplace.multigrid.conftest import Torso, noise, split
+from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.laplace.multigrid.v_cycle import VCycle
 from ttus_opt.laplace.multigrid.workspace import Workspace
 
 
-def test_it_is_the_workspaces_cycle_on_flat_vectors(small: Torso) -> None:
+def test_it_is_the_workspaces_cycle_on_flat_vectors(small):
     free = small.free.reshape(-1)
     cycle = VCycle.near(None, small.hierarchy, small.grid, free)
     np.testing.assert_array_equal(cycle.free, free)
@@ -26,7 +24,7 @@ def test_it_is_the_workspaces_cycle_on_flat_vectors(small: Torso) -> None:
     np.testing.assert_array_equal(cycle.x, forward)
 
 
-def test_more_sweeps_come_nearer(small: Torso) -> None:
+def test_more_sweeps_come_nearer(small):
     free = small.free.reshape(-1)
     at, b = np.flatnonzero(free), noise(small.free, 1)
     exact = np.linalg.solve(small.A[np.ix_(at, at)], b[at])

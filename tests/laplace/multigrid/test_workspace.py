@@ -1,7 +1,5 @@
 """A V-cycle and a solve by several cores at a time, against one core's, bit by bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -31,11 +29,8 @@ def cycled(work: Workspace, b: np.ndarray, sweeps: int, has_red: bool) -> np.nda
 @pytest.mark.parametrize("shape", [(13, 60, 80), (24, 61, 70), (5, 64, 64)])
 @pytest.mark.parametrize(("sweeps", "has_red"), [(1, False), (2, True)])
 def test_a_v_cycle_does_not_depend_on_the_number_of_cores(
-    shape: tuple[int, int, int],
-    sweeps: int,
-    has_red: bool,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    shape, sweeps, has_red, monkeypatch
+):
     grid = make_grid(shape)
     free = torso(grid)
     h = Hierarchy.build(grid, free)
@@ -63,16 +58,14 @@ def solved() -> list[Array]:
 
 
 @pytest.mark.parametrize("cores", [2, 4])
-def test_a_solve_does_not_depend_on_the_number_of_cores(
-    cores: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solve_does_not_depend_on_the_number_of_cores(cores, monkeypatch):
     alone = solved()
     share(monkeypatch, cores)
     for x, expected in zip(solved(), alone, strict=True):
         np.testing.assert_array_equal(x, expected)
 
 
-def test_one_core_does_small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_core_does_small_levels(monkeypatch):
     grid = make_grid((24, 32, 24))
     h = Hierarchy.build(grid, torso(grid))
     sizes = [level.inverse.size for level in h.levels]

@@ -1,7 +1,5 @@
 """A scene for constraints, and what kind of rows one declares."""
 
-from __future__ import annotations
-
 from tests.conftest import small_scene
 from ttus_opt.problem.constraints.base import Bounds, LinearRows
 

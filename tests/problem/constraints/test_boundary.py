@@ -1,7 +1,5 @@
 """Boundary values that are kept exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.problem.constraints.declared import REGION, SCENE, linear
@@ -9,7 +7,7 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.constraints.boundary import HardBoundary
 
 
-def test_hard_boundary_keeps_the_values() -> None:
+def test_hard_boundary_keeps_the_values():
     rows = linear(HardBoundary(SCENE).rows())
     np.testing.assert_array_equal(rows.lower, rows.upper)
     hard = fit(SCENE, "eq10_hard_boundary", force_weight=3.0)

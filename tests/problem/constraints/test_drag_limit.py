@@ -1,16 +1,14 @@
 """Coulomb's limit of a drag field."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 
 from tests.problem.constraints.declared import REGION, SCENE, linear
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.drag_limit import DragLimit
 
 
-def test_drag_limit_is_a_share_of_the_field() -> None:
+def test_drag_limit_is_a_share_of_the_field():
     rows = linear(DragLimit(SCENE, 0.4).rows())
     p, q = np.random.default_rng(0).normal(size=(2, SCENE.n_voxels))
     value = rows.blocks["p"] @ p + rows.blocks["q"] @ q
@@ -21,6 +19,5 @@ def test_drag_limit_is_a_share_of_the_field() -> None:
     np.testing.assert_array_equal(rows.upper == 0.0, ~inside)
 
 
-def test_a_limit_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="largest friction must lie between"):
-        DragLimit(SCENE, 0.0)
+def test_a_limit_that_is_none_is_refused():
+    refuses(InputError, "largest friction must lie between", DragLimit, SCENE, 0.0)

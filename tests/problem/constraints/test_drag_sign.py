@@ -1,7 +1,5 @@
 """The sign of a drag field."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.problem.constraints.declared import REGION, SCENE, bounds
@@ -9,7 +7,7 @@ from ttus_opt.problem.constraints.drag_sign import DragSign
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE
 
 
-def test_drag_has_the_field_s_sign_and_none_on_the_surface() -> None:
+def test_drag_has_the_field_s_sign_and_none_on_the_surface():
     flat, drag = REGION.reshape(-1), bounds(DragSign(SCENE).rows())
     assert drag.variable == "q"
     np.testing.assert_array_equal(drag.upper == 0.0, flat != INSIDE)

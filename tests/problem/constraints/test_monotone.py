@@ -1,20 +1,18 @@
 """Growth with depth: its rows against plain loops, and what it does to a field."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
-import pytest
 
 from tests.problem.constraints.declared import REGION, SCENE, linear
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.voxmap.voxmap import INSIDE, SURFACE
 
 
-def test_monotone_rows_are_the_pairs_of_each_spoke() -> None:
+def test_monotone_rows_are_the_pairs_of_each_spoke():
     rows = linear(Monotone(SCENE, 2.0).rows())
     grid, fixed = SCENE.voxmap.grid, SCENE.voxmap.dirichlet
     at = np.arange(grid.n_voxels).reshape(grid.shape)
@@ -40,7 +38,7 @@ def test_monotone_rows_are_the_pairs_of_each_spoke() -> None:
     np.testing.assert_allclose(rows.lower, 2.0 * distance)
 
 
-def test_monotone_fit_grows_with_depth() -> None:
+def test_monotone_fit_grows_with_depth():
     options = {"force_weight": 3.0, "torque_weight": 3.0}
     rows = linear(Monotone(SCENE).rows())
     plain = fit(SCENE, "eq10", **options)
@@ -56,6 +54,5 @@ def test_monotone_fit_grows_with_depth() -> None:
     assert (growth / least).min() > 0.999
 
 
-def test_a_slope_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="least_slope must not be negative"):
-        Monotone(SCENE, -1.0)
+def test_a_slope_that_is_none_is_refused():
+    refuses(InputError, "least_slope must not be negative", Monotone, SCENE, -1.0)

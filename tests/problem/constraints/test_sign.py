@@ -1,7 +1,5 @@
 """One sign on either side of the surface."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.problem.constraints.declared import REGION, SCENE, bounds
@@ -10,7 +8,7 @@ from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE
 
 
-def test_inside_is_not_negative_and_outside_not_positive() -> None:
+def test_inside_is_not_negative_and_outside_not_positive():
     flat, sign = REGION.reshape(-1), bounds(Sign(SCENE).rows())
     np.testing.assert_array_equal(np.isfinite(sign.lower), flat == INSIDE)
     np.testing.assert_array_equal(np.isfinite(sign.upper), flat == OUTSIDE)
@@ -18,7 +16,7 @@ def test_inside_is_not_negative_and_outside_not_positive() -> None:
     assert not sign.upper[flat == OUTSIDE].any()
 
 
-def test_sign_fit_has_the_sign() -> None:
+def test_sign_fit_has_the_sign():
     options = {"force_weight": 3.0, "torque_weight": 3.0}
     plain = fit(SCENE, "eq10", **options).field.values
     assert plain[REGION == INSIDE].min() < -1e-3

@@ -1,7 +1,5 @@
 """Terms from cvxpy expressions: verified without cvxpy, multipliers by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.problem.formulation import Formulation, load
@@ -35,7 +34,7 @@ IDEAS: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 @pytest.mark.parametrize("idea", IDEAS)
-def test_an_idea_is_solved_and_verified(idea: str) -> None:
+def test_an_idea_is_solved_and_verified(idea):
     """Its cost is the expression's value at the field, its objective cvxpy's own."""
     expression, rows = IDEAS[idea]
     declared = eq10() + CvxpyTerm("edge", expression, 0.05)
@@ -57,12 +56,11 @@ def test_an_idea_is_solved_and_verified(idea: str) -> None:
     assert solution.objective == pytest.approx(problem.value, rel=1e-6)
 
 
-def test_a_wrong_answer_fails_its_check() -> None:
+def test_a_wrong_answer_fails_its_check():
     """Another field, a multiplier outside its cone, a multiplier of the wrong size."""
     declared = eq10() + CvxpyTerm("edge", IDEAS["edges of a slice"][0], 0.05)
     solution = fit(SCENE, declared)
     program, x, duals = solution.program, solution.candidate, solution.duals
-    assert x is not None
     assert kkt_residuals(program, x, duals).worst_relative < 1e-6
     assert kkt_residuals(program, 1.01 * x, duals).worst_relative > 1e-4
     y = duals.rows["edge:cones"]
@@ -75,7 +73,7 @@ def test_a_wrong_answer_fails_its_check() -> None:
     assert kkt_residuals(program, cheaper, duals).primal_relative > 1e-3
 
 
-def test_another_weight_is_brought_into_form_once() -> None:
+def test_another_weight_is_brought_into_form_once():
     calls = []
 
     def counted(p: Any) -> Any:
@@ -104,16 +102,13 @@ def test_another_weight_is_brought_into_form_once() -> None:
         (lambda p: p.nonsense, r"AttributeError.*test_cvxpy_term\.py, line \d+"),
     ],
 )
-def test_what_cannot_be_taken_is_named(
-    expression: Callable[[Any], Any], told: str
-) -> None:
-    with pytest.raises(InputError, match=told) as caught:
-        (eq10() + CvxpyTerm("edge", expression)).compile()
-    assert "edge" in str(caught.value)
+def test_what_cannot_be_taken_is_named(expression, told):
+    caught = refuses(InputError, told, (eq10() + CvxpyTerm("edge", expression)).compile)
+    assert "edge" in caught
 
 
 @pytest.mark.slow
-def test_a_formulation_in_cvxpys_words() -> None:
+def test_a_formulation_in_cvxpys_words():
     """Variables and constraints by name; the same optimum and the same multipliers."""
     declared = load("coulomb_drag", SCENE, force_weight=1.0, torque_weight=1.0)
     said = declared.to_cvxpy()
@@ -128,12 +123,12 @@ def test_a_formulation_in_cvxpys_words() -> None:
     assert kkt.worst_relative < 1e-4
 
 
-def test_a_term_needs_a_scene() -> None:
+def test_a_term_needs_a_scene():
     with pytest.raises(InputError, match="at least one term of a scene"):
         Formulation([CvxpyTerm("edge", cp.sum)])
 
 
-def test_a_variable_of_its_own_is_refused() -> None:
+def test_a_variable_of_its_own_is_refused():
     """It would be a field that nothing else knows, without effect."""
     term = CvxpyTerm("edge", lambda x: cp.tv(x[:, :, 3]))
     with pytest.raises(InputError, match=r"edge takes x, a variable of no other.* p$"):

@@ -1,7 +1,5 @@
 """What a user's `rows()` may give, and what is told of the rest, by its line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,8 +53,8 @@ class Limits(Constraint):
     ],
     ids=lambda M: f"{type(M).__name__}-{M.dtype}",
 )
-def test_every_sparse_format_is_taken(matrix: Any) -> None:
-    term = Own(SCENE, given=tt.AffineRows({"p": matrix}, [1, 2, 3]))  # type: ignore[arg-type]
+def test_every_sparse_format_is_taken(matrix):
+    term = Own(SCENE, given=tt.AffineRows({"p": matrix}, [1, 2, 3]))
     rows = term.assembled
     assert isinstance(rows.blocks["p"], sp.csr_array)
     assert (rows.blocks["p"].dtype, rows.target.dtype) == (np.float64, np.float64)
@@ -81,7 +79,7 @@ HOSTILE = {
     "too few rows": (matrix(ROWS[:2]), "2 rows over p, but 3 entries"),
     "infinite row": (matrix(ROWS * np.inf), r"rows over p hold (nan|inf)"),
     "no variables": (tt.AffineRows({}, np.zeros(3)), "by variable, such as"),
-    "blocks a matrix": (tt.AffineRows(ROWS, np.zeros(3)), "by variable, such as"),  # type: ignore[arg-type]
+    "blocks a matrix": (tt.AffineRows(ROWS, np.zeros(3)), "by variable, such as"),
     "no target": (target(None), "target must be a vector of real numbers.*None"),
     "one number": (target(0.0), "target must be a vector .*got a float"),
     "a column": (target(np.zeros((3, 1))), r"vector .*shape \(3, 1\)"),
@@ -95,7 +93,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("what", HOSTILE)
-def test_what_makes_no_sense_is_told_in_one_sentence(what: str) -> None:
+def test_what_makes_no_sense_is_told_in_one_sentence(what):
     given, told = HOSTILE[what]
     with pytest.raises(InputError, match=told) as caught:
         (load("eq10", SCENE) + Own(SCENE, given=given)).compile()
@@ -110,22 +108,22 @@ def test_what_makes_no_sense_is_told_in_one_sentence(what: str) -> None:
     [
         (None, "must return LinearRows, ConeRows or Bounds, got NoneType"),
         (Bounds("p", np.zeros(V), np.zeros(V - 1)), "lower limits and .* upper ones"),
-        (Bounds("p", np.zeros(V), None), "upper limit must be a vector"),  # type: ignore[arg-type]
+        (Bounds("p", np.zeros(V), None), "upper limit must be a vector"),
         (
             LinearRows({"p": ROWS}, np.zeros(3), np.full(3, -np.inf)),
             "no value satisfies",
         ),
         (LinearRows({"p": ROWS}, np.zeros(2), np.ones(2)), "3 rows over p, but 2"),
-        (LinearRows({"p": np.eye(3, V)}, np.zeros(3), np.ones(3)), "must be sparse"),  # type: ignore[dict-item]
-        (LinearRows({"p": ROWS}, [0, 0, np.nan], np.ones(3)), "lower limit holds nan"),  # type: ignore[arg-type]
+        (LinearRows({"p": np.eye(3, V)}, np.zeros(3), np.ones(3)), "must be sparse"),
+        (LinearRows({"p": ROWS}, [0, 0, np.nan], np.ones(3)), "lower limit holds nan"),
     ],
 )
-def test_limits_are_checked_alike(given: Any, told: str) -> None:
+def test_limits_are_checked_alike(given, told):
     with pytest.raises(InputError, match=f"constraint mine.*{told}"):
         load("eq10", SCENE).with_constraints(Limits(SCENE, given)).compile()
 
 
-def test_an_exception_in_rows_is_told_with_its_own_line(tmp_path: Path) -> None:
+def test_an_exception_in_rows_is_told_with_its_own_line(tmp_path):
     """Not with thirty lines of where this package was at that moment."""
     own = tmp_path / "broken_rows.py"
     own.write_text(
@@ -145,7 +143,7 @@ def test_an_exception_in_rows_is_told_with_its_own_line(tmp_path: Path) -> None:
         tt.fit(SCENE, own)
 
 
-def test_a_class_without_a_name_is_told() -> None:
+def test_a_class_without_a_name_is_told():
     class Nameless(tt.Term):
         def rows(self) -> tt.AffineRows:
             return target(np.zeros(3))

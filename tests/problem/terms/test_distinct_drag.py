@@ -1,7 +1,5 @@
 """Drag that reverses, or lies across the force, against least squares and by motion."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +23,7 @@ from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 
 
-def test_the_share_is_what_least_squares_leaves() -> None:
+def test_the_share_is_what_least_squares_leaves():
     """Drag less its own projection onto drag of constant sense, a column per place."""
     rng = np.random.default_rng(0)
     place = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
@@ -46,7 +44,7 @@ def test_the_share_is_what_least_squares_leaves() -> None:
     assert share == pytest.approx(1.0 / (variance * (g @ g)))
 
 
-def test_reversal_and_sideways_drag_tell_and_constant_sense_does_not() -> None:
+def test_reversal_and_sideways_drag_tell_and_constant_sense_does_not():
     push = np.tile([2.0, 0.0, 0.0], (4, 1))
     one, aside = np.zeros(4, dtype=np.int64), np.tile([0.0, 0.5, 0.0], (4, 1))
     sense = np.array([1.0, 1.0, -1.0, -1.0])[:, None]
@@ -107,7 +105,7 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_a_straight_press_tells_friction_where_it_is_released(name: str) -> None:
+def test_a_straight_press_tells_friction_where_it_is_released(name):
     depth, tells = MOTIONS[name]
     scene = pressed(depth, ANGLES)
     rows = point_drag_rows(scene.voxmap, scene.shell, scene.trajectory).force
@@ -117,7 +115,7 @@ def test_a_straight_press_tells_friction_where_it_is_released(name: str) -> None
     assert why == ({} if tells else {"friction_coefficient": ONE_SENSE})
 
 
-def test_a_probe_that_slides_tells_friction_in_one_sense_too() -> None:
+def test_a_probe_that_slides_tells_friction_in_one_sense_too():
     n = 40
     angle = np.linspace(0.5, 0.9, n)
     scene = pressed(np.full(n, 0.004), np.zeros(1))
@@ -142,7 +140,7 @@ def frictionless(released: bool) -> Scene:
 
 
 @pytest.mark.parametrize("name", ["coulomb_global", "coulomb_drag"])
-def test_a_press_that_is_not_released_gives_no_friction(name: str) -> None:
+def test_a_press_that_is_not_released_gives_no_friction(name):
     """The law of force is not the field's, and as much drag as is allowed mends it."""
     scene = frictionless(released=False)
     message = f"{name}: .*friction_coefficient.* not released.*: 0 is used; record the"
@@ -155,18 +153,17 @@ def test_a_press_that_is_not_released_gives_no_friction(name: str) -> None:
     assert line in solution.identified
     assert estimate_drag(scene, "points").friction_coefficient == 0.0
     search = tt.load_formulation("coulomb_global", scene, acts_at="points").search
-    assert search is not None
     least = [tt.fit(scene, search.build(mu)).objective for mu in (0.0, 0.5, 1.0)]
     assert least[0] > least[1] > least[2]
 
 
-def test_of_released_presses_without_friction_it_is_found_to_be_none() -> None:
+def test_of_released_presses_without_friction_it_is_found_to_be_none():
     solution = tt.fit(frictionless(released=True), "coulomb_global", acts_at="points")
     error = solution.standard_errors["friction_coefficient"]
     assert abs(solution.parameters["friction_coefficient"]) < 3.0 * error
 
 
-def test_an_estimate_without_friction_has_the_scale_without_it() -> None:
+def test_an_estimate_without_friction_has_the_scale_without_it():
     scene = frictionless(released=False)
     found = estimate_drag(scene, "points")
     p = scene.laplace.solve(scene.b)
@@ -179,9 +176,7 @@ def test_an_estimate_without_friction_has_the_scale_without_it() -> None:
 
 
 @pytest.mark.parametrize("released", [False, True])
-def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(
-    released: bool,
-) -> None:
+def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(released):
     """Least squares finds 0.3 in either; not released, a stiffer field does too."""
     scene = frictionless(released)
     p = scene.laplace.solve(scene.b)
@@ -197,7 +192,7 @@ def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(
     assert (found.misfit < 1e-9) == released
 
 
-def test_tuning_takes_no_friction_that_could_be_elastic() -> None:
+def test_tuning_takes_no_friction_that_could_be_elastic():
     scene = frictionless(released=False)
     with pytest.warns(TtusWarning, match="coulomb_global: .*: it is left out; record"):
         found = tt.tune(scene, compare=False, acts_at="points")
@@ -220,7 +215,7 @@ def recordings(shared: Path) -> list[tuple[Path, Path]]:
     return found
 
 
-def test_recordings_that_press_release_and_slide_tell_friction(shared: Path) -> None:
+def test_recordings_that_press_release_and_slide_tell_friction(shared):
     shell = tt.PointShell.from_spec(example.PROBE)
     for place, recording in recordings(shared):
         voxmap = tt.Voxmap.from_surface(tt.Surface.load(place), shape=(16, 48, 24))

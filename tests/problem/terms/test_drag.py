@@ -3,8 +3,6 @@
 Five poses are in the air, ten at rest, the others slide along the skin.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping
@@ -57,7 +55,7 @@ def field() -> Array:
 
 def times(blocks: Mapping[str, object], values: Mapping[str, Array]) -> Array:
     """What rows make of values, a vector per pose, shape (T, 3)."""
-    return np.sum([blocks[k] @ values[k] for k in blocks], axis=0).reshape(-1, 3)  # type: ignore[operator]
+    return np.sum([blocks[k] @ values[k] for k in blocks], axis=0).reshape(-1, 3)
 
 
 def contact() -> tuple[Array, Array]:
@@ -90,7 +88,7 @@ def by_coulomb(model: DragModel, mu: float) -> Array:
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference"])
-def test_a_given_coefficient_takes_its_share_of_the_normal_force(acts_at: str) -> None:
+def test_a_given_coefficient_takes_its_share_of_the_normal_force(acts_at):
     model = GlobalCoulomb(scene(), acts_at, DEADBAND, MU)
     drag = by_coulomb(model, MU)
     assert np.linalg.norm(drag, axis=1).max() > 0.1
@@ -101,7 +99,7 @@ def test_a_given_coefficient_takes_its_share_of_the_normal_force(acts_at: str) -
     assert other.rows is model.rows and other.sliding is model.sliding
 
 
-def test_a_field_of_drag_does_the_same_where_it_is_a_share_of_the_potential() -> None:
+def test_a_field_of_drag_does_the_same_where_it_is_a_share_of_the_potential():
     model, p = CoulombField(scene(), deadband=DEADBAND), field()
     told(model, {"p": p, "q": MU * p}, by_coulomb(model, MU))
     without = model.with_neutral(["friction_coefficient"])
@@ -114,7 +112,7 @@ def by_patch(where: Scene) -> Viscous:
     return Viscous(where, sectors=SECTORS, bands=BANDS)
 
 
-def test_viscous_drag_is_the_patchs_coefficient_times_the_velocity() -> None:
+def test_viscous_drag_is_the_patchs_coefficient_times_the_velocity():
     model = by_patch(scene())
     c = np.random.default_rng(0).uniform(5.0, 50.0, N)
     assert len(set(model.region[model.moving])) > 2
@@ -127,7 +125,7 @@ def test_viscous_drag_is_the_patchs_coefficient_times_the_velocity() -> None:
     told(fewer, {"p": field(), "c": c}, drag)
 
 
-def test_what_is_identified_renders_as_the_rows_say() -> None:
+def test_what_is_identified_renders_as_the_rows_say():
     """The parameters alone, on a field, drag as the model does."""
     p = field()
     for model in (
@@ -153,7 +151,7 @@ def test_what_is_identified_renders_as_the_rows_say() -> None:
         np.testing.assert_allclose(felt.torque, expected, atol=1e-9)
 
 
-def test_poses_in_the_air_and_at_rest_do_not_slide() -> None:
+def test_poses_in_the_air_and_at_rest_do_not_slide():
     model = GlobalCoulomb(scene())
     np.testing.assert_array_equal(model.touching, ~AIR)
     assert not model.moving[AIR | REST].any()
@@ -165,7 +163,7 @@ def some_drag_field(rng: np.random.Generator) -> dict[str, Array]:
     return {"p": p, "q": p * rng.uniform(0.1, 0.5, len(p))}
 
 
-def test_the_one_coefficient_of_a_drag_field_is_its_regression() -> None:
+def test_the_one_coefficient_of_a_drag_field_is_its_regression():
     model = CoulombField(scene())
     values = some_drag_field(np.random.default_rng(1))
     full, dragged = (model.rows.force @ values[k] for k in ("p", "q"))
@@ -197,7 +195,7 @@ def slopes_agree(
         assert gradient @ along == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_a_drag_fields_coefficient_has_its_derivatives() -> None:
+def test_a_drag_fields_coefficient_has_its_derivatives():
     model = CoulombField(scene(), largest=0.7)
     values = some_drag_field(np.random.default_rng(3))
     (found,) = model.fitted(values).items()
@@ -205,7 +203,7 @@ def test_a_drag_fields_coefficient_has_its_derivatives() -> None:
     assert (found[1].span, found[1].upper) == (1.0, 0.7)
 
 
-def test_patches_and_their_mean_have_their_derivatives() -> None:
+def test_patches_and_their_mean_have_their_derivatives():
     model = by_patch(scene())
     values = {"p": field(), "c": np.linspace(5.0, 50.0, N)}
     found = model.fitted(values)
@@ -227,7 +225,7 @@ def test_patches_and_their_mean_have_their_derivatives() -> None:
     assert found[names[0]].span == pytest.approx(force / max(speed, model.deadband))
 
 
-def test_a_patch_never_touched_has_the_mean_of_all_frames_in_contact() -> None:
+def test_a_patch_never_touched_has_the_mean_of_all_frames_in_contact():
     model = by_patch(scene())
     c = np.linspace(5.0, 50.0, N)
     touched = model.region[~AIR]
@@ -258,7 +256,7 @@ def only(poses: Array) -> Scene:
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_what_no_pose_determines_is_said() -> None:
+def test_what_no_pose_determines_is_said():
     for poses, why in ((AIR, "no contact"), (REST, "no sliding")):
         bare = only(poses)
         mu, c = {"friction_coefficient": why}, {"viscous_coefficient": why}
@@ -277,7 +275,7 @@ def test_what_no_pose_determines_is_said() -> None:
     }
 
 
-def test_patches_say_each_for_itself_what_is_known() -> None:
+def test_patches_say_each_for_itself_what_is_known():
     model = by_patch(scene())
     resting = by_patch(only(REST))
     touched, slid = (set(model.region[m].tolist()) for m in (~AIR, model.moving))
@@ -299,12 +297,12 @@ def test_patches_say_each_for_itself_what_is_known() -> None:
 
 
 @pytest.mark.parametrize("coefficient", [-0.1, math.nan, math.inf])
-def test_a_coefficient_that_is_none_is_refused(coefficient: float) -> None:
+def test_a_coefficient_that_is_none_is_refused(coefficient):
     with pytest.raises(InputError, match="must not be negative"):
         GlobalCoulomb(scene(), coefficient=coefficient)
 
 
-def test_a_straight_press_slides_along_its_flanks() -> None:
+def test_a_straight_press_slides_along_its_flanks():
     """A symmetric probe pressed straight in: its patch slides nowhere."""
     one = PointShell.sphere(0.02, n_points=60)
     signs = np.array([[1, b, c] for b in (1, -1) for c in (1, -1)])

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ from ttus_opt.problem.terms.drag_estimate import LEAST_GAIN, estimate_drag
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
-def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
+def test_the_estimate_finds_what_was_put_in(acts_at):
     estimate = estimate_drag(dragged_scene(acts_at))
     assert estimate.acts_at == acts_at
     assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
@@ -23,7 +20,7 @@ def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
     assert estimate.misfit < 1e-6
 
 
-def test_drag_of_another_coefficient_needs_no_other_rows() -> None:
+def test_drag_of_another_coefficient_needs_no_other_rows():
     scene = dragged_scene("points")
     drag = estimate_drag(scene).drag
     expected = GlobalCoulomb(scene, "points", coefficient=0.3)
@@ -33,19 +30,19 @@ def test_drag_of_another_coefficient_needs_no_other_rows() -> None:
     assert not abs(difference).sum()
 
 
-def test_a_scale_that_is_off_is_told() -> None:
+def test_a_scale_that_is_off_is_told():
     scene = dragged_scene("contact")
     estimate = estimate_drag(scene.with_boundary(1.5, 1.5))
     assert estimate.boundary_scale == pytest.approx(2.0, rel=1e-6)
     assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
 
 
-def test_without_drag_there_is_none() -> None:
+def test_without_drag_there_is_none():
     estimate = estimate_drag(dragged_scene("contact", mu=0.0))
     assert estimate.friction_coefficient < 1e-9
 
 
-def test_drag_that_would_push_is_judged_without_it() -> None:
+def test_drag_that_would_push_is_judged_without_it():
     """A lag of the sensor pushes along the motion; no place gains by a negative μ."""
     scene = dragged_scene("contact", mu=-0.3)
     p = scene.laplace.solve(scene.b)
@@ -60,7 +57,7 @@ def test_drag_that_would_push_is_judged_without_it() -> None:
         assert estimate.misfit == pytest.approx(np.sqrt(np.mean(rest**2)))
 
 
-def test_a_probe_at_rest_tells_nothing() -> None:
+def test_a_probe_at_rest_tells_nothing():
     scene = dragged_scene("contact")
     position = np.repeat(scene.trajectory.position[:1], len(scene.trajectory), axis=0)
     rotation = np.repeat(scene.trajectory.rotation[:1], len(scene.trajectory), axis=0)
@@ -71,7 +68,7 @@ def test_a_probe_at_rest_tells_nothing() -> None:
     assert estimate_drag(scene).friction_coefficient == 0.0
 
 
-def test_the_place_may_be_given() -> None:
+def test_the_place_may_be_given():
     scene = dragged_scene("contact")
     given = estimate_drag(scene, "reference")
     assert given.acts_at == "reference"
@@ -80,7 +77,7 @@ def test_the_place_may_be_given() -> None:
         estimate_drag(scene, "handle")
 
 
-def test_viscous_drag_is_of_the_patch_only() -> None:
+def test_viscous_drag_is_of_the_patch_only():
     """Drag at every point is Coulomb's: viscous drag does not stand in for it."""
     scene = dragged_scene("contact")
     with pytest.raises(InputError, match="one of auto, contact, reference, got 'poin"):
@@ -89,7 +86,7 @@ def test_viscous_drag_is_of_the_patch_only() -> None:
 
 
 @pytest.mark.slow
-def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
+def test_drag_hardly_moves_the_boundary_scale(shared):
     """`inner="fit"` needs no friction: drag is across the force it scales."""
     folder = shared / "phantom"
     surface = tt.Surface.load(folder / "surface.nc")
@@ -105,7 +102,7 @@ def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
         assert estimate.friction_coefficient == pytest.approx(0.25, rel=0.15)
 
 
-def test_drag_is_shown_where_forces_need_it() -> None:
+def test_drag_is_shown_where_forces_need_it():
     """A gain of one by chance; that of recordings with drag grows with the places."""
     scene = dragged_scene("contact")
     found = estimate_drag(scene)

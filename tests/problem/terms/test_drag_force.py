@@ -1,7 +1,5 @@
 """Measured forces with drag: the drag model's rows, and its parameters handed on."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.problem.terms.test_drag import (
@@ -16,7 +14,7 @@ from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb
 from ttus_opt.problem.terms.drag_force import DragForceTerm
 
 
-def test_its_residual_is_contact_and_drag_less_what_was_measured() -> None:
+def test_its_residual_is_contact_and_drag_less_what_was_measured():
     model = GlobalCoulomb(scene(), "contact", DEADBAND, MU)
     rows = DragForceTerm(scene(), 2.0, drag=model).assembled
     found = rows.blocks["p"] @ field() - rows.target
@@ -24,7 +22,7 @@ def test_its_residual_is_contact_and_drag_less_what_was_measured() -> None:
     np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
 
 
-def test_what_its_drag_knows_is_its_own() -> None:
+def test_what_its_drag_knows_is_its_own():
     model = CoulombField(scene(), deadband=DEADBAND)
     term, values = DragForceTerm(scene(), drag=model), {"p": field(), "q": MU * field()}
     assert term.parameters(values) == model.parameters(values)
@@ -32,7 +30,7 @@ def test_what_its_drag_knows_is_its_own() -> None:
     assert term.not_identifiable() == model.not_identifiable()
 
 
-def test_without_drag_its_rows_are_those_of_the_force() -> None:
+def test_without_drag_its_rows_are_those_of_the_force():
     model = CoulombField(scene(), deadband=DEADBAND)
     term = DragForceTerm(scene(), 2.0, drag=model)
     neutral = term.with_neutral(["friction_coefficient"])

@@ -1,7 +1,5 @@
 """The prior of drag vanishes where drag is a share of the Laplace field."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.conftest import small_scene
@@ -17,7 +15,7 @@ def residual(term: DragSmoothnessTerm, q: np.ndarray, m: float) -> np.ndarray:
     return r + rows.blocks["m"] @ [m] if "m" in rows.blocks else r
 
 
-def test_a_share_of_the_laplace_field_costs_nothing() -> None:
+def test_a_share_of_the_laplace_field_costs_nothing():
     field = np.linalg.solve(SCENE.L.toarray(), SCENE.b)
     free, held = DragSmoothnessTerm(SCENE), DragSmoothnessTerm(SCENE, has_mean=False)
     np.testing.assert_allclose(residual(free, 0.3 * field, 0.3), 0.0, atol=1e-9)
@@ -27,13 +25,13 @@ def test_a_share_of_the_laplace_field_costs_nothing() -> None:
     np.testing.assert_allclose(residual(held, np.zeros(V), 0.0), 0.0)
 
 
-def test_its_rows_are_l_q_less_m_b() -> None:
+def test_its_rows_are_l_q_less_m_b():
     q = np.random.default_rng(0).normal(size=V)
     expected = SCENE.L @ q - 0.7 * SCENE.b
     np.testing.assert_allclose(residual(DragSmoothnessTerm(SCENE), q, 0.7), expected)
 
 
-def test_the_mean_is_found_or_given_up() -> None:
+def test_the_mean_is_found_or_given_up():
     term, values = DragSmoothnessTerm(SCENE, 2.0), {"m": np.array([0.25])}
     assert term.parameters(values) == {MEAN_FRICTION: 0.25}
     fitted = term.fitted(values)[MEAN_FRICTION]

@@ -1,7 +1,5 @@
 """The Laplace prior and the factor on its boundary values."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm
 SCENE = small_scene(shape=(6, 10, 6), n_poses=4)
 
 
-def test_a_factor_scales_the_boundary_values_alone() -> None:
+def test_a_factor_scales_the_boundary_values_alone():
     prior = LaplaceTerm(SCENE, 3.0)
     np.testing.assert_array_equal(prior.assembled.target, SCENE.b)
     scaled = prior.with_factor(1.25)
@@ -27,12 +25,12 @@ def test_a_factor_scales_the_boundary_values_alone() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_factor_is_positive(factor: float) -> None:
+def test_a_factor_is_positive(factor):
     with pytest.raises(InputError, match="factor on b must be positive"):
         LaplaceTerm(SCENE).with_factor(factor)
 
 
-def test_the_boundary_scale_is_told_where_it_was_fitted() -> None:
+def test_the_boundary_scale_is_told_where_it_was_fitted():
     assert LaplaceTerm(SCENE).with_factor(2.0).parameters({}) == {}
     fitted = replace(SCENE, parameters={"boundary_scale": 3.0})
     assert LaplaceTerm(fitted).with_factor(2.0).parameters({}) == {

@@ -1,7 +1,5 @@
 """The skin is dropped from the rows, and pushes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.conftest import small_scene
@@ -14,7 +12,7 @@ from ttus_opt.problem.terms.laplace_free_surface import (
 SCENE = small_scene("trilinear")
 
 
-def test_free_surface_drops_the_skin_and_nothing_else() -> None:
+def test_free_surface_drops_the_skin_and_nothing_else():
     rows = LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
     skin = free_surface_layer(SCENE.voxmap.on_surface).reshape(-1)
     assert skin.any()
@@ -25,7 +23,7 @@ def test_free_surface_drops_the_skin_and_nothing_else() -> None:
     assert dropped[skin].nnz == 0
 
 
-def test_free_surface_lets_the_skin_push() -> None:
+def test_free_surface_lets_the_skin_push():
     """Measured forces raise the skin under the probe, and leave it elsewhere."""
     solution = fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
     p = solution.field.values

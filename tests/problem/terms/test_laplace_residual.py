@@ -1,7 +1,5 @@
 """The Laplace prior about a depth profile."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -59,7 +57,7 @@ def profile_at_voxels(profile: DepthProfile) -> np.ndarray:
 
 
 @pytest.mark.parametrize("solver", ["structured", "clarabel", "closed_form"])
-def test_the_answer_is_that_of_dense_normal_equations(solver: str) -> None:
+def test_the_answer_is_that_of_dense_normal_equations(solver):
     expected = dense(profile_at_voxels(PROFILE))
     solution = tt.fit(place(), declared(PROFILE), solver=solver)
     assert solution.status is Status.SOLVED
@@ -67,7 +65,7 @@ def test_the_answer_is_that_of_dense_normal_equations(solver: str) -> None:
     assert np.abs(solution.field.values.ravel() - expected).max() < 1e-5 * size
 
 
-def test_without_a_profile_it_is_eq10_with_zero_boundary_values() -> None:
+def test_without_a_profile_it_is_eq10_with_zero_boundary_values():
     nothing = DepthProfile((1.0,), (1e-12,))
     found = tt.fit(place(), declared(nothing)).field.values
     zero = place().with_boundary(0.0, 0.0)
@@ -76,7 +74,7 @@ def test_without_a_profile_it_is_eq10_with_zero_boundary_values() -> None:
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
-def test_without_measurements_the_field_is_the_profile() -> None:
+def test_without_measurements_the_field_is_the_profile():
     term = LaplaceResidualTerm(place(), profile=PROFILE)
     field = tt.fit(place(), tt.Formulation([term])).field.values
     mean = profile_at_voxels(PROFILE)
@@ -86,7 +84,7 @@ def test_without_measurements_the_field_is_the_profile() -> None:
     assert (field[0] > 1.0).all() and (field[-1] < 0.0).all()
 
 
-def test_a_profile_that_made_the_forces_is_found() -> None:
+def test_a_profile_that_made_the_forces_is_found():
     scene = place()
     forces = scene.N @ PROFILE(np.maximum(voxel_depths(scene.voxmap), 0.0))
     recorded = replace(scene.trajectory, force=forces.reshape(-1, 3))
@@ -98,7 +96,7 @@ def test_a_profile_that_made_the_forces_is_found() -> None:
     assert coefficients[1.5] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_boundary_scale_is_neither_listed_nor_tuned() -> None:
+def test_the_boundary_scale_is_neither_listed_nor_tuned():
     fitted = tt.Scene.assemble(
         place().voxmap, place().shell, place().trajectory, inner="fit"
     )

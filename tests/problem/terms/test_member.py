@@ -1,10 +1,9 @@
 """What has no name is refused, for nothing could address it."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.member import Member
 
@@ -15,15 +14,15 @@ class Nameless(Member):
 
 
 class Named(Nameless):
-    name = "own"  # type: ignore[assignment]
+    name = "own"
 
 
-def test_a_class_without_a_name_is_told_what_to_add() -> None:
-    with pytest.raises(InputError, match='Nameless has no name: add name = "…"'):
-        Nameless(small_scene()).name  # noqa: B018
+def test_a_class_without_a_name_is_told_what_to_add():
+    told = 'Nameless has no name: add name = "…"'
+    refuses(InputError, told, lambda: Nameless(small_scene()).name)
     assert Named(small_scene()).name == "own"
 
 
-def test_rows_have_to_be_stated() -> None:
+def test_rows_have_to_be_stated():
     with pytest.raises(TypeError, match="rows"):
-        Member(small_scene())  # type: ignore[abstract]
+        Member(small_scene())

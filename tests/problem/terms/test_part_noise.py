@@ -1,7 +1,5 @@
 """Errors by parts, against components taken by hand and dense factors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +28,7 @@ DRIFT = RNG.uniform(0.2, 1.0, T)
 ZERO = np.zeros(T)
 
 
-def test_directions_are_those_of_a_field_that_grows_with_depth() -> None:
+def test_directions_are_those_of_a_field_that_grows_with_depth():
     u = contact_directions(SCENE)
     assert TOUCHING.any()
     np.testing.assert_allclose(np.linalg.norm(u[TOUCHING], axis=1), 1.0)
@@ -40,7 +38,7 @@ def test_directions_are_those_of_a_field_that_grows_with_depth() -> None:
     assert (np.einsum("ti,ti->t", u[TOUCHING], out) > 0.0).all()
 
 
-def test_residuals_are_divided_part_by_part() -> None:
+def test_residuals_are_divided_part_by_part():
     """s along the contact; across it and for torque also 0.2 rad of the force."""
     noise = PartNoise.of(SCENE, OWN, FORCE, ZERO)
     assert noise.level == pytest.approx(np.sqrt(np.mean(OWN[TOUCHING] ** 2)))
@@ -60,7 +58,7 @@ def test_residuals_are_divided_part_by_part() -> None:
     np.testing.assert_allclose(found, expected_torque)
 
 
-def test_equal_parts_are_the_plain_term() -> None:
+def test_equal_parts_are_the_plain_term():
     noise = PartNoise.of(SCENE, np.full(T, 0.3), ZERO, ZERO)
     assert noise.level == pytest.approx(0.3)
     for term in (ForceTerm, TorqueTerm):
@@ -89,7 +87,7 @@ def timed(step: float, n_recordings: int) -> tuple[Trajectory, np.ndarray]:
     return poses, covariance(time, recording)
 
 
-def test_few_frames_have_the_factor_of_dense_algebra() -> None:
+def test_few_frames_have_the_factor_of_dense_algebra():
     """Where the earlier frames of a recording are all among those that predict."""
     poses, expected = timed(0.05, T // 4)
     assert EARLIER[2] == 3
@@ -98,7 +96,7 @@ def test_few_frames_have_the_factor_of_dense_algebra() -> None:
     np.testing.assert_allclose(found @ factor, np.eye(T), atol=1e-10)
 
 
-def test_of_many_frames_little_is_left_that_they_share() -> None:
+def test_of_many_frames_little_is_left_that_they_share():
     poses, expected = timed(0.05, 1)
     found = independent(replace(SCENE, trajectory=poses), OWN, DRIFT).toarray()
     assert not np.triu(found, 1).any()
@@ -109,13 +107,13 @@ def test_of_many_frames_little_is_left_that_they_share() -> None:
     assert np.abs(left - np.eye(T)).max() < 0.2
 
 
-def test_errors_end_with_a_recording() -> None:
+def test_errors_end_with_a_recording():
     poses, _ = timed(0.05, 2)
     found = independent(replace(SCENE, trajectory=poses), OWN, DRIFT).toarray()
     assert not found[T // 2 :, : T // 2].any() and found[T // 2 :, T // 2 :].any()
 
 
-def test_a_faster_recording_of_the_same_motion_tells_no_more() -> None:
+def test_a_faster_recording_of_the_same_motion_tells_no_more():
     """Below 20 frames a second each counts as one, above they share its weight."""
     own, force, none = np.full(T, 0.1), np.full(T, 2.0), np.zeros(T)
     told = []
@@ -129,7 +127,7 @@ def test_a_faster_recording_of_the_same_motion_tells_no_more() -> None:
     np.testing.assert_allclose(few[:, 1] / few[0, 1], [1.0, 1.0, 0.2, 0.04], rtol=1e-9)
 
 
-def test_eq10_with_errors_of_directions_has_these_rows() -> None:
+def test_eq10_with_errors_of_directions_has_these_rows():
     """0.05 N and 3 % of the measured normal force, across it 0.3 rad more."""
     assert PartNoise.of_direction(SCENE, None) is None
     u = contact_directions(SCENE)

@@ -1,7 +1,5 @@
 """A copy with changes keeps what the changes leave as it was, and nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +20,7 @@ class Square:
         return f"a {self.name}"
 
 
-def test_only_what_is_named_is_handed_on() -> None:
+def test_only_what_is_named_is_handed_on():
     first = Square(2.0, "tile")
     area, title = first.area, first.title
     other = replaced(first, "area", name="stone")
@@ -31,7 +29,7 @@ def test_only_what_is_named_is_handed_on() -> None:
     assert first.name == "tile"
 
 
-def test_what_was_not_computed_is_computed_when_asked_for() -> None:
+def test_what_was_not_computed_is_computed_when_asked_for():
     other = replaced(Square(2.0), "area", side=3.0)
     assert "area" not in vars(other)
     assert other.area == [9.0]

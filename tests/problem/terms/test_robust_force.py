@@ -1,13 +1,12 @@
 """Huber's penalty of forces: eq. 10 where its limit is wide, unmoved by outliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.terms.robust_force import RobustForceTerm
@@ -16,7 +15,7 @@ SCENE = small_scene("trilinear", n_poses=20)
 
 
 @pytest.mark.slow
-def test_huber_with_a_wide_limit_is_eq10() -> None:
+def test_huber_with_a_wide_limit_is_eq10():
     plain = fit(SCENE, "eq10", force_weight=0.1, torque_weight=0.1)
     wide = fit(SCENE, "robust", force_weight=0.1, torque_weight=0.1, limit=1e3)
     size = np.abs(plain.field.values).max()
@@ -26,7 +25,7 @@ def test_huber_with_a_wide_limit_is_eq10() -> None:
     assert wide.objective == pytest.approx(plain.objective, rel=1e-6)
 
 
-def test_huber_bends_less_than_squares_to_an_outlier() -> None:
+def test_huber_bends_less_than_squares_to_an_outlier():
     """One frame with a slip of 50 N: the others keep their fit."""
     truth = SCENE.N @ SCENE.laplace.solve(SCENE.b)
     force = truth.reshape(-1, 3).copy()
@@ -48,6 +47,5 @@ def test_huber_bends_less_than_squares_to_an_outlier() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_limit_that_is_none_is_refused(limit: float) -> None:
-    with pytest.raises(InputError, match="limit must be positive"):
-        RobustForceTerm(SCENE, 1.0, limit)
+def test_a_limit_that_is_none_is_refused(limit):
+    refuses(InputError, "limit must be positive", RobustForceTerm, SCENE, 1.0, limit)

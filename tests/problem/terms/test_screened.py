@@ -1,7 +1,5 @@
 """Screening against Bessel functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
@@ -32,13 +30,13 @@ def screened_error(n: int, kappa: float) -> float:
     return float(np.abs(p - exact[:, None, None]).max())
 
 
-def test_screened_tube_converges_at_second_order() -> None:
+def test_screened_tube_converges_at_second_order():
     errors = [screened_error(n, 60.0) for n in (8, 16, 32)]
     assert np.abs(orders(errors) - 2.0).max() < 0.15
     assert errors[-1] < 1e-3
 
 
-def test_screening_makes_the_deep_flatter() -> None:
+def test_screening_makes_the_deep_flatter():
     plain = SCENE.laplace.solve(SCENE.b)
     rows = ScreenedTerm(SCENE, screening=30.0).rows()
     screened = spsolve(rows.blocks["p"].tocsc(), rows.target)
@@ -47,12 +45,12 @@ def test_screening_makes_the_deep_flatter() -> None:
     assert (screened[inside] > 0.0).all()
 
 
-def test_without_screening_it_is_l() -> None:
+def test_without_screening_it_is_l():
     rows = ScreenedTerm(SCENE, screening=0.0).rows()
     assert abs(rows.blocks["p"] - SCENE.L).max() == 0.0
     np.testing.assert_array_equal(rows.target, SCENE.b)
 
 
-def test_screening_that_is_none() -> None:
+def test_screening_that_is_none():
     with pytest.raises(InputError, match="screening must not be negative"):
         ScreenedTerm(SCENE, screening=-1.0).rows()

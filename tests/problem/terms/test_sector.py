@@ -1,7 +1,5 @@
 """Over a sector of θ nothing reaches through its sides or into its wall."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     """Presses in a sector of 150° around the front, two of them across its sides."""
     sector = (np.radians(15.0), np.radians(165.0))
     voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 8), sector=sector)
@@ -27,7 +25,7 @@ def scene() -> Scene:
         )
 
 
-def test_the_fit_is_that_of_dense_algebra(scene: Scene) -> None:
+def test_the_fit_is_that_of_dense_algebra(scene):
     solution = tt.fit(scene, "eq10", force_weight=0.5, torque_weight=0.2)
     scale = np.sqrt(0.5), np.sqrt(0.2) / scene.torque_length
     parts = (scene.L, scale[0] * scene.N, scale[1] * scene.W)
@@ -38,7 +36,7 @@ def test_the_fit_is_that_of_dense_algebra(scene: Scene) -> None:
     assert np.abs(p[:, -1]).max() < 1e-9
 
 
-def test_a_press_on_the_front_is_fitted_as_on_the_full_turn() -> None:
+def test_a_press_on_the_front_is_fitted_as_on_the_full_turn():
     """Presses within 40° of the middle of a sector of 165° do not feel its sides."""
     poses = presses(torso(), 30, np.random.default_rng(1))
     angle = np.arctan2(poses.position[:, 1], poses.position[:, 0])
@@ -57,7 +55,7 @@ def test_a_press_on_the_front_is_fitted_as_on_the_full_turn() -> None:
     assert np.abs(part - whole).max() > 0.0
 
 
-def test_differences_stay_within_the_sector(scene: Scene) -> None:
+def test_differences_stay_within_the_sector(scene):
     grid = scene.voxmap.grid
     D = difference_rows(grid)
     angle = np.broadcast_to(np.arange(12.0)[:, None], grid.shape).copy()
@@ -70,7 +68,7 @@ def test_differences_stay_within_the_sector(scene: Scene) -> None:
     assert (slopes[..., [0, 2]] == 0.0).all()
 
 
-def test_a_free_surface_keeps_the_wall(scene: Scene) -> None:
+def test_a_free_surface_keeps_the_wall(scene):
     rows = LaplaceFreeSurfaceTerm(scene, 1.0, skin=0.0).rows().blocks["p"]
     wall = np.arange(scene.n_voxels).reshape(scene.voxmap.grid.shape)[:, -1].ravel()
     assert (rows[wall] != scene.L[wall]).nnz == 0
@@ -79,7 +77,7 @@ def test_a_free_surface_keeps_the_wall(scene: Scene) -> None:
     assert not np.isin(dropped, wall).any()
 
 
-def test_a_depth_map_is_correlated_within_the_sector_alone(scene: Scene) -> None:
+def test_a_depth_map_is_correlated_within_the_sector_alone(scene):
     """The first spokes know of the next ones as inside, of the last ones nothing."""
     n_z = scene.voxmap.grid.shape[2]
     prior = SeparableCovariance.over(

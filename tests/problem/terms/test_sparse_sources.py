@@ -1,7 +1,5 @@
 """Absolute values put sources into few voxels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ SCENE = small_scene("trilinear", n_poses=20)
 
 
 @pytest.mark.slow
-def test_sparse_sources_are_sparse() -> None:
+def test_sparse_sources_are_sparse():
     """Squares spread sources over the voxels, absolute values put them into few."""
     options = {"force_weight": 10.0, "torque_weight": 10.0}
     spread = fit(SCENE, "eq10_hard_boundary", **options)

@@ -1,7 +1,5 @@
 """Solvers go by what members declare, never by a name or by comparing entries."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,7 +57,7 @@ class Given(Constraint):
         return LinearRows({"p": rows}, np.full(m, 0.3), np.full(m, 0.3))
 
 
-def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other() -> None:
+def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():
     """Read by its name, `structured` would answer another problem."""
     declared = Formulation([Own(SCENE, share=0.1), ForceTerm(SCENE, 1.0)])
     program = declared.compile()
@@ -74,19 +72,18 @@ def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other() -> Non
     np.testing.assert_allclose(found.field.values, expected.field.values, atol=1e-5)
 
 
-def test_it_is_one_row_more_beside_the_prior() -> None:
+def test_it_is_one_row_more_beside_the_prior():
     """With a Laplace term of another name beside, `structured` takes both."""
     prior = Own(SCENE, called="mine", tags=frozenset({LaplaceRows("p")}))
     declared = Formulation([Own(SCENE, 0.5, share=0.1), prior, ForceTerm(SCENE, 1.0)])
     term = declared.compile().laplace_term
-    assert term is not None
     assert term.name == "mine"
     expected = tt.fit(SCENE, declared, solver="closed_form")
     found = tt.fit(SCENE, declared, solver="structured")
     np.testing.assert_allclose(found.field.values, expected.field.values, atol=1e-6)
 
 
-def test_a_constraint_called_boundary_is_not_taken_for_the_boundary() -> None:
+def test_a_constraint_called_boundary_is_not_taken_for_the_boundary():
     at = np.flatnonzero(SCENE.laplace.free)[[40, 90, 200]]
     terms = [LaplaceTerm(SCENE), ForceTerm(SCENE, 1.0)]
     declared = Formulation(terms, [Given(SCENE, at)])
@@ -108,12 +105,12 @@ def test_a_constraint_called_boundary_is_not_taken_for_the_boundary() -> None:
         (frozenset({Tag.DIRICHLET}), 1.0),
     ],
 )
-def test_a_false_declaration_is_refused(tags: Tags, share: float) -> None:
+def test_a_false_declaration_is_refused(tags, share):
     with pytest.raises(InputError, match=r"term laplace .*declares .* drop the tag"):
         Formulation([Own(SCENE, share=share, tags=tags)]).compile()
 
 
-def test_what_the_shelf_declares() -> None:
+def test_what_the_shelf_declares():
     program = Formulation([LaplaceTerm(SCENE), DragSmoothnessTerm(SCENE)]).compile()
     assert program.laplace_term_of("p") is program.terms[0]
     assert second_field(program) == ("q", program.terms[1])

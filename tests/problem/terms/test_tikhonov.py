@@ -1,7 +1,5 @@
 """Squares of the departure from a reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 SCENE = small_scene("trilinear")
 
 
-def test_tikhonov_pulls_towards_its_reference() -> None:
+def test_tikhonov_pulls_towards_its_reference():
     laplace = SCENE.voxmap.grid.unflatten(SCENE.laplace.solve(SCENE.b))
     for reference, target in (("laplace", laplace), ("zero", np.zeros_like(laplace))):
         free = SCENE.voxmap.grid.unflatten(SCENE.laplace.free)

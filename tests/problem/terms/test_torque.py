@@ -1,7 +1,5 @@
 """The torque's rows are over a length, by default the probe's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ from ttus_opt.problem.terms.torque import LENGTHS, TorqueTerm
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=5)
 
 
-def test_rows_are_over_the_probe_s_root_mean_square_radius() -> None:
+def test_rows_are_over_the_probe_s_root_mean_square_radius():
     shell = SCENE.shell
     square = ((shell.points - shell.reference) ** 2).sum(axis=1)
     radius = np.sqrt(np.average(square, weights=shell.areas))
@@ -30,7 +28,7 @@ def test_rows_are_over_the_probe_s_root_mean_square_radius() -> None:
     )
 
 
-def test_the_length_is_a_weight() -> None:
+def test_the_length_is_a_weight():
     """Half the length is four times the weight."""
     p = np.random.default_rng(1).normal(size=SCENE.n_voxels)
     costs = []
@@ -40,19 +38,18 @@ def test_the_length_is_a_weight() -> None:
     assert costs[0] == pytest.approx(4.0 * costs[1])
 
 
-def test_without_torques_there_are_no_rows() -> None:
+def test_without_torques_there_are_no_rows():
     bare = replace(SCENE, trajectory=replace(SCENE.trajectory, torque=None))
     rows = TorqueTerm(bare).assembled
     assert rows.blocks["p"].shape == (0, SCENE.n_voxels) and len(rows.target) == 0
 
 
 @pytest.mark.parametrize("length", [0.0, -1.0, float("nan"), 2.0 * LENGTHS[1]])
-def test_a_length_that_is_none_is_refused(length: float) -> None:
+def test_a_length_that_is_none_is_refused(length):
     with pytest.raises(InputError, match="torque_length must lie between"):
         TorqueTerm(SCENE, length=length)
 
 
-def test_the_tag_says_what_the_rows_were_divided_by() -> None:
+def test_the_tag_says_what_the_rows_were_divided_by():
     by = whitening(TorqueTerm(SCENE, length=0.02).assembled.tags)
-    assert by is not None
     np.testing.assert_array_equal(by.toarray(), 50.0 * np.eye(15))

@@ -1,7 +1,5 @@
 """Differences against plain loops; variations by hand; a cone program."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ SCENE = small_scene("trilinear", n_poses=20)
 
 
 @pytest.mark.slow
-def test_without_measurements_priors_give_the_laplace_field() -> None:
+def test_without_measurements_priors_give_the_laplace_field():
     scene = small_scene("trilinear", shape=(7, 12, 8))
     expected = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
     for name in ("sparse_sources", "total_variation", "volume_weighted", "tikhonov"):
@@ -27,7 +25,7 @@ def test_without_measurements_priors_give_the_laplace_field() -> None:
         )
 
 
-def test_differences_are_those_of_the_grid() -> None:
+def test_differences_are_those_of_the_grid():
     """Against plain loops, for every voxel of a small grid."""
     grid = small_scene(shape=(5, 6, 4), n_poses=2).voxmap.grid
     p = np.random.default_rng(0).normal(size=grid.shape)
@@ -48,7 +46,7 @@ def test_differences_are_those_of_the_grid() -> None:
                 np.testing.assert_allclose(found[i, j, k], steps, atol=1e-12)
 
 
-def test_total_variation_of_a_gradient_is_its_length() -> None:
+def test_total_variation_of_a_gradient_is_its_length():
     """A field growing along z has the same isotropic and anisotropic variation."""
     scene = small_scene(shape=(6, 8, 6), n_poses=2)
     grid = scene.voxmap.grid
@@ -62,7 +60,7 @@ def test_total_variation_of_a_gradient_is_its_length() -> None:
     assert term.penalty == Groups(3)
 
 
-def test_isotropic_variation_is_a_cone_program_with_a_certificate() -> None:
+def test_isotropic_variation_is_a_cone_program_with_a_certificate():
     """Solved through cvxpy; its multipliers prove it on the program as declared."""
     scene = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
     options = {"force_weight": 1.0, "torque_weight": 1.0, "variation": 0.01}
@@ -81,13 +79,12 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate() -> None:
     assert boxed.objective <= np.sqrt(3.0) * solution.objective * (1 + 1e-6)
 
 
-def test_a_sector_has_no_differences_beyond_its_sides() -> None:
+def test_a_sector_has_no_differences_beyond_its_sides():
     """θ wraps around a full circle only; the wall's column is nobody's neighbour."""
     voxmap = Voxmap.from_surface(
         torso(), shape=(5, 9, 4), r_inner=0.03, sector=(0.2, 2.6)
     )
     grid = voxmap.grid
-    assert grid.wall is not None
     D = difference_rows(grid)
     p = np.zeros(grid.shape)
     p[:, grid.wall :] = 7.0

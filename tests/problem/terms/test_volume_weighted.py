@@ -1,7 +1,5 @@
 """Rows by volume: a refined grid leaves the answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -43,7 +41,7 @@ def departures(name: str, refinements: tuple[int, ...], weight: float) -> list[f
 
 
 @pytest.mark.slow
-def test_refining_the_grid_leaves_the_volume_weighted_answer() -> None:
+def test_refining_the_grid_leaves_the_volume_weighted_answer():
     fixed = departures("volume_weighted", (1, 2, 3), 1.0)
     assert max(fixed) / min(fixed) < 1.05
     assert abs(fixed[2] - fixed[1]) < 0.7 * abs(fixed[1] - fixed[0])
@@ -51,7 +49,7 @@ def test_refining_the_grid_leaves_the_volume_weighted_answer() -> None:
     assert moving[2] / moving[0] > 1.4  # eq. 10 as printed does depend on the grid
 
 
-def test_squares_are_an_integral() -> None:
+def test_squares_are_an_integral():
     """∇² r²/4 = 1 exactly on the grid: a row's square is ℓ⁴ of its volume over ℓ³."""
     surface = Surface.from_radius(np.full((24, 9), 0.09), np.linspace(0.0, 0.2, 9))
     voxmap = Voxmap.from_surface(surface, shape=(13, 24, 9), r_inner=0.03, r_outer=0.12)

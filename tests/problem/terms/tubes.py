@@ -1,7 +1,5 @@
 """Tubes on which rows are refined, and the order at which their errors fall."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.scan.surface import Surface

@@ -1,7 +1,5 @@
 """The bound where other penalties' multipliers absorb r, against known optima."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -60,7 +58,7 @@ def multiplier(program: Program, x: np.ndarray) -> np.ndarray:
 
 @each_penalty
 @pytest.mark.parametrize("rank", [4, 3])
-def test_no_answer_lies_further_above_the_optimum(phi: Penalty, rank: int) -> None:
+def test_no_answer_lies_further_above_the_optimum(phi, rank):
     """Any point with any multipliers; squares alone leave three directions open.
 
     With three independent rows beside, one direction is known by both together.
@@ -94,9 +92,7 @@ def residuals(name: str, factor: float = 1.0) -> KKT:
 
 
 @pytest.mark.parametrize("name", ["total_variation", "sparse_sources"])
-def test_a_bound_on_an_exact_answer_is_small(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bound_on_an_exact_answer_is_small(name, monkeypatch):
     """By factors as by conjugate gradients with L, a network or the diagonal."""
     kkt = residuals(name)
     assert kkt.is_bound
@@ -108,14 +104,14 @@ def test_a_bound_on_an_exact_answer_is_small(
     assert residuals(name).is_bound
 
 
-def test_multipliers_that_are_too_long_are_charged_by_how_much() -> None:
+def test_multipliers_that_are_too_long_are_charged_by_how_much():
     """Clipping takes 1e-7 of them and r gets it; apart both are far larger than f."""
     kkt = residuals("sparse_sources", 1.0 + 1e-7)
     assert kkt.is_bound
     assert kkt.gap_relative <= 2e-7
 
 
-def test_where_there_is_no_bound() -> None:
+def test_where_there_is_no_bound():
     class Own(Absolute):
         """Does not state its gauge."""
 
@@ -131,7 +127,7 @@ def test_where_there_is_no_bound() -> None:
         assert not kkt_residuals(program, x, Duals(terms={"own": -x})).is_bound
 
 
-def test_networks_live_as_long_as_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_networks_live_as_long_as_their_rows(monkeypatch):
     monkeypatch.setattr(absorption, "SMALL", 0)
     before = len(absorption._networks)
     program = load("total_variation", SCENE).compile()
@@ -145,7 +141,7 @@ def test_networks_live_as_long_as_their_rows(monkeypatch: pytest.MonkeyPatch) ->
     assert len(absorption._networks) == before
 
 
-def test_two_points_of_the_same_objective_are_no_further_apart() -> None:
+def test_two_points_of_the_same_objective_are_no_further_apart():
     """x₀² + |x₁| at (a, 0) and (−a, 0): 2a apart, P = 2, which is as far as can be."""
     a, theta = 1.5, 0.7
     square = term([[1.0, 0.0]], [0.0])

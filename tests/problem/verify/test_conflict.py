@@ -1,7 +1,5 @@
 """Constraints that contradict each other are found by name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,27 +36,27 @@ def names(*constraints: Constraint) -> tuple[str, ...]:
     return conflicting(Program.build(SCENE, [LaplaceTerm(SCENE)], constraints))
 
 
-def test_constraints_that_can_hold_are_not_accused() -> None:
+def test_constraints_that_can_hold_are_not_accused():
     assert names() == ()
     assert names(Sign(SCENE)) == ()
     assert names(Sign(SCENE), Monotone(SCENE), HardBoundary(SCENE)) == ()
 
 
-def test_a_least_slope_against_the_boundary() -> None:
+def test_a_least_slope_against_the_boundary():
     """2 N at the inner layer cannot fall by 1000 N/m over 6 cm; sign is innocent."""
     steep = Monotone(SCENE, 1000.0)
     assert names(Sign(SCENE), steep, HardBoundary(SCENE)) == ("monotone", "boundary")
     assert names(Sign(SCENE), steep) == ()  # soft boundary values give way
 
 
-def test_a_least_slope_against_bounds() -> None:
+def test_a_least_slope_against_bounds():
     assert names(Monotone(SCENE, 1000.0), Band(SCENE, 0.0, 5.0)) == ("monotone", "band")
 
 
-def test_bounds_that_cross() -> None:
+def test_bounds_that_cross():
     assert names(Sign(SCENE), Band(SCENE, low=1.0)) == ("sign", "band")
 
 
 @pytest.mark.parametrize("slope", [10.0, 20.0])
-def test_a_slope_the_boundary_allows(slope: float) -> None:
+def test_a_slope_the_boundary_allows(slope):
     assert names(Monotone(SCENE, slope), HardBoundary(SCENE)) == ()

@@ -1,7 +1,5 @@
 """The bound on what a dual residual leaves open, against dense algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -63,7 +61,7 @@ def dense(program: Program, r: np.ndarray, fixed: np.ndarray) -> float:
         "robust",
     ],
 )
-def test_a_bound_that_is_close(name: str, weight: float) -> None:
+def test_a_bound_that_is_close(name, weight):
     program = compiled(name, force_weight=weight, torque_weight=weight)
     fixed = held_by_equalities(program)
     assert fixed.any() == (name in ("eq10_hard_boundary", "volume_weighted"))
@@ -79,15 +77,12 @@ def test_a_bound_that_is_close(name: str, weight: float) -> None:
         if "drag" not in name:
             assert bound <= truth * (1.0 + 1.5 * CLOSE)
         loose = energy(program, r, fixed, enough=100.0 * truth)
-        assert loose is not None
         assert loose >= truth * (1.0 - 1e-6)
 
 
 @pytest.mark.parametrize("weight", [1e-4, 10.0])
 @pytest.mark.parametrize("name", ["viscous_drag", "coulomb_drag"])
-def test_the_bound_beside_parameters_holds_for_the_worst_residuals(
-    name: str, weight: float
-) -> None:
+def test_the_bound_beside_parameters_holds_for_the_worst_residuals(name, weight):
     """Over a parameter alone, and what the weakest directions make of both parts."""
     program = compiled(name, force_weight=weight, torque_weight=weight)
     free = ~held_by_equalities(program)
@@ -105,13 +100,10 @@ def test_the_bound_beside_parameters_holds_for_the_worst_residuals(
     others += [unit + sign * aside / (aside @ aside) for sign in (1.0, -1.0)]
     for r in (unit, *mixed, *others):
         bound = energy(program, r, ~free)
-        assert bound is not None
         assert bound >= 0.5 * float(r @ inverse @ r) * (1.0 - 1e-6)
 
 
-def test_rows_of_free_voxels_alone_determine_a_field_only_with_the_others_fixed() -> (
-    None
-):
+def test_rows_of_free_voxels_alone_determine_a_field_only_with_the_others_fixed():
     laplace = SCENE.laplace
     V = len(laplace.free)
     none, given = np.zeros(V, dtype=bool), ~laplace.free
@@ -125,7 +117,7 @@ def test_rows_of_free_voxels_alone_determine_a_field_only_with_the_others_fixed(
         assert field_of(term_of_all, "p", slice(0, V), none, laplace) is not None
 
 
-def test_nothing_is_said_where_squares_leave_something_open() -> None:
+def test_nothing_is_said_where_squares_leave_something_open():
     """Sparse sources: only the measured rows are squares; and a row too few."""
     program = compiled("sparse_sources", force_weight=0.1)
     r = np.random.default_rng(0).normal(size=program.n_variables)
@@ -134,7 +126,6 @@ def test_nothing_is_said_where_squares_leave_something_open() -> None:
     one = bare([term([[1.0, 0.0]], [1.0])])
     assert energy(one, np.array([1.0, 1e-9]), free) is None
     told = energy(one, np.array([1.0, 0.0]), free)
-    assert told is not None
     assert 0.25 <= told <= 0.25 * (1.0 + 1.01 * CLOSE)
     tied = bare([term([[1.0, 1.0]], [1.0])])
     assert energy(tied, np.array([1.0, -1.0]), free) is None
@@ -143,7 +134,7 @@ def test_nothing_is_said_where_squares_leave_something_open() -> None:
     assert energy(nothing, np.array([1.0, 0.0]), free) is None
 
 
-def test_a_term_called_laplace_with_other_rows_is_no_bound_by_its_name() -> None:
+def test_a_term_called_laplace_with_other_rows_is_no_bound_by_its_name():
     """A hundredth of L under L's name: P is 1e-4 of what the name promises."""
     program = compiled("laplace_only")
     (own,) = program.terms
@@ -151,11 +142,10 @@ def test_a_term_called_laplace_with_other_rows_is_no_bound_by_its_name() -> None
     faked = Program(program.variables, (weak,), (), (), program.laplace)
     r, free = np.ones(program.n_variables), held_by_equalities(program)
     bound = energy(faked, r, free)
-    assert bound is not None
     assert bound >= dense(faked, r, free) * (1.0 - 1e-6)
 
 
-def test_rows_that_fix_a_variable() -> None:
+def test_rows_that_fix_a_variable():
     limits = [
         rows("one", [[2, 0, 0], [0, 1, 1]], [4, 1], [4, 1]),
         rows("range", [[0, 0, 1]], [0], [1]),
@@ -165,17 +155,15 @@ def test_rows_that_fix_a_variable() -> None:
 
 
 @pytest.mark.parametrize("name", ["eq10", "eq10_sign", "viscous_drag"])
-def test_the_gap_bounds_how_far_a_wrong_answer_lies(name: str) -> None:
+def test_the_gap_bounds_how_far_a_wrong_answer_lies(name):
     """Both statements of the module, on perturbed answers."""
     program = compiled(name, force_weight=1.0, torque_weight=1.0)
     answer = solvers()["structured"].prepare(program, Request(1e-10)).solve()
-    assert answer.x is not None
     least = program.objective(answer.x)
     rng = np.random.default_rng(2)
     for size in (1e-6, 1e-3, 1e-1):
         x = answer.x * (1.0 + size * rng.normal(size=len(answer.x)))
         kkt = kkt_residuals(program, x, answer.duals)
-        assert kkt.distance is not None
         excess = program.objective(x) - least
         assert excess <= kkt.gap * (1.0 + 1e-6) + 1e-12 * least
         apart = sum(

@@ -1,7 +1,5 @@
 """Sizes of gradients by block, by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ def two_blocks() -> Program:
     )
 
 
-def test_summands_add_up_to_the_gradient() -> None:
+def test_summands_add_up_to_the_gradient():
     problem, x = two_blocks(), np.array([0.5, -1.0])
     parts = list(quadratic_summands(problem, x))
     M, t = np.array([[3.0, 0.0], [1.0, 1.0]]), np.array([1.0, 2.0])
@@ -34,7 +32,7 @@ def test_summands_add_up_to_the_gradient() -> None:
     np.testing.assert_allclose(sum(parts), 2.0 * M.T @ (M @ x - t))
 
 
-def test_each_block_is_judged_over_its_own_largest_summand() -> None:
+def test_each_block_is_judged_over_its_own_largest_summand():
     blocks = GradientBlocks(two_blocks())
     blocks.add(np.array([1000.0, 2.0]))
     blocks.add(np.array([-1001.0, -1.0]))
@@ -43,7 +41,7 @@ def test_each_block_is_judged_over_its_own_largest_summand() -> None:
     assert blocks.worst(1.0) == pytest.approx(0.5)
 
 
-def test_least_gradient_of_squares_is_what_rounding_leaves_of_a_row() -> None:
+def test_least_gradient_of_squares_is_what_rounding_leaves_of_a_row():
     """2 w ‖row‖ (‖row‖ |x|) ε by block: of p the longest row is 3, of q it is 1."""
     problem = two_blocks()
     for part, longest in ((slice(0, 1), 3.0), (slice(1, 2), 1.0)):
@@ -51,7 +49,7 @@ def test_least_gradient_of_squares_is_what_rounding_leaves_of_a_row() -> None:
         assert least == pytest.approx(2.0 * longest**2 * 7.0 * ROUNDING)
 
 
-def test_stray_multipliers_are_an_error_of_their_own() -> None:
+def test_stray_multipliers_are_an_error_of_their_own():
     blocks = GradientBlocks(two_blocks())
     blocks.add(np.array([3.0, 0.0]))
     blocks.add(np.array([-3.0, 0.0]))
@@ -60,6 +58,6 @@ def test_stray_multipliers_are_an_error_of_their_own() -> None:
     assert blocks.worst(0.0) == pytest.approx(1.0)
 
 
-def test_nan_is_the_largest() -> None:
+def test_nan_is_the_largest():
     assert largest_of(1.0, float("nan"), 2.0) == float("inf")
     assert largest_of(1.0, 2.0) == 2.0

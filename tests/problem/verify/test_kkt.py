@@ -1,7 +1,5 @@
 """Residuals on problems solved by hand, with the signs of their multipliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -55,7 +53,7 @@ def assert_optimal(kkt: KKT, tolerance: float = 1e-12) -> None:
     assert max(kkt.primal, kkt.dual, kkt.gap) <= 10 * tolerance
 
 
-def test_upper_row_has_a_positive_multiplier() -> None:
+def test_upper_row_has_a_positive_multiplier():
     """min (x-2)² + (y-2)², x + y ≤ 2: x = y = 1, y = 2."""
     problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
     x = np.array([1.0, 1.0])
@@ -64,14 +62,14 @@ def test_upper_row_has_a_positive_multiplier() -> None:
     assert min(wrong_sign.dual_relative, wrong_sign.gap_relative) >= 0.5
 
 
-def test_lower_row_has_a_negative_multiplier() -> None:
+def test_lower_row_has_a_negative_multiplier():
     """min x² + y², x + y ≥ 2: x = y = 1, y = -2."""
     problem = program(2, [squares([0, 0])], (rows("sum", [[1, 1]], 2.0, np.inf),))
     x = np.array([1.0, 1.0])
     assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])})))
 
 
-def test_equality_row_has_a_multiplier_of_either_sign() -> None:
+def test_equality_row_has_a_multiplier_of_either_sign():
     """min x² + y², x - y = ±2: x = -y = ±1, y = ∓2."""
     for value in (2.0, -2.0):
         problem = program(2, [squares([0, 0])], (rows("tie", [[1, -1]], value, value),))
@@ -79,7 +77,7 @@ def test_equality_row_has_a_multiplier_of_either_sign() -> None:
         assert_optimal(kkt_residuals(problem, x, Duals({"tie": np.array([-value])})))
 
 
-def test_bounds_have_multipliers_of_their_own() -> None:
+def test_bounds_have_multipliers_of_their_own():
     """min (x-2)² + (y+2)² + z², x ≤ 1, y ≥ -1, z free: duals 2, -2, 0."""
     box = ProgramBounds("box", np.array([-9, -1.0, -9]), np.array([1.0, 9, 9]))
     problem = program(3, [squares([2, -2, 0])], (), (box,))
@@ -88,9 +86,7 @@ def test_bounds_have_multipliers_of_their_own() -> None:
     assert kkt_residuals(problem, x, Duals()).dual == pytest.approx(np.sqrt(8))
 
 
-def test_a_point_is_judged_anew_where_anything_of_it_has_changed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_point_is_judged_anew_where_anything_of_it_has_changed(monkeypatch):
     of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
     judged = []
     whole = kkt._residuals
@@ -115,7 +111,7 @@ def test_a_point_is_judged_anew_where_anything_of_it_has_changed(
     assert key not in kkt._last
 
 
-def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
+def test_a_point_is_judged_anew_where_the_program_has_changed():
     """Targets of measured rows are views of the recording, which may be edited."""
     of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
     x, duals = np.array([1.0]), Duals({"limit": np.array([4.0])})
@@ -131,7 +127,7 @@ def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
     assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
 
 
-def test_a_point_is_judged_anew_where_a_matrix_has_changed() -> None:
+def test_a_point_is_judged_anew_where_a_matrix_has_changed():
     """An entry, a column's place, and two entries exchanged, all in place."""
     x, duals = np.array([1.0, 1.0]), Duals({"limit": np.array([2.0])})
     limit = rows("limit", [[1.0, 1.0]], -np.inf, 2.0)
@@ -157,7 +153,7 @@ def test_a_point_is_judged_anew_where_a_matrix_has_changed() -> None:
     assert kkt_residuals(of, x, duals).primal == 1.0
 
 
-def test_a_point_is_judged_anew_where_a_cone_has_changed() -> None:
+def test_a_point_is_judged_anew_where_a_cone_has_changed():
     """x ≥ |y| with x = y = 1, and with half of x: from (½, 1) to (¾, ¾)."""
     cone = ProgramCones("cone", sp.csr_array(np.eye(2)), np.zeros(2), (2,))
     of = replace(program(2, [squares([1.0, 1.0])]), cones=(cone,))
@@ -167,20 +163,20 @@ def test_a_point_is_judged_anew_where_a_cone_has_changed() -> None:
     assert kkt_residuals(of, x, Duals()).primal == pytest.approx(0.25)
 
 
-def test_a_multiplier_of_an_absent_limit_is_an_error() -> None:
+def test_a_multiplier_of_an_absent_limit_is_an_error():
     problem = program(1, [squares([0])], (rows("high", [[1.0]], -np.inf, 5.0),))
     kkt = kkt_residuals(problem, np.zeros(1), Duals({"high": np.array([-1.0])}))
     assert kkt.worst_relative >= 1.0
 
 
-def test_what_is_not_finite_is_infinitely_wrong() -> None:
+def test_what_is_not_finite_is_infinitely_wrong():
     problem = program(2, [squares([0, 0])])
     kkt = kkt_residuals(problem, np.array([np.nan, 0.0]), Duals())
     assert kkt.worst_relative == np.inf
     assert set(kkt.as_dict()) >= {"primal", "dual", "gap", "gap_relative"}
 
 
-def test_absolute_penalty_has_a_multiplier_within_one() -> None:
+def test_absolute_penalty_has_a_multiplier_within_one():
     """min ½·2|x| + (x - 0.3)²: x = 0 with g = 0.6; (x - 3)²: x = 2.5 with g = 1."""
     eye = sp.csr_array(sp.eye_array(1))
     for target, solution, g in ((0.3, 0.0, 0.6), (3.0, 2.5, 1.0)):
@@ -201,7 +197,7 @@ def test_absolute_penalty_has_a_multiplier_within_one() -> None:
     assert missing.dual == pytest.approx(0.6)
 
 
-def test_huber_penalty_needs_no_multiplier() -> None:
+def test_huber_penalty_needs_no_multiplier():
     """min huber(x - 4; 1) + x²: slope 2 beyond the limit, so x = 1."""
     eye = sp.csr_array(sp.eye_array(1))
     bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Huber(1.0))
@@ -211,7 +207,7 @@ def test_huber_penalty_needs_no_multiplier() -> None:
     assert kkt_residuals(problem, np.full(1, 1.1), Duals()).dual_relative > 0.01
 
 
-def test_group_norm_shrinks_a_group_by_its_length() -> None:
+def test_group_norm_shrinks_a_group_by_its_length():
     """min ‖x - (3, 4)‖² + 2‖x‖: shrinks the length 5 by 1; near zero to zero."""
     eye = sp.csr_array(sp.eye_array(2))
     length = ProgramTerm("length", 2.0, eye, np.zeros(2), Groups(2))
@@ -223,7 +219,7 @@ def test_group_norm_shrinks_a_group_by_its_length() -> None:
     assert_optimal(kkt_residuals(near, np.zeros(2), duals))
 
 
-def test_bound_duals_go_to_the_bound_that_holds() -> None:
+def test_bound_duals_go_to_the_bound_that_holds():
     first = ProgramBounds("first", np.array([0.0, -np.inf]), np.array([np.inf, 3.0]))
     second = ProgramBounds("second", np.array([-1.0, -2.0]), np.array([5.0, 1.0]))
     problem = program(2, [squares([0, 0])], (), (first, second))
@@ -234,7 +230,7 @@ def test_bound_duals_go_to_the_bound_that_holds() -> None:
     assert not bound_duals(problem, None)["first"].any()
 
 
-def test_equal_bounds_share_no_multiplier() -> None:
+def test_equal_bounds_share_no_multiplier():
     both = [ProgramBounds(n, np.zeros(1), np.ones(1)) for n in ("one", "two")]
     problem = program(1, [squares([9.0])], (), (both[0], both[1]))
     split = bound_duals(problem, np.array([16.0]))
@@ -242,7 +238,7 @@ def test_equal_bounds_share_no_multiplier() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
-def test_the_gap_alone_can_refuse_an_answer(side: float) -> None:
+def test_the_gap_alone_can_refuse_an_answer(side):
     """min (x-2)², x ≤ 3 at x = 1.5 with y = 1: r = 0, but the limit is 1.5 away.
 
     And mirrored: min (x+2)², x ≥ -3 at x = -1.5 with y = -1.
@@ -261,7 +257,7 @@ def test_the_gap_alone_can_refuse_an_answer(side: float) -> None:
     assert kkt.gap == pytest.approx(1.5)
 
 
-def test_rounding_of_rows_that_cancel_is_no_error() -> None:
+def test_rounding_of_rows_that_cancel_is_no_error():
     """(x - y)² at x ≈ y: judged against what rounding leaves of a row."""
     row = sp.csr_array(np.array([[1.0, -1.0]]))
     problem = program(2, [ProgramTerm("difference", 1.0, row, np.zeros(1))])
@@ -271,7 +267,7 @@ def test_rounding_of_rows_that_cancel_is_no_error() -> None:
     assert kkt.dual_relative == pytest.approx(kkt.dual / 4e-6, rel=1e-6)
 
 
-def test_every_block_is_judged_by_its_own_summands() -> None:
+def test_every_block_is_judged_by_its_own_summands():
     """A small parameter beside a large field: its wrong value is no rounding."""
     field = sp.csr_array(np.array([[1e6, 0.0]]))
     small = sp.csr_array(np.array([[0.0, 1e-3]]))
@@ -290,7 +286,7 @@ def test_every_block_is_judged_by_its_own_summands() -> None:
     assert wrong.dual_relative == pytest.approx(0.5)
 
 
-def test_a_bound_far_above_what_is_asked_comes_close() -> None:
+def test_a_bound_far_above_what_is_asked_comes_close():
     """Along what measured rows hold: the prior alone bounds it a hundredfold."""
     scene = small_scene(shape=(7, 12, 7), n_poses=2)
     declared = load("eq10", scene, force_weight=100.0, torque_weight=100.0)
@@ -305,7 +301,7 @@ def test_a_bound_far_above_what_is_asked_comes_close() -> None:
     assert 1.0 <= kkt.gap / 1e-4 <= 1.0 + 1.1 * CLOSE
 
 
-def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
+def test_an_objective_that_vanishes_is_judged_by_the_distance():
     problem = program(1, [squares([4.0])])
     for off in (1e-9, 1e-6):
         kkt = kkt_residuals(problem, np.array([4.0 + off]), Duals())
@@ -314,7 +310,7 @@ def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
         assert kkt.primal == kkt.primal_relative == 0.0  # without any limit
 
 
-def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
+def test_what_equalities_hold_counts_by_how_far_it_is_off():
     """2 x₁ = 3 at x₁ = 2 is off by half in x₁; the sum of both fixes neither."""
     held, both = rows("held", [[2.0, 0.0]], 3.0, 3.0), rows("both", [[1, 1]], 0.0, 0.0)
     x, r = np.array([2.0, 7.0]), np.array([-6.0, 5.0])
@@ -322,7 +318,7 @@ def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
     assert _held(both, x, r) == 0.0
 
 
-def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:
+def test_a_linear_term_hides_no_other_from_the_least_gradient():
     eye = sp.csr_array(sp.eye_array(2))
     linear = ProgramTerm("linear", 5.0, eye, np.zeros(2), Linear())
     absolute = ProgramTerm("absolute", 3.0, eye, np.zeros(2), Absolute())

@@ -1,7 +1,5 @@
 """Bounds of the gap beside auxiliary variables, against optima of other solvers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -33,7 +31,7 @@ def declared() -> Formulation:
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-6])
-def test_a_field_that_ignores_all_data_is_not_solved(tolerance: float) -> None:
+def test_a_field_that_ignores_all_data_is_not_solved(tolerance):
     """Multipliers that miss by 1e-9 are no licence for it."""
     model = declared()
     answer = Fitter(model, solver="clarabel")._prepared.solve()
@@ -67,7 +65,7 @@ MORE: dict[str, Callable[[Any], Any]] = {
 
 
 @pytest.mark.parametrize("idea", MORE)
-def test_every_idea_has_a_bound(idea: str) -> None:
+def test_every_idea_has_a_bound(idea):
     """Of its answer a small one, of other points one above the excess."""
     model = eq10() + CvxpyTerm("edge", MORE[idea], 0.05)
     solution = fit(SCENE, model)
@@ -99,12 +97,11 @@ def hinge(cost: float = 1.0) -> Any:
     )
 
 
-def test_multipliers_become_exact_nearby() -> None:
+def test_multipliers_become_exact_nearby():
     one = hinge()
     loose = loose_variables(one, np.zeros(2, dtype=bool))
     np.testing.assert_array_equal(loose, [False, True])
     found = exact_rows(one, {"above": np.array([-0.7, -0.299])}, loose)
-    assert found is not None
     np.testing.assert_allclose(found["above"].sum(), -1.0, rtol=1e-15)
     np.testing.assert_allclose(found["above"], [-0.7, -0.3], atol=1e-3)
     assert exact_rows(hinge(0.0), {"above": np.zeros(2)}, loose) is not None
@@ -112,7 +109,7 @@ def test_multipliers_become_exact_nearby() -> None:
     assert exact_rows(hinge(-1.0), {"above": np.array([-0.7, -0.3])}, loose) is None
 
 
-def test_the_bound_counts_slack_of_rows() -> None:
+def test_the_bound_counts_slack_of_rows():
     """At x = 0, t = 3 the row t ≥ 0 is 3 away: all of the excess is there."""
     one = hinge()
     x = np.array([2.0, 3.0])
@@ -122,7 +119,7 @@ def test_the_bound_counts_slack_of_rows() -> None:
     assert kkt.gap >= (0.0 + 3.0) - 0.75
 
 
-def test_variables_with_limits_or_squares_are_not_loose() -> None:
+def test_variables_with_limits_or_squares_are_not_loose():
     held = program(hinge().terms, (), [bounds("half", [-INF, 0.0], [INF, INF])])
     assert not loose_variables(held, np.zeros(2, dtype=bool)).any()
     assert not loose_variables(hinge(), np.ones(2, dtype=bool)).any()

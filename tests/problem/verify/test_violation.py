@@ -1,7 +1,5 @@
 """Violations of limits: as they are, and relative to what they are compared with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +11,14 @@ from ttus_opt.problem.members import ProgramBounds, ProgramCones
 from ttus_opt.problem.verify.violation import worst_violation
 
 
-def test_a_point_outside_is_measured_by_its_violation() -> None:
+def test_a_point_outside_is_measured_by_its_violation():
     problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
     found = worst_violation(problem, np.array([2.0, 2.0]))
     assert found == (2.0, pytest.approx(0.5))
     assert worst_violation(problem, np.array([1.0, 0.5])) == (0.0, 0.0)
 
 
-def test_lower_limits_are_checked_as_upper_ones_are() -> None:
+def test_lower_limits_are_checked_as_upper_ones_are():
     low = rows("low", [[1.0, 0.0]], 2.0, np.inf)
     problem = program(2, [squares([0, 0])], (low,))
     assert worst_violation(problem, np.array([0.5, 0.0])) == (1.5, pytest.approx(0.75))
@@ -29,14 +27,14 @@ def test_lower_limits_are_checked_as_upper_ones_are() -> None:
     assert worst_violation(problem, np.array([0.5, 0.0]))[0] == 1.5
 
 
-def test_the_worst_member_counts_even_if_it_comes_first() -> None:
+def test_the_worst_member_counts_even_if_it_comes_first():
     near, far = rows("near", [[1.0]], -np.inf, 1.9), rows("far", [[1.0]], -np.inf, 1.0)
     for order in ((near, far), (far, near)):
         problem = program(1, [squares([0])], order)
         assert worst_violation(problem, np.array([2.0])) == (1.0, pytest.approx(0.5))
 
 
-def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
+def test_a_member_of_zeros_is_not_judged_by_its_rounding():
     """x₂ ≥ 0 at -1e-16 beside x₁ = 3: its own largest value is that rounding."""
     lower, upper = np.array([-np.inf, 0.0]), np.array([np.inf, 0.0])
     part = ProgramBounds("zero", lower, upper, slice(1, 2))
@@ -47,14 +45,14 @@ def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
     assert relative == pytest.approx(1.0)
 
 
-def test_rows_that_cancel_everywhere_are_judged_by_what_cancels() -> None:
+def test_rows_that_cancel_everywhere_are_judged_by_what_cancels():
     """x ≤ y with x = y = 3 but for 1e-10: the row's own value is no measure."""
     problem = program(2, [squares([4, 2])], (rows("order", [[1, -1]], -np.inf, 0.0),))
     found = worst_violation(problem, np.array([3.0 + 1e-10, 3.0]))
     assert found == (pytest.approx(1e-10, rel=1e-5), pytest.approx(1e-10 / 3e-3, 1e-5))
 
 
-def test_a_cone_is_violated_by_the_distance_to_its_nearest_point() -> None:
+def test_a_cone_is_violated_by_the_distance_to_its_nearest_point():
     """(0, 3, 4): the nearest point of t ≥ ‖u‖ is (2.5, 1.5, 2), a step of 2.5."""
     eye = sp.csr_array(sp.eye_array(3))
     cone = ProgramCones("cone", eye, np.zeros(3), (3,))

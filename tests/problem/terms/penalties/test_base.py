@@ -1,7 +1,5 @@
 """What a penalty states by itself, and slopes of groups by dense matrices."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -39,7 +37,7 @@ class Fourth(Penalty):
         return cp.sum(cp.power(r, 4)) / 4.0
 
 
-def test_what_is_not_stated_claims_nothing() -> None:
+def test_what_is_not_stated_claims_nothing():
     phi = Fourth()
     assert phi.rows_per_group == 1 and phi.split is None
     assert not phi.quadratic and not phi.smooth
@@ -49,7 +47,7 @@ def test_what_is_not_stated_claims_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 3])
-def test_a_slope_is_the_matrix_it_stands_for(size: int) -> None:
+def test_a_slope_is_the_matrix_it_stands_for(size):
     """Factor times I − n nᵀ, group by group."""
     rng = np.random.default_rng(0)
     factor = np.repeat(rng.uniform(0.1, 2.0, 6 // size), size)
@@ -69,7 +67,7 @@ def test_a_slope_is_the_matrix_it_stands_for(size: int) -> None:
 @pytest.mark.parametrize(
     "phi", [Squares(), Huber(0.5), Absolute(), Groups(2), Linear()], ids=repr
 )
-def test_smooth_is_what_has_one_slope_everywhere(phi: Penalty) -> None:
+def test_smooth_is_what_has_one_slope_everywhere(phi):
     """Along a line through zero; quadratic penalties need not say so."""
     along = np.array([1.0, -0.7])
     r = np.linspace(-1.5, 1.5, 3002)[:, None] * along

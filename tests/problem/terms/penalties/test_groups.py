@@ -1,7 +1,5 @@
 """Lengths of groups by hand, and their proximal point by a search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -11,7 +9,7 @@ from ttus_opt.problem.terms.penalties.groups import Groups
 PHI = Groups(2)
 
 
-def test_the_value_is_the_sum_of_lengths() -> None:
+def test_the_value_is_the_sum_of_lengths():
     assert PHI.value(np.array([3.0, 4.0, 0.0, -2.0])) == pytest.approx(7.0)
     found = PHI.subgradient(np.array([3.0, 4.0, 0.0, 0.0]))
     np.testing.assert_allclose(found, [0.6, 0.8, 0.0, 0.0])
@@ -23,7 +21,7 @@ def test_the_value_is_the_sum_of_lengths() -> None:
 
 
 @pytest.mark.parametrize("v", [[3.0, -1.0], [0.4, 0.2]])
-def test_a_group_shrinks_towards_zero(v: list[float]) -> None:
+def test_a_group_shrinks_towards_zero(v):
     """By Moreau, (v − g)/step is the proximal point, here by a general solver."""
     step, at = 0.8, np.array(v)
     g, _ = PHI.resolvent(at, step)
@@ -36,7 +34,7 @@ def test_a_group_shrinks_towards_zero(v: list[float]) -> None:
     np.testing.assert_allclose((at - g) / step, found.x, atol=1e-5)
 
 
-def test_outside_the_ball_only_turning_counts() -> None:
+def test_outside_the_ball_only_turning_counts():
     v = np.array([3.0, 4.0])
     g, slope = PHI.resolvent(v, 1.0)
     np.testing.assert_allclose(slope.times(v), 0.0, atol=1e-15)
@@ -45,7 +43,7 @@ def test_outside_the_ball_only_turning_counts() -> None:
     np.testing.assert_allclose(slope.times(across), turned / 1e-6, rtol=1e-5)
 
 
-def test_inside_the_ball_multipliers_follow_v() -> None:
+def test_inside_the_ball_multipliers_follow_v():
     v = np.array([0.3, -0.4])
     g, slope = PHI.resolvent(v, 1.0)
     np.testing.assert_array_equal(g, v)

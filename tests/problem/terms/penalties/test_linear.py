@@ -1,13 +1,11 @@
 """A plain sum: one gradient, and no curvature."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.problem.terms.penalties.linear import Linear
 
 
-def test_it_has_one_gradient_whatever_the_residual() -> None:
+def test_it_has_one_gradient_whatever_the_residual():
     phi, r = Linear(), np.array([0.5, -2.0])
     assert phi.value(r) == -1.5
     for g in (phi.subgradient(r), phi.admissible(r), phi.resolvent(r, 0.3)[0]):
