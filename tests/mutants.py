@@ -283,10 +283,7 @@ TARGETS = (
     *(
         Target(
             f"problem/terms/penalties/{stem}.py",
-            (
-                f"problem/terms/penalties/test_{stem}.py",
-                "problem/terms/penalties/test_base.py",
-            ),
+            ("problem/terms/penalties/test_penalties.py",),
         )
         for stem in ("absolute", "groups", "huber", "linear", "squares")
     ),

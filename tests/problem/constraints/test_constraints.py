@@ -1,0 +1,141 @@
+"""What each constraint declares, against plain loops, and what it does to a field."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from tests.refusals import refuses
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.batch import fit
+from ttus_opt.problem.constraints.boundary import HardBoundary
+from ttus_opt.problem.constraints.drag_limit import DragLimit
+from ttus_opt.problem.constraints.drag_sign import DragSign
+from ttus_opt.problem.constraints.mean_friction import MeanFriction
+from ttus_opt.problem.constraints.monotone import Monotone
+from ttus_opt.problem.constraints.nonnegative import NonNegative
+from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.viscous_sign import ViscousSign
+from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE
+
+SCENE = small_scene("trilinear", n_poses=30)
+REGION = SCENE.voxmap.region
+FLAT = REGION.reshape(-1)
+WEIGHTS = {"force_weight": 3.0, "torque_weight": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("constraint", "variable", "above_zero", "below_zero"),
+    [
+        (Sign(SCENE), "p", FLAT == INSIDE, FLAT == OUTSIDE),
+        (DragSign(SCENE), "q", FLAT != OUTSIDE, FLAT != INSIDE),
+        (NonNegative(SCENE), "p", FLAT != OUTSIDE, np.zeros_like(FLAT, bool)),
+        (ViscousSign(SCENE, 6), "c", np.ones(6, bool), np.zeros(6, bool)),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_signs_are_bounds_at_zero(constraint, variable, above_zero, below_zero):
+    rows = constraint.rows()
+    assert rows.variable == variable
+    np.testing.assert_array_equal(rows.lower, np.where(above_zero, 0.0, -np.inf))
+    np.testing.assert_array_equal(rows.upper, np.where(below_zero, 0.0, np.inf))
+
+
+def test_the_mean_lies_between_nothing_and_the_largest():
+    mean = MeanFriction(SCENE, 0.4).rows()
+    assert (mean.variable, mean.lower, mean.upper) == ("m", [0.0], [0.4])
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "words"),
+    [
+        (DragLimit, 0.0, "largest friction must lie between"),
+        (MeanFriction, -1.0, "largest friction must lie between"),
+        (Monotone, -1.0, "least_slope must not be negative"),
+    ],
+)
+def test_a_limit_that_is_none_is_refused(kind, value, words):
+    refuses(InputError, words, kind, SCENE, value)
+
+
+def test_hard_boundary_keeps_the_values():
+    rows = HardBoundary(SCENE).rows()
+    np.testing.assert_array_equal(rows.lower, rows.upper)
+    hard = fit(SCENE, "eq10_hard_boundary", force_weight=3.0)
+    fixed = SCENE.voxmap.dirichlet
+    np.testing.assert_allclose(
+        hard.field.values[fixed], SCENE.b.reshape(REGION.shape)[fixed], atol=1e-9
+    )
+    soft = fit(SCENE, "eq10", force_weight=3.0)
+    assert hard.objective > soft.objective
+
+
+def test_drag_limit_is_a_share_of_the_field():
+    rows = DragLimit(SCENE, 0.4).rows()
+    p, q = np.random.default_rng(0).normal(size=(2, SCENE.n_voxels))
+    value = rows.blocks["p"] @ p + rows.blocks["q"] @ q
+    beside = FLAT != 0
+    np.testing.assert_allclose(value, 0.4 * p[beside] - q[beside])
+    inside = FLAT[beside] > 0
+    np.testing.assert_array_equal(rows.lower == 0.0, inside)
+    np.testing.assert_array_equal(rows.upper == 0.0, ~inside)
+
+
+def test_sign_fit_has_the_sign():
+    plain = fit(SCENE, "eq10", **WEIGHTS).field.values
+    assert plain[REGION == INSIDE].min() < -1e-3
+    signed = fit(SCENE, "eq10_sign", **WEIGHTS)
+    p = signed.field.values
+    assert p[REGION == INSIDE].min() > -1e-6
+    assert p[REGION == OUTSIDE].max() < 1e-6
+    assert signed.slacks["sign"].min() > -1e-6
+    dual = signed.duals_by_name["sign"]
+    assert dual.shape == (SCENE.n_voxels,)
+    # a lower limit holds with a negative multiplier, and only where it is met
+    assert dual.min() < -1e-6
+    assert np.abs(dual * p.reshape(-1)).max() < 1e-4
+    both = fit(SCENE, "eq10_sign_monotone", **WEIGHTS)
+    assert both.objective >= signed.objective - 1e-9
+    assert set(both.duals_by_name) == {"sign", "monotone"}
+
+
+def test_monotone_rows_are_the_pairs_of_each_spoke():
+    rows = Monotone(SCENE, 2.0).rows()
+    grid, fixed = SCENE.voxmap.grid, SCENE.voxmap.dirichlet
+    at = np.arange(grid.n_voxels).reshape(grid.shape)
+    expected = set()
+    n_r, n_theta, n_z = grid.shape
+    for i, j, k in itertools.product(range(n_r - 1), range(n_theta), range(n_z)):
+        deep, shallow = REGION[i, j, k], REGION[i + 1, j, k]
+        given = fixed[i, j, k] and fixed[i + 1, j, k]
+        if deep == INSIDE and shallow in (INSIDE, SURFACE) and not given:
+            expected.add((at[i, j, k], at[i + 1, j, k]))
+    matrix = rows.blocks["p"]
+    found = set()
+    for row in range(matrix.shape[0]):
+        part = slice(matrix.indptr[row], matrix.indptr[row + 1])
+        assert matrix.data[part].tolist() == [1.0, -1.0]
+        found.add(tuple(matrix.indices[part].tolist()))
+    assert found == expected
+    deep = matrix.indices[::2]
+    i, j, k = np.unravel_index(deep, grid.shape)
+    radius = SCENE.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    last = REGION[i + 1, j, k] == SURFACE
+    distance = np.where(last, radius - grid.r[i], grid.r_step)
+    np.testing.assert_allclose(rows.lower, 2.0 * distance)
+
+
+def test_monotone_fit_grows_with_depth():
+    rows = Monotone(SCENE).rows()
+    plain = fit(SCENE, "eq10", **WEIGHTS)
+    assert (rows.blocks["p"] @ plain.field.values.reshape(-1)).min() < -0.01
+    grown = fit(SCENE, "eq10_monotone", **WEIGHTS)
+    assert (rows.blocks["p"] @ grown.field.values.reshape(-1)).min() > -1e-5
+    assert grown.objective > plain.objective
+    assert (grown.duals_by_name["monotone"] <= 1e-9).all()
+    assert grown.duals_by_name["monotone"].min() < -1e-6
+    steep = fit(SCENE, "eq10_monotone", least_slope=15.0, **WEIGHTS)
+    growth = rows.blocks["p"] @ steep.field.values.reshape(-1)
+    least = Monotone(SCENE, 15.0).rows().lower
+    assert (growth / least).min() > 0.999
