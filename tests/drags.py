@@ -1,11 +1,13 @@
 """Fields with drag, and what they drag by plain numpy, point by point."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
@@ -158,3 +160,8 @@ def drag_by_hand(
         region = int(turned * sectors) * bands + int(np.clip(share, 0, 0.999) * bands)
         force -= parameters.get(f"viscous_coefficient_{region}", c) * slid
     return by_points + np.concatenate([force, np.cross(acts - reference, force)])
+
+
+def unlimited(field: PotentialField) -> Renderer:
+    """A renderer of whatever forces."""
+    return Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)

@@ -63,12 +63,17 @@ def files(tmp_path_factory):
     return folder
 
 
-def fit_words(files: Path, output: Path, more: str = "") -> str:
+def scene_words(files: Path, shape: str = "10,16,8", n_points: int = 200) -> str:
+    """The torso's files and a coarse grid, as every command on a scene takes them."""
     return (
-        f"fit --surface {files / 'surface.nc'} --probe {PROBE} "
-        f"--trajectory {files / 'press.csv'} --shape 16,24,12 --points 300 "
-        f"--inner fit --sampling trilinear -o {output} {more}"
+        f"--surface {files / 'surface.nc'} --probe {PROBE} --points {n_points} "
+        f"--trajectory {files / 'press.csv'} --shape {shape}"
     )
+
+
+def fit_words(files: Path, output: Path, more: str = "") -> str:
+    own = scene_words(files, "16,24,12", 300)
+    return f"fit {own} --inner fit --sampling trilinear -o {output} {more}"
 
 
 @pytest.fixture(scope="session")

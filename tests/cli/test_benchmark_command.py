@@ -9,16 +9,15 @@ import pytest
 from ttus_opt import example
 from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.cli import main
 from ttus_opt.contact.rows import Sampling
 
 
-def crashed(spec: RunSpec, *others: object) -> list[Row]:
+def crashed(spec, *others):
     return [parts()[spec.part].row(spec, "crashed", "")]
 
 
-def own_scene() -> list[str]:
+def own_scene():
     return [
         "--surface",
         str(example.path("surface.nc")),
@@ -33,7 +32,7 @@ def own_scene() -> list[str]:
     ]
 
 
-def typed(*words: str) -> int:
+def typed(*words):
     with pytest.raises(SystemExit) as ended:
         main(["benchmark", *words])
     assert isinstance(ended.value.code, int)
@@ -91,7 +90,7 @@ def test_other_parts_as_json(tmp_path, capsys, monkeypatch):
 
 
 def test_an_interrupt_says_that_the_same_call_goes_on(tmp_path, capsys, monkeypatch):
-    def stopped(*arguments: object) -> list[Row]:
+    def stopped(*arguments):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(suite, "run_isolated", stopped)

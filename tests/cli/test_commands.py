@@ -350,24 +350,10 @@ def test_lists(run, command):
     assert all(name in text.out for name in names)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "surface",
-        "fit",
-        "evaluate",
-        "experiment",
-        "render",
-        "demo",
-        "solvers",
-        "formulations",
-    ],
-)
-def test_help_shows_an_example(run, command):
-    answer = run(f"{command} --help")
+def test_help_shows_an_example(run):
+    answer = run("fit --help")
     assert answer.status == 0
-    assert f"Example: ttus-opt {command}" in answer.out
-    assert "--json" in answer.out
+    assert "Example: ttus-opt fit" in answer.out and "--json" in answer.out
 
 
 def test_no_command_shows_the_help(run):

@@ -65,7 +65,7 @@ def test_what_a_terminal_would_carry_out_is_not_printed():
     assert told == "cannot read \ufffd[2J\ufffda.csv\ufffd: no such file"
 
 
-def shown_until(capsys: pytest.CaptureFixture[str], words: str) -> str:
+def shown_until(capsys, words):
     """What the bar's thread has written once it has written these words."""
     shown, until = "", time.monotonic() + 30.0
     while words not in shown and time.monotonic() < until:

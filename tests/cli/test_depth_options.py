@@ -1,7 +1,6 @@
 """``ttus-opt surface`` of depth images."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +19,7 @@ CAMERAS = tuple(
 )
 
 
-def run(*words: str) -> int:
+def run(*words):
     with pytest.raises(SystemExit) as stop:
         main(words)
     return int(stop.value.code or 0)
@@ -48,7 +47,7 @@ def scans(tmp_path_factory):
     return folder
 
 
-def words(scans: Path, *more: str) -> list[str]:
+def words(scans, *more):
     images = [str(scans / f"{k}.png") for k in range(3)]
     camera = ["--intrinsics", str(scans / "camera.json")]
     poses = ["--poses", str(scans / "poses.csv")]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.cli.conftest import refused
 from ttus_opt import example
 from ttus_opt.probe.rigid_motion import inverse
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
@@ -22,11 +22,11 @@ BASE_TO_SCAN[:3, :3] = Rotation.from_rotvec([0.4, -2.0, 1.0]).as_matrix()
 BASE_TO_SCAN[:3, 3] = 0.6, -0.3, 0.2
 
 
-def recording(name: str = "press_fit") -> Trajectory:
+def recording(name="press_fit"):
     return read_trajectory(example.path(f"{name}.csv")).select(slice(0, 400, 20))
 
 
-def fit_words(recording: Path, output: Path, more: str = "") -> str:
+def fit_words(recording, output, more=""):
     return (
         f"fit --surface {SURFACE} --probe {example.PROBE} --trajectory {recording} "
         f"--shape 12,24,12 --points 200 --inner 10 --sampling trilinear "
@@ -34,7 +34,7 @@ def fit_words(recording: Path, output: Path, more: str = "") -> str:
     )
 
 
-def evaluate_words(field: Path, recording: Path, more: str = "") -> str:
+def evaluate_words(field, recording, more=""):
     return (
         f"evaluate --field {field} --probe {example.PROBE} --points 200 "
         f"--trajectory {recording} {more} --json"

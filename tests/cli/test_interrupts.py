@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -33,7 +32,7 @@ SOLVERS = [Deaf()]
 """
 
 
-def started(words: list[str], folder: Path) -> subprocess.Popen[str]:
+def started(words, folder):
     """The command line in a process that heeds interrupts."""
     return subprocess.Popen(
         [sys.executable, "-m", "ttus_opt", *words],
@@ -47,13 +46,13 @@ def started(words: list[str], folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> None:
+def interrupted(process, *, terminal):
     """Interrupt as `kill -INT` or a terminal does, and wait until it has ended."""
     (os.killpg if terminal else os.kill)(process.pid, signal.SIGINT)
     process.wait(60.0)
 
 
-def deaf_at_work(command: str, files: Path, folder: Path) -> subprocess.Popen[str]:
+def deaf_at_work(command, files, folder):
     """A command whose solver never listens, once that solver is at work.
 
     Args:

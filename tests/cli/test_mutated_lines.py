@@ -1,15 +1,12 @@
 """Mutations of sound command lines: the package's own errors and no others."""
 
 import os
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.cli.conftest import PROBE
 from ttus_opt.cli import main
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.solvers import registry
@@ -44,14 +41,14 @@ HOSTILE = [
 
 
 def far_enough(
-    scene: Scene,
-    formulation: Any = "eq10",
+    scene,
+    formulation="eq10",
     *,
-    solver: Any = "auto",
-    tolerance: float = 1e-6,
-    time_limit: float | None = None,
-    **options: Any,
-) -> None:
+    solver="auto",
+    tolerance=1e-6,
+    time_limit=None,
+    **options,
+):
     """All of a fit but the solve, which no word can lead astray."""
     Request(tolerance, time_limit)
     program = shelf.load(formulation, scene, **options).compile()
@@ -59,7 +56,7 @@ def far_enough(
     raise InputError("far enough")
 
 
-def sound_lines(files: Path, field: Path) -> list[list[str]]:
+def sound_lines(files, field):
     recording = ["--trajectory", str(files / "press.csv")]
     probe = ["--probe", PROBE, "--points", "60"]
     surface = ["--surface", str(files / "surface.nc")]
@@ -75,7 +72,7 @@ def sound_lines(files: Path, field: Path) -> list[list[str]]:
     ]
 
 
-def mutated(words: list[str], rng: np.random.Generator) -> list[str]:
+def mutated(words, rng):
     """Words replaced, left out, doubled, put in, swapped or bent."""
     words = list(words)
     for _ in range(int(rng.integers(1, 4))):

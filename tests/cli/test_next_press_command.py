@@ -1,19 +1,13 @@
 """``ttus-opt next-press``: what it tells, writes and refuses."""
 
 import json
-from pathlib import Path
-
-import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, empty, refused
+from tests.cli.conftest import scene_words
 
 
-def words(files: Path, more: str = "") -> str:
-    return (
-        f"next-press --surface {files / 'surface.nc'} --probe {PROBE} --trajectory "
-        f"{files / 'press.csv'} --shape 10,16,8 --points 200 --spacing 0.06 {more}"
-    )
+def words(files, more=""):
+    return f"next-press {scene_words(files)} --spacing 0.06 {more}"
 
 
 def test_it_names_places_and_writes_them(run, files, output):
@@ -29,17 +23,3 @@ def test_it_names_places_and_writes_them(run, files, output):
     plain = run(words(files, "--count 2 --angles 90,200"))
     lines = plain.out.splitlines()
     assert len(lines) == 4 and lines[-1].startswith("a press of")
-
-
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [
-        ("--angles 10", "--angles takes two angles"),
-        ("--box 0,1", "--box takes 6 numbers"),
-        ("--count 0", "--count"),
-        ("--picture next.txt", "next.txt"),
-    ],
-)
-def test_bad_input_is_one_line(run, files, output, more, told):
-    refused(run(words(files, f"{more} -o {output / 'next.csv'}")), told)
-    assert empty(output)

@@ -1,25 +1,18 @@
 """``ttus-opt path``: what it writes, tells and refuses."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, empty, refused
+from tests.cli.conftest import PROBE, scene_words
 from ttus_opt.fitting.path import solution_path
 
 
-def words(files: Path, output: Path, more: str = "") -> str:
-    return (
-        f"path --surface {files / 'surface.nc'} --probe {PROBE} "
-        f"--trajectory {files / 'press.csv'} --held-out {files / 'press.csv'} "
-        f"--shape 10,16,8 --points 200 --inner fit --sampling trilinear -o {output} "
-        f"{more}"
-    )
+def words(files, output, more=""):
+    own = f"{scene_words(files)} --held-out {files / 'press.csv'}"
+    return f"path {own} --inner fit --sampling trilinear -o {output} {more}"
 
 
 @pytest.mark.slow
@@ -47,34 +40,6 @@ def test_it_writes_a_file_and_a_picture_and_tells(run, files, tmp_path):
     assert f"force weight {best:.3g}" in plain.out
 
 
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [
-        ("--weight force", "--weight takes"),
-        ("--weight =1,2", "--weight takes"),
-        ("--weight force=1:2", "--weight takes"),
-        ("--weight force=2:1:5", "--weight takes"),
-        ("--weight force=1:2:1", "--weight takes"),
-        ("--weight force=a,b", "--weight takes"),
-        ("--weight force=0,1", "positive"),
-        ("--weight force,torque=nan,1", "positive numbers, got 'force,torque=nan,1'"),
-        ("--weight force=-1,1", "positive numbers, got 'force=-1,1'"),
-        ("--weight force=nan:1:5", "0 < LOW < HIGH"),
-        ("--weight force=1,2 --weight force=3", "given twice"),
-        ("--weight forse=1,2", "no term 'forse'"),
-        ("--weight force=1,2 --picture x.doc", "must end in"),
-        ("--weight force=1,2 --inner none", "--inner takes"),
-        ("--weight force=1,2 --jobs 0", "jobs must be at least 1"),
-        ("--weight force=1,2 --held-out gone.csv", "gone.csv"),
-        ("--weight force=1,2 --formulation none", "none"),
-        ("--weight force=1,2 --formulation eq10_sign --criteria", "without limits"),
-    ],
-)
-def test_bad_input_is_one_line(run, files, output, more, told):
-    refused(run(words(files, output / "path.nc", more)), told)
-    assert empty(output)
-
-
 @pytest.mark.parametrize("done", [2, 0])
 def test_an_interrupt_writes_what_is_done(run, files, tmp_path, monkeypatch, done):
     from ttus_opt.fitting.path import solution_path as module
@@ -82,7 +47,7 @@ def test_an_interrupt_writes_what_is_done(run, files, tmp_path, monkeypatch, don
     plain = module.PathRecord.add
     count = 0
 
-    def add(*given: object) -> None:
+    def add(*given):
         nonlocal count
         count += 1
         if count == done + 1:
@@ -113,7 +78,7 @@ def test_nothing_solved_is_status_one(run, files, tmp_path, monkeypatch):
     """The file is written, for its residuals."""
     traced = solution_path.solution_path
 
-    def unsolved(*given: Any, **named: Any) -> xr.Dataset:
+    def unsolved(*given, **named):
         found = traced(*given, **named)
         found["status"][:] = 1
         return found

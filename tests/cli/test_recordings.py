@@ -3,7 +3,6 @@
 import csv
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ NAMES = {
 }
 
 
-def as_ros(source: Path, target: Path) -> Path:
+def as_ros(source, target):
     """Other names, blanks for commas, and the wrench of the probe on the patient."""
     with source.open() as file:
         rows = list(csv.DictReader(file))
@@ -37,7 +36,7 @@ def as_ros(source: Path, target: Path) -> Path:
     return target
 
 
-def words(recording: Path, output: Path, more: str = "") -> str:
+def words(recording, output, more=""):
     return (
         f"fit --surface {example.path('surface.nc')} --probe {example.PROBE} "
         f"--trajectory {recording} --shape 16,36,16 --points 300 --inner 10 "

@@ -3,79 +3,55 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import PROBE, empty, fit_words, refused
+from tests.cli.conftest import PROBE, empty, fit_words, refused, scene_words
 from tests.conftest import presses, torso
 from ttus_opt.cli import fit_command
 from ttus_opt.probe.trajectory import Trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"
+#: Command lines that are sound
+SOUND = {
+    "surface": "surface {files}/scan.npy -o {output}/s.nc",
+    "fit": "fit {scene} -o {output}/f.nc",
+    "tune": "tune {scene}",
+    "path": "path {scene} -o {output}/p.nc",
+    "next-press": "next-press {scene} -o {output}/n.csv",
+    "refine-poses": "refine-poses {scene} -o {output}/r.csv",
+}
+#: A cloud that ends early
+SHORT = (
+    b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 500\n"
+    b"HEIGHT 1\nPOINTS 500\nDATA binary\n" + bytes(600)
+)
 
 
-def cloud_words(scan: Path, output: Path) -> str:
+def cloud_words(scan, output):
     return f"surface {scan} -o {output / 's.nc'}"
 
 
-def test_millimetres_read_as_metres(run, files, tmp_path, output):
-    np.save(tmp_path / "mm.npy", 1e3 * np.load(files / "scan.npy"))
-    refused(run(cloud_words(tmp_path / "mm.npy", output)), "--unit mm")
-    assert empty(output)
+CLOUDS = {
+    "mm.npy": ["--unit mm"],
+    "nan.npy": ["NaN", "--drop-nan"],
+    "empty.ply": ["empty"],
+    "short.pcd": ["short.pcd"],
+}
 
 
-def test_nan_coordinates(run, files, tmp_path, output):
+@pytest.mark.parametrize("name", CLOUDS)
+def test_clouds_that_are_none(run, files, tmp_path, output, name):
     cloud = np.load(files / "scan.npy")
-    cloud[7] = np.nan
-    np.save(tmp_path / "nan.npy", cloud)
-    refused(run(cloud_words(tmp_path / "nan.npy", output)), "NaN", "--drop-nan")
-    assert empty(output)
-
-
-def test_empty_cloud(run, tmp_path, output):
-    (tmp_path / "empty.ply").touch()
-    refused(run(cloud_words(tmp_path / "empty.ply", output)), "empty")
-    assert empty(output)
-
-
-def test_truncated_cloud(run, tmp_path, output):
-    (tmp_path / "short.pcd").write_bytes(
-        b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 500\n"
-        b"HEIGHT 1\nPOINTS 500\nDATA binary\n" + bytes(600)
-    )
-    refused(run(cloud_words(tmp_path / "short.pcd", output)), "short.pcd")
-    assert empty(output)
-
-
-def test_cloud_that_never_meets_the_axis(run, files, output):
-    words = cloud_words(files / "scan.npy", output)
-    refused(
-        run(f"{words} --no-support --axis-origin 4,0,0 --axis-direction 0,0,1"),
-        "is nowhere near the axis",
-    )
-    assert empty(output)
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (
-            "--n-theta 0 --no-support --axis-origin 0,0,0 --axis-direction 0,0,1",
-            ["n_theta", "0"],
-        ),
-        ("--n-theta many", ["--n-theta", "valid int"]),
-        ("--axis-origin 0,0,0", ["--axis-direction"]),
-        ("--axis-origin 0,0 --axis-direction 0,0,1", ["--axis-origin", "3 numbers"]),
-        ("--axis-origin 0,0,0 --axis-direction 0,0,0", ["--axis-direction", "zero"]),
-        ("--picture s.gif", ["s.gif", ".png"]),
-        ("--unit inch", ["unit", "inch"]),
-        ("--colour red", ["--colour"]),
-    ],
-)
-def test_surface_options(run, files, output, more, words):
-    refused(run(f"{cloud_words(files / 'scan.npy', output)} {more}"), *words)
+    if name == "mm.npy":
+        cloud *= 1e3
+    cloud[7] = cloud[7] if name == "mm.npy" else np.nan
+    if name.endswith(".npy"):
+        np.save(tmp_path / name, cloud)
+    else:
+        (tmp_path / name).write_bytes(SHORT if name == "short.pcd" else b"")
+    refused(run(cloud_words(tmp_path / name, output)), *CLOUDS[name])
     assert empty(output)
 
 
@@ -98,9 +74,25 @@ def test_bad_trajectory(run, files, tmp_path, output, text, words):
     assert empty(output)
 
 
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
+REFUSALS = {
+    "surface": [
+        (
+            "--n-theta 0 --no-support --axis-origin 0,0,0 --axis-direction 0,0,1",
+            ["n_theta", "0"],
+        ),
+        (
+            "--no-support --axis-origin 4,0,0 --axis-direction 0,0,1",
+            ["is nowhere near the axis"],
+        ),
+        ("--n-theta many", ["--n-theta", "valid int"]),
+        ("--axis-origin 0,0,0", ["--axis-direction"]),
+        ("--axis-origin 0,0 --axis-direction 0,0,1", ["--axis-origin", "3 numbers"]),
+        ("--axis-origin 0,0,0 --axis-direction 0,0,0", ["--axis-direction", "zero"]),
+        ("--picture s.gif", ["s.gif", ".png"]),
+        ("--unit inch", ["unit", "inch"]),
+        ("--colour red", ["--colour"]),
+    ],
+    "fit": [
         ("--probe ellipsoid:0,0,0", ["zero"]),
         ("--probe sphere:20", ["40 m", "give its measures in metres"]),
         ("--probe cone:1", ["cone:1", "ellipsoid"]),
@@ -114,6 +106,7 @@ def test_bad_trajectory(run, files, tmp_path, output, text, words):
         ("--sector 90,90.0001", ["sector of 0.0001°", "at least 5°"]),
         ("--paper --weights auto", ["--paper", "leave --weights out"]),
         ("--weights best", ["--weights best is not known", "auto or own"]),
+        ("--weights auto --force-weight 1", ["one or the other"]),
         ("--inner some", ["--inner", "some"]),
         ("--formulation eq11", ["eq11", "eq10"]),
         ("--option force_weight", ["--option", "key=value"]),
@@ -123,9 +116,51 @@ def test_bad_trajectory(run, files, tmp_path, output, text, words):
         ("--tolerance 0", ["tolerance"]),
         ("--r-inner 0.3", ["r_inner"]),
     ],
+    "tune": [
+        ("--formulation none", ["unknown formulation"]),
+        ("--formulation depth_map", ["cannot be tuned"]),
+        ("--option force", ["--option takes"]),
+    ],
+    "path": [
+        *((f"--weight {word}", ["--weight takes"]) for word in ("force", "=1,2")),
+        *(
+            (f"--weight force={word}", ["--weight takes"])
+            for word in ("1:2", "2:1:5", "1:2:1", "a,b")
+        ),
+        ("--weight force=0,1", ["positive"]),
+        ("--weight force,torque=nan,1", ["positive numbers, got 'force,torque=nan,1'"]),
+        ("--weight force=-1,1", ["positive numbers, got 'force=-1,1'"]),
+        ("--weight force=nan:1:5", ["0 < LOW < HIGH"]),
+        ("--weight force=1,2 --weight force=3", ["given twice"]),
+        ("--weight forse=1,2", ["no term 'forse'"]),
+        ("--weight force=1,2 --picture x.doc", ["must end in"]),
+        ("--weight force=1,2 --inner none", ["--inner takes"]),
+        ("--weight force=1,2 --jobs 0", ["jobs must be at least 1"]),
+        ("--weight force=1,2 --held-out gone.csv", ["gone.csv"]),
+        ("--weight force=1,2 --formulation none", ["none"]),
+        ("--weight force=1,2 --formulation eq10_sign --criteria", ["without limits"]),
+    ],
+    "next-press": [
+        ("--angles 10", ["--angles takes two angles"]),
+        ("--box 0,1", ["--box takes 6 numbers"]),
+        ("--count 0", ["--count"]),
+        ("--picture next.txt", ["next.txt"]),
+    ],
+    "refine-poses": [
+        ("--position-noise 50", ["at most 10 mm, got 50 mm"]),
+        ("--rotation-noise 0", ["above 0"]),
+        ("--correlation -1", ["correlation time"]),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("command", "more", "words"),
+    [(name, *row) for name, rows in REFUSALS.items() for row in rows],
 )
-def test_fit_options(run, files, output, more, words):
-    refused(run(fit_words(files, output / "f.nc", more)), *words)
+def test_bad_options(run, files, output, command, more, words):
+    own = {"files": files, "output": output, "scene": scene_words(files)}
+    refused(run(f"{SOUND[command].format(**own)} {more}"), *words)
     assert empty(output)
 
 
@@ -194,7 +229,7 @@ def test_nothing_is_half_written_into_a_folder_that_is_none(run, files, tmp_path
 
 
 def test_an_interrupt_is_one_line(run, files, output, monkeypatch):
-    def stop(*_: object, **__: object) -> None:
+    def stop(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("ttus_opt.contact.scene.Scene.assemble", stop)

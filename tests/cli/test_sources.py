@@ -15,7 +15,7 @@ from ttus_opt.cli.sources import seen, sources, warn_of_another_probe
 from ttus_opt.core.errors import FileError, TtusWarning
 
 
-def written(path: Path, content: str) -> Path:
+def written(path, content):
     path.write_text(content)
     return path
 
@@ -31,20 +31,16 @@ def surface(tmp_path):
     return written(tmp_path / "surface.nc", "skin")
 
 
-def kept(
-    surface: Path, recordings: RecordingOptions, probe: str = "sphere:0.02"
-) -> dict[str, str]:
+def kept(surface, recordings, probe="sphere:0.02"):
     typed = {"lam": 0.5, "sampling": "trilinear", "output": Path("f.nc"), "json": True}
     return sources(surface, ProbeOptions(probe), recordings, typed)
 
 
-def sha256(content: str) -> str:
+def sha256(content):
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def nothing_said(
-    of: dict[str, str], probe: ProbeOptions, recordings: RecordingOptions
-) -> None:
+def nothing_said(of, probe, recordings):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_another_probe(of, probe, recordings)

@@ -40,9 +40,7 @@ def started(tmp_path):
         process.communicate()
 
 
-def command(
-    does: str, started: list[subprocess.Popen[str]], grace: float = 20.0
-) -> subprocess.Popen[str]:
+def command(does, started, grace=20.0):
     """A supervised process, once it says that it is at work."""
     script = COMMAND.format(file=supervisor.__file__, grace=grace)
     process = subprocess.Popen(

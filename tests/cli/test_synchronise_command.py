@@ -20,7 +20,7 @@ def given(tmp_path):
     surface = torso()
     surface.save(folder / "surface.nc")
 
-    def moved(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def moved(time):
         depth = 0.006 * wander(time)
         angle = np.full_like(time, 1.2)
         r = surface.radius_at(angle, np.full_like(time, 0.1)) - depth

@@ -41,7 +41,7 @@ def test_a_partial_result_is_no_success():
     """What a command does at Ctrl-C, it does when its time is over."""
     kept = []
 
-    def act() -> None:
+    def act():
         try:
             time.sleep(10.0)
         except KeyboardInterrupt:

@@ -11,13 +11,13 @@ from ttus_opt.laplace.system import LaplaceSystem
 
 
 class _Compiling(events.Listener):
-    def __init__(self) -> None:
+    def __init__(self):
         self.names: list[str] = []
 
-    def on_start(self, event: events.Event) -> None:
+    def on_start(self, event):
         self.names.append(event.data["dispatcher"].py_func.__name__)
 
-    def on_end(self, event: events.Event) -> None:
+    def on_end(self, event):
         pass
 
 

@@ -10,7 +10,6 @@ from tests.comparators.recordings import facing, recordings
 from tests.conftest import ellipsoid, torso
 from tests.refusals import refuses
 from ttus_opt.comparators.base import LEAST_FORCE, OneStiffness, positive_scale
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -20,7 +19,7 @@ class Straight(OneStiffness):
 
     name = "straight"
 
-    def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
+    def _unit_wrench(self, R, at):
         out = at * [1.0, 1.0, 0.0]
         return np.concatenate([out / np.linalg.norm(out), np.zeros(3)]), 1
 

@@ -15,7 +15,6 @@ from ttus_opt.comparators.comparison import (
     slow_slide,
     timed_wrenches,
 )
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import angles
@@ -26,10 +25,10 @@ class Known:
 
     name = "known"
 
-    def __init__(self, force: Array) -> None:
+    def __init__(self, force):
         self.force = force
 
-    def wrenches(self, trajectory: Trajectory) -> Array:
+    def wrenches(self, trajectory):
         out = np.zeros((len(trajectory), 6))
         out[:, 2] = np.resize(self.force, len(trajectory))
         return out
@@ -102,11 +101,11 @@ class Busy(Known):
     Later calls keep another thread busy.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(np.ones(1))
         self.calls = 0
 
-    def wrenches(self, trajectory: Trajectory) -> Array:
+    def wrenches(self, trajectory):
         self.calls += 1
         if self.calls == 1 or "_twist" not in vars(trajectory):
             burn(0.2)
@@ -117,7 +116,7 @@ class Busy(Known):
         return super().wrenches(trajectory)
 
 
-def burn(seconds: float) -> None:
+def burn(seconds):
     """Keep this thread's processor busy."""
     end = time.thread_time() + seconds
     while time.thread_time() < end:

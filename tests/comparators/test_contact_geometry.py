@@ -11,7 +11,7 @@ from ttus_opt.comparators.contact_geometry import ContactGeometry, SmoothSurface
 from ttus_opt.scan.surface import Surface
 
 
-def cylinder(radius: float = 0.1) -> Surface:
+def cylinder(radius=0.1):
     return Surface.from_radius(np.full((60, 21), radius), np.linspace(0.0, 0.2, 21))
 
 

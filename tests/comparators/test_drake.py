@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.walls import RADIUS, wall
 from ttus_opt.comparators.pressure_field import PressureField
-from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 
 pytest.importorskip("pydrake", reason="drake is not installed: pip install drake")
@@ -17,7 +16,7 @@ SEMI_AXES = (0.030, 0.0125, 0.018)
 STIFFNESS = 2.0e6
 
 
-def drake_wrench(turn: Array, height: float) -> Array:
+def drake_wrench(turn, height):
     """Wrench on a rigid ellipsoid over the half-space z < 0, about its centre."""
     from pydrake.geometry import (
         AddCompliantHydroelasticPropertiesForHalfSpace,

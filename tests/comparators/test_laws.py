@@ -1,7 +1,5 @@
 """What holds for every comparator, tested by its being in the folder."""
 
-from collections.abc import Iterable
-from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,6 @@ from tests.comparators.recordings import facing, fitted, options, recordings
 from tests.conftest import ellipsoid, torso
 from tests.refusals import refuses
 from ttus_opt.comparators import available, create, kind
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -31,12 +28,10 @@ LONG = {"depth_map", "depth_map_coulomb", "eq10", "proxy_six_dof", "tuned"}
 QUICK = {"kelvin_voigt", "signed_distance"}
 
 
-def those(
-    names: Iterable[str], quick: AbstractSet[str] | None = None
-) -> pytest.MarkDecorator:
+def those(names, quick=None):
     """Parametrised over comparators, slow where they are or are not quick."""
 
-    def slow(name: str) -> bool:
+    def slow(name):
         return name in LONG if quick is None else name not in quick
 
     return pytest.mark.parametrize(
@@ -48,7 +43,7 @@ def those(
 every = those(NAMES)
 
 
-def wrench(name: str, R: Array, at: Array, twist: Array | None = None) -> Array:
+def wrench(name, R, at, twist=None):
     found = fitted(name).render(R, at, twist)
     return np.concatenate([found.force, found.torque])
 
@@ -95,7 +90,7 @@ def test_force_is_continuous_in_the_pose(name):
     assert jumps[1] < 0.35 * jumps[0]
 
 
-def _along(share: float) -> tuple[Array, Array]:
+def _along(share):
     """From the air into the patient, then sliding and turning."""
     down, slide = min(2.0 * share, 1.0), max(2.0 * share - 1.0, 0.0)
     R, at = facing(

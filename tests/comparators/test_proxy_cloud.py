@@ -10,7 +10,6 @@ from tests.conftest import ellipsoid, torso
 from tests.refusals import refuses
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.comparators.proxy_cloud import ProxyCloud, mean_tip
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -30,7 +29,7 @@ def test_the_proxy_on_a_flat_cloud_is_above_the_tip():
     assert made._unit_wrench(*pressed(-0.001))[1] == 0
 
 
-def ball(radius: float = 0.1, n: int = 4000) -> Array:
+def ball(radius=0.1, n=4000):
     """A Fibonacci sphere about the origin."""
     k = np.arange(n) + 0.5
     z, angle = 1.0 - 2.0 * k / n, np.pi * (1.0 + 5.0**0.5) * k
@@ -64,7 +63,7 @@ def test_the_plane_is_the_weighted_one():
     weights = np.where(square < 1.0, (1.0 - square) ** 2, 0.0)
     np.testing.assert_allclose(middle, weights @ made.cloud / weights.sum())
 
-    def misfit(n: Array) -> float:
+    def misfit(n):
         return float(weights @ ((made.cloud - middle) @ n) ** 2)
 
     for _ in range(20):

@@ -29,7 +29,7 @@ def test_six_dof_leaves_no_point_below_the_surface():
     assert np.sort(depth)[-3:].min() > -1e-3  # and touches
 
 
-def fitted_six_dof() -> ProxySixDof:
+def fitted_six_dof():
     return ProxySixDof(surface=torso(), shell=ellipsoid())
 
 

@@ -18,7 +18,7 @@ from ttus_opt.gaussian.posterior_mode import PosteriorMode
 NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
 
 
-def palpation(n: int, noise: float, seed: int = 0) -> Palpation:
+def palpation(n, noise, seed=0):
     """Depths of 2 to 12 mm on a patch of 8 cm, stiffness from the process itself."""
     rng = np.random.default_rng(seed)
     place = np.column_stack([np.full(n, 0.1), rng.uniform(-0.04, 0.04, (n, 2))])
@@ -29,7 +29,7 @@ def palpation(n: int, noise: float, seed: int = 0) -> Palpation:
     return Palpation(depth, place, force)
 
 
-def made(data: Palpation) -> StiffnessMap:
+def made(data):
     found = StiffnessMap(surface=torso(), shell=ellipsoid())
     found._fit_law(
         [

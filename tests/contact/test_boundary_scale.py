@@ -25,7 +25,7 @@ def test_inner_fit_is_the_least_squares_scale():
     assert scene.inner == scale
     assert scene.outer == 0.5 * scale
 
-    def misfit(s: float) -> float:
+    def misfit(s):
         trial = scene.with_boundary(s, 0.5 * s)
         r = trial.N @ trial.laplace.solve(trial.b) - trial.f
         return float(r @ r)

@@ -8,8 +8,6 @@ from tests.conftest import ellipsoid, small_scene
 from ttus_opt.benchmark.plain_frame import numpy_frame
 from ttus_opt.contact.contact_size import LEAST_LENGTH, REFERENCE_LENGTH, size_factors
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
-from ttus_opt.core.arrays import Array
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -18,16 +16,16 @@ from ttus_opt.voxmap.voxmap import Voxmap
 BODY = 2.0
 
 
-def flat(shape: tuple[int, int, int] = (8, 720, 20)) -> Voxmap:
+def flat(shape=(8, 720, 20)):
     surface = Surface.from_radius(np.full((720, 21), BODY), np.linspace(0.0, 0.2, 21))
     return Voxmap.from_surface(surface, shape=shape, r_inner=BODY - 0.02)
 
 
-def ball_of(n_points: int) -> PointShell:
+def ball_of(n_points):
     return ellipsoid(n_points, (0.05, 0.05, 0.05))
 
 
-def pressed(depths: Array, size: float) -> tuple[Array, Array]:
+def pressed(depths, size):
     at = np.stack([BODY + size - depths, 0 * depths, 0.1 + 0 * depths], axis=1)
     return np.broadcast_to(np.eye(3), (len(depths), 3, 3)), at
 

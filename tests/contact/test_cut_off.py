@@ -13,17 +13,17 @@ from ttus_opt.scan.surface import Surface
 RADIUS, HEIGHT, BALL = 0.1, 0.2, 0.02
 
 
-def ball() -> tt.PointShell:
+def ball():
     return tt.PointShell.sphere(BALL, n_points=400)
 
 
-def body(sector: tuple[float, float] | None = None) -> tt.Voxmap:
+def body(sector=None):
     z = np.linspace(0.0, HEIGHT, 9)
     surface = Surface.from_radius(np.full((72, 9), RADIUS), z)
     return tt.Voxmap.from_surface(surface, shape=(12, 24, 12), sector=sector)
 
 
-def presses(angles: list[float], heights: list[float]) -> tuple[np.ndarray, np.ndarray]:
+def presses(angles, heights):
     """The ball, 5 mm deep."""
     a = np.radians(angles)
     r = RADIUS + BALL - 0.005

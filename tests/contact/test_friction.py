@@ -1,7 +1,6 @@
 """Drag of the skin: patches and sliding by hand, rows, recovery and rendering."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.metrics import Errors, evaluate
+from ttus_opt.report.metrics import evaluate
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -34,12 +33,7 @@ VOXMAP = Voxmap.from_surface(TUBE, shape=(13, 36, 16), r_inner=0.03)
 SHELL = PointShell.sphere(radius=0.015, n_points=800)
 
 
-def slide(
-    velocity: np.ndarray,
-    n: int = 9,
-    spin: np.ndarray | None = None,
-    deep: float = 0.005,
-) -> Trajectory:
+def slide(velocity, n=9, spin=None, deep=0.005):
     """A sphere pressed into the tube at θ = 0, moving at a constant velocity [m/s]."""
     time = 0.05 * np.arange(n)
     start = np.array([0.09 + 0.015 - deep, 0.0, 0.1])
@@ -349,9 +343,7 @@ def test_rows_of_the_contact_are_used_as_they_are():
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
 
 
-def phantom_scene(
-    folder: Path, kind: str, shape: tuple[int, int, int], n_points: int
-) -> Scene:
+def phantom_scene(folder, kind, shape, n_points):
     """The independent torso with a recording of it, boundary scale fitted."""
     surface = tt.Surface.load(folder / "surface.nc")
     return Scene.assemble(
@@ -363,7 +355,7 @@ def phantom_scene(
     )
 
 
-def errors_on(field: PotentialField, shell: PointShell, path: Path) -> Errors:
+def errors_on(field, shell, path):
     """Errors on a recording."""
     return evaluate(field, shell, tt.read_trajectory(path)).errors
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.contact.place_errors import UNKNOWN, PlaceErrors, place_errors
+from ttus_opt.contact.place_errors import UNKNOWN, place_errors
 
 FRAMES, DRAWS = 6, 200
 
@@ -15,7 +15,7 @@ class Recordings:
     the first and changes its sense from place to place in the second.
     """
 
-    def __init__(self, n_places: int, signal: float = 64.0) -> None:
+    def __init__(self, n_places, signal=64.0):
         depth = np.tile(1.0 + np.sin(np.linspace(0.0, np.pi, FRAMES)), n_places)
         own = np.repeat(np.arange(n_places), FRAMES)
         at = 1.5 * own + np.tile(np.linspace(-0.3, 0.3, FRAMES), n_places)
@@ -31,7 +31,7 @@ class Recordings:
         self.slope = self.inverse @ self.drag  # -du/dμ
         self.half = float(self.drag @ self.slope)  # J''/2
 
-    def drawn(self, shared: float, rng: np.random.Generator) -> np.ndarray:
+    def drawn(self, shared, rng):
         """Measurements at μ = 0; errors in proportion to force, alike in a place."""
         field = rng.multivariate_normal(np.zeros(len(self.field)), self.field)
         n = len(self.drag)
@@ -39,7 +39,7 @@ class Recordings:
         alike = rng.standard_normal(2 * n)[kind] * self.depth
         return np.asarray(self.rows @ field + rng.standard_normal(n) + shared * alike)
 
-    def fitted(self, t: np.ndarray) -> tuple[float, float, PlaceErrors]:
+    def fitted(self, t):
         """μ̂, its standard error for independent rows, and that by places."""
         mu = float(self.slope @ t) / self.half
         rest = self.inverse @ (t - mu * self.drag)
@@ -50,7 +50,7 @@ class Recordings:
         told = place_errors(np.array([usual]), rest, pull, inverse, self.place)
         return mu, float(usual), told
 
-    def jackknife(self, t: np.ndarray) -> float:
+    def jackknife(self, t):
         """The standard error from fits with a place left out."""
         found = []
         for k in np.unique(self.place):
@@ -62,7 +62,7 @@ class Recordings:
         return float(np.sqrt(len(found) - 1) * np.std(found))
 
 
-def coverage(shared: float) -> tuple[float, float]:
+def coverage(shared):
     """Share of draws whose 95 % interval covers μ: for independent rows, by places."""
     recordings, rng = Recordings(20), np.random.default_rng(5)
     usual, told = np.zeros((2, DRAWS), dtype=bool)

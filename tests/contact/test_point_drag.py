@@ -26,7 +26,7 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def moving_by(R: np.ndarray, at: np.ndarray, twist: np.ndarray) -> Trajectory:
+def moving_by(R, at, twist):
     """Two frames so near to each other that they are one pose with a twist."""
     step = 1e-7
     x, y, z = twist[3:] * step
@@ -104,7 +104,7 @@ def test_a_trackers_noise_does_not_turn_the_drag():
     noisy = add_pose_noise(true, rng)
     p = field.values.reshape(-1)
 
-    def drag(twist: np.ndarray) -> np.ndarray:
+    def drag(twist):
         twist[:, :3] += np.cross(twist[:, 3:], noisy.rotation @ SHELL.reference)
         rows = contact_rows(
             VOXMAP,

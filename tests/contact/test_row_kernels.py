@@ -19,7 +19,7 @@ from ttus_opt.core.compiled import compiled
 
 
 @compiled()
-def _sorted(keys: np.ndarray, order: np.ndarray, count: int) -> None:
+def _sorted(keys, order, count):
     _sort(keys, order, count)
 
 

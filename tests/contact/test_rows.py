@@ -20,17 +20,17 @@ POSES = presses(SURFACE, 15, RNG, depth=0.02)
 FIELD = RNG.normal(size=VOXMAP.grid.shape)
 
 
-def skin_at(j: int, k: int) -> float:
+def skin_at(j, k):
     """Radius of the skin on a spoke."""
     return float(SURFACE.radius_at(VOXMAP.grid.theta[j], VOXMAP.grid.z[k]))
 
 
-def below_the_skins_layer(j: int, k: int) -> np.ndarray:
+def below_the_skins_layer(j, k):
     """Layers of a spoke up to, not including, the one nearest to the skin."""
     return np.arange(np.abs(VOXMAP.grid.r - skin_at(j, k)).argmin())
 
 
-def between_spokes(theta: float, z: float, depth: float) -> float:
+def between_spokes(theta, z, depth):
     """Bilinear between spokes, each a polyline that ends with 0 at the skin."""
     grid, total = VOXMAP.grid, 0.0
     for j in range(grid.shape[1]):
@@ -44,7 +44,7 @@ def between_spokes(theta: float, z: float, depth: float) -> float:
     return total
 
 
-def nearest(r: float, theta: float, z: float, depth: float) -> int:
+def nearest(r, theta, z, depth):
     """Flat index of the nearest voxel, -1 before the skin layer's inner face."""
     grid = VOXMAP.grid
     i = int(np.abs(r - grid.r).argmin())
@@ -57,9 +57,7 @@ def nearest(r: float, theta: float, z: float, depth: float) -> int:
     return int(np.ravel_multi_index((i, j, k), grid.shape))
 
 
-def brute_force(
-    rotation: np.ndarray, position: np.ndarray, sampling: str
-) -> tuple[np.ndarray, np.ndarray]:
+def brute_force(rotation, position, sampling):
     """Force and torque of one pose, point by point."""
     grid = VOXMAP.grid
     lever = SHELL.points @ rotation.T - SHELL.reference @ rotation.T

@@ -9,11 +9,10 @@ import pytest
 
 from tests.conftest import SHARED, ellipsoid
 from ttus_opt import example
-from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
@@ -29,7 +28,7 @@ GRIDS = {
 PLACES = [(angle, share) for angle in (0.5, 1.1, 1.7, 2.5) for share in (0.35, 0.6)]
 
 
-def shell() -> PointShell:
+def shell():
     return ellipsoid(1500, (0.030, 0.0125, 0.018))
 
 
@@ -44,7 +43,7 @@ class Fields:
 
 
 @functools.cache
-def fields(folder: Path, shape: tuple[int, int, int], sampling: str) -> Fields:
+def fields(folder, shape, sampling):
     voxmap = Voxmap.from_surface(Surface.load(folder / "surface.nc"), shape=shape)
     trajectory = read_trajectory(folder / "press_fit.csv")
     scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
@@ -63,7 +62,7 @@ class Press:
     skin: np.ndarray  # (n, 3) where the tip meets it
 
     @classmethod
-    def of(cls, surface: Surface, places: list[tuple[float, float]]) -> "Press":
+    def of(cls, surface, places):
         angle, share = np.array(places).T
         z = surface.z[0] + share * (surface.z[-1] - surface.z[0])
         out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -72,7 +71,7 @@ class Press:
         skin = surface.radius_at(angle, z)[:, None] * out + z[:, None] * up
         return cls(-out, np.stack([out, across, up], axis=2), skin)
 
-    def rows(self, at: Fields, depth: np.ndarray) -> ContactRows:
+    def rows(self, at, depth):
         """Rows for tips at depths (n, t) [m] below the skin."""
         centre = self.skin[:, None] + (depth[..., None] - 0.030) * self.inward[:, None]
         return contact_rows(
@@ -83,17 +82,17 @@ class Press:
             sampling=at.sampling,
         )
 
-    def push(self, rows: ContactRows, p: np.ndarray) -> np.ndarray:
+    def push(self, rows, p):
         """Force out of the patient, (n, t) [N]."""
         force = (rows.N @ p).reshape(len(self.inward), -1, 3)
         return np.asarray(-np.einsum("nti,ni->nt", force, self.inward))
 
 
-def depths(n_places: int, low: float, high: float, n: int) -> np.ndarray:
+def depths(n_places, low, high, n):
     return np.tile(np.linspace(low, high, n), (n_places, 1))
 
 
-def surface_folder(name: str) -> Path:
+def surface_folder(name):
     if name == "example":
         return Path(example.path("surface.nc")).parent
     if not SHARED.is_dir():

@@ -50,7 +50,7 @@ EXPECTED = {
 }
 
 
-def members(name: str, **options: float) -> tuple[str, ...]:
+def members(name, **options):
     declared = load(name, SCENE, **options)
     return (
         *(term.name for term in declared.terms),

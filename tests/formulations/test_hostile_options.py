@@ -23,21 +23,25 @@ HOSTILE = {
 }
 
 
-def numeric_options(formulation: str) -> list[str]:
+def numeric_options(formulation):
     """Options that take a number, by their annotation."""
     build = importlib.import_module(f"formulations.{formulation}").build
     parameters = inspect.signature(build).parameters.values()
     return [p.name for p in parameters if {"float", "int"} & words(p.annotation)]
 
 
-def words(annotation: object) -> set[str]:
+def words(annotation):
     """The types an annotation names: ``float | None`` names two."""
     told = annotation.__name__ if isinstance(annotation, type) else str(annotation)
     return {word.strip() for word in told.split("|")}
 
 
 CASES = [
-    pytest.param(info.name, option, value, id=f"{info.name}-{option}-{bad}")
+    pytest.param(
+        *(info.name, option, value),
+        id=f"{info.name}-{option}-{bad}",
+        marks=pytest.mark.slow if bad == "minus inf" else (),
+    )
     for info in available()
     for option in numeric_options(info.name)
     for bad, value in HOSTILE.items()
@@ -70,17 +74,16 @@ def test_the_table_is_whole():
 
 @pytest.mark.parametrize(("formulation", "option", "value"), CASES)
 def test_an_option_that_is_no_number_is_refused(formulation, option, value):
-    with pytest.raises(InputError) as refused:
-        load(formulation, SCENE, **{option: value}).compile()
-    assert "\n" not in str(refused.value)
-    assert str(value) in str(refused.value)
+    given = {option: value}
+    told = refuses(InputError, "", lambda: load(formulation, SCENE, **given).compile())
+    assert str(value) in told
 
 
 #: Numbers that no laboratory would give, and which are numbers all the same
 EXTREMES = (0, -1.0, 1e-300, 1e-12, 1e9, 1e15)
 
 
-def solved_or_told(formulation: str, option: str, value: float) -> None:
+def solved_or_told(formulation, option, value):
     """A fit ends in an InputError of one line, or in a status that is true."""
     try:
         found = tt.fit(SCENE, formulation, time_limit=2.0, **{option: value})

@@ -87,7 +87,7 @@ def test_a_tube_has_the_matern_1_covariance_along_and_around():
 def test_a_length_around_of_its_own_is_a_tube_of_another_radius():
     theta = np.arange(40) * 2 * np.pi / 40
 
-    def factor(radius: float, height: float, ratio: float) -> MaternFactor:
+    def factor(radius, height, ratio):
         T, Z = np.meshgrid(theta, np.linspace(0.0, height, 21), indexing="ij")
         points = np.stack([radius * np.cos(T), radius * np.sin(T), Z], axis=-1)
         return MaternFactor.on_surface(points, 0.05, ratio=ratio)
@@ -159,7 +159,7 @@ def test_the_rows_make_white_noise_of_a_drawn_field():
     np.testing.assert_allclose(covariance.rows @ drawn, white, atol=1e-9)
 
 
-def uneven_tube() -> np.ndarray:
+def uneven_tube():
     """Nodes around and along an ellipse's tube, at uneven steps of both."""
     rng = np.random.default_rng(5)
     theta = np.sort(rng.uniform(0.0, 2.0 * np.pi, 14))[:, None]

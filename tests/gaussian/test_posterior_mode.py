@@ -9,7 +9,7 @@ def test_a_gaussian_evidence():
     """Evidence −½ (s − m)ᵀ K (s − m) and the unit prior: (K + I) s = K m."""
     K, m = np.array([[30.0, 5.0], [5.0, 80.0]]), np.array([2.0, -1.0])
 
-    def log_evidence(s: np.ndarray) -> float:
+    def log_evidence(s):
         return float(-0.5 * (s - m) @ K @ (s - m))
 
     found = posterior_mode(log_evidence, 2, 200)
@@ -20,7 +20,7 @@ def test_a_gaussian_evidence():
 
 
 def test_it_climbs_the_higher_of_two_hills_where_it_may_begin_there():
-    def log_evidence(s: np.ndarray) -> float:
+    def log_evidence(s):
         hills = np.exp(-20.0 * (s[0] - np.array([-1.5, 1.5])) ** 2)
         return float(hills @ [10.0, 20.0])
 
@@ -40,7 +40,7 @@ def test_it_ends_after_the_most_evaluations():
     """Along a curved ridge, of which a search needs many; a last line is finished."""
     calls = []
 
-    def ridge(s: np.ndarray) -> float:
+    def ridge(s):
         calls.append(s)
         return float(-100.0 * (s[1] - s[0] ** 2) ** 2 - (1.0 - s[0]) ** 2)
 

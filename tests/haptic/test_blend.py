@@ -23,7 +23,6 @@ from ttus_opt.haptic.blend import (
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -37,17 +36,17 @@ THETA, Z = np.meshgrid(GRID.theta, GRID.z, indexing="ij")
 DEPTH = SURFACE.radius_at(THETA, Z)[None] - GRID.r[:, None, None]  # [m]
 
 
-def shell(n_points: int = 600) -> PointShell:
+def shell(n_points=600):
     return ellipsoid(n_points, AXES)
 
 
-def field_of(stiffness: float, sampling: str = "trilinear") -> PotentialField:
+def field_of(stiffness, sampling="trilinear"):
     """Pressure in proportion to depth [N/cm² per cm], bumpy so that fields differ."""
     bumps = 1.0 + 0.3 * np.sin(3 * THETA) * np.cos(40 * Z)
     return PotentialField(VOXMAP, stiffness * 100 * DEPTH * bumps, sampling)
 
 
-def stored_energy(field: PotentialField, R: np.ndarray, at: np.ndarray) -> float:
+def stored_energy(field, R, at):
     """∫ p dV over the part of the probe inside the patient [J], by random points."""
     cube = np.random.default_rng(0).uniform(-1, 1, (200_000, 3))
     points = cube[(cube**2).sum(axis=1) < 1] * AXES
@@ -70,12 +69,12 @@ class Walk:
     position: np.ndarray
 
     @classmethod
-    def make(cls, seed: int, n: int = 1200) -> "Walk":
+    def make(cls, seed, n=1200):
         rng = np.random.default_rng(seed)
         t = np.linspace(0, 1, n)
         tones = np.arange(1, 6)
 
-        def wander(size: float) -> np.ndarray:
+        def wander(size):
             phase, part = rng.uniform(0, 2 * np.pi, 5), rng.normal(size=5) / tones
             return size * (
                 part @ np.sin(2 * np.pi * np.outer(tones, t) + phase[:, None])
@@ -92,13 +91,13 @@ class Walk:
         return cls(Rotation.from_rotvec(turns).as_matrix(), position)
 
 
-def wrench(renderer: Renderer, R: np.ndarray, at: np.ndarray) -> np.ndarray:
+def wrench(renderer, R, at):
     out = np.zeros(6)
     renderer.render_into(R, at, out)
     return out
 
 
-def twist(walk: Walk) -> np.ndarray:
+def twist(walk):
     """Motion to each frame from the one before: reference point and turn, (n, 6)."""
     centres = walk.position + walk.rotation @ shell().reference
     before = np.roll(walk.rotation, 1, axis=0)
@@ -233,7 +232,7 @@ def test_no_jump_and_no_energy_over_random_motions_and_updates(sampling, reserve
     assert moved > 10  # swaps did happen
 
 
-def work_of_a_walk(seed: int, *, passive: bool) -> tuple[float, float]:
+def work_of_a_walk(seed, *, passive):
     """Work done on the probe, and the largest energy it had given, both [J].
 
     A field stands still while the probe moves and changes while it stands. Work is

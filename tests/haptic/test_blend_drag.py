@@ -9,15 +9,14 @@ from scipy.spatial.transform import Rotation
 from tests.haptic.test_blend import Walk, field_of, shell, twist
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.voxmap.field import PotentialField
 
 
-def dragging(stiffness: float, friction: float, **other: float) -> PotentialField:
+def dragging(stiffness, friction, **other):
     parameters = {"friction_coefficient": friction, **other}
     return replace(field_of(stiffness), parameters=parameters)
 
 
-def full_twist(walk: Walk, k: int, seconds: float = 1e-3) -> np.ndarray:
+def full_twist(walk, k, seconds=1e-3):
     """Of the probe frame's origin from frame k − 1 to k."""
     turn = Rotation.from_matrix(walk.rotation[k] @ walk.rotation[k - 1].T).as_rotvec()
     moved = walk.position[k] - walk.position[k - 1]

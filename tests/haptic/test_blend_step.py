@@ -16,19 +16,21 @@ from ttus_opt.haptic.blend import (
     settled_ledger,
 )
 
+NO_DRAG = np.zeros(6), np.zeros(6)
+
 
 def stepped(
-    current: np.ndarray,
-    target: np.ndarray,
+    current,
+    target,
     *,
-    contact: int = 5,
-    gap: float = 0.0,
-    tank: float = 0.0,
-    last: np.ndarray | None = None,
-    motion: np.ndarray | None = None,
-    law: BlendLaw | None = None,
-    drags: tuple[np.ndarray, np.ndarray] = (np.zeros(6), np.zeros(6)),
-) -> np.ndarray:
+    contact=5,
+    gap=0.0,
+    tank=0.0,
+    last=None,
+    motion=None,
+    law=None,
+    drags=NO_DRAG,
+):
     """The ledger after one step of a swap, between wrenches given by hand."""
     limits = (law or BlendLaw(force_rate=1e3)).kernel_limits(0.02)
     ledger, origin = settled_ledger(tank), np.zeros(3)

@@ -16,7 +16,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import TtusError
 from ttus_opt.haptic import c_interface
 from ttus_opt.haptic.blend import BlendLaw
@@ -65,9 +64,7 @@ def library(tmp_path_factory):
 class CLoop:
     """Poses to render in a thread of C's, and what it found."""
 
-    def __init__(
-        self, library: ctypes.CDLL, renderer: Renderer, poses: Any, rounds: int = 1
-    ) -> None:
+    def __init__(self, library, renderer, poses, rounds=1):
         self.library, given = library, renderer.c_function()
         rotation, position, twist, times = (
             np.ascontiguousarray(a, dtype=float) for a in poses
@@ -84,19 +81,19 @@ class CLoop:
             rounds,
         )
 
-    def start(self) -> None:
+    def start(self):
         assert self.library.loop_start(ctypes.byref(self.loop)) == 0
 
-    def join(self) -> None:
+    def join(self):
         self.loop.stop = 1
         assert self.library.loop_join(ctypes.byref(self.loop)) == 0
 
-    def run(self) -> None:
+    def run(self):
         self.start()
         assert self.library.loop_join(ctypes.byref(self.loop)) == 0
 
 
-def poses_of(scene: Scene, n: int = 40) -> tuple[np.ndarray, ...]:
+def poses_of(scene, n=40):
     """In and out of contact, moving and turning, one of them off the grid."""
     rng = np.random.default_rng(2)
     R, at = deepest_pose(scene)
@@ -170,7 +167,7 @@ def test_bad_input_has_a_code_and_leaves_the_wrench(scene):
     R, at = (np.ascontiguousarray(a) for a in deepest_pose(scene))
     call, nan = given.call, float("nan")
 
-    def frame(R: Any, at: Any, twist: Any, time: float) -> tuple[int, np.ndarray]:
+    def frame(R, at, twist, time):
         wrench = np.full(6, 7.0)
         pointers = [np.ascontiguousarray(a, dtype=float) for a in (R, at, twist)]
         reals = [a.ctypes.data_as(REAL) for a in (*pointers, wrench)]

@@ -18,6 +18,7 @@ from tests.drags import (
     drag_by_points,
     normal_forces,
     pushing,
+    unlimited,
 )
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
@@ -28,7 +29,7 @@ from ttus_opt.voxmap.field import PotentialField
 Pose = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def random_pose(rng: np.random.Generator, highest: float = 0.02) -> Pose:
+def random_pose(rng, highest=0.02):
     """Any rotation, the reference from ``highest`` above the skin to 2 cm below."""
     R = Rotation.random(rng=rng).as_matrix()
     angle, z = rng.uniform(0, 2 * np.pi), rng.uniform(0.01, 0.19)
@@ -37,10 +38,6 @@ def random_pose(rng: np.random.Generator, highest: float = 0.02) -> Pose:
     speed = 10.0 ** rng.uniform(-5, 0)
     twist = rng.normal(size=6) * speed * np.array([1, 1, 1, 30, 30, 30])
     return R, centre - R @ SHELL.reference, twist
-
-
-def unlimited(field: PotentialField) -> Renderer:
-    return Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
@@ -163,9 +160,7 @@ def test_what_is_no_drag(parameters, word):
     refuses(InputError, word, DragLaw.of, parameters, VOXMAP.grid)
     if any(map(math.isnan, parameters.values())):  # no field has such a parameter
         word = "must be a finite number, got nan"
-    refuses(
-        InputError, word, lambda: Renderer(pushing("trilinear", parameters), SHELL)
-    )
+    refuses(InputError, word, lambda: Renderer(pushing("trilinear", parameters), SHELL))
 
 
 def test_a_neutral_coefficient_is_no_drag():

@@ -8,7 +8,6 @@ import pytest
 from tests.conftest import small_scene
 from tests.haptic.test_renderer import random_field
 from ttus_opt.contact.friction import FRICTION
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import (
     BENT,
@@ -32,7 +31,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def rubbing(scene: Scene, mu: float) -> RenderedField:
+def rubbing(scene, mu):
     """A field of its own with a friction coefficient."""
     return RenderedField.of(replace(random_field(scene), parameters={FRICTION: mu}))
 
@@ -40,15 +39,10 @@ def rubbing(scene: Scene, mu: float) -> RenderedField:
 def test_a_field_is_copied_and_names_its_drag(scene):
     plain = random_field(scene)
     read = RenderedField.of(plain)
-    assert read.coefficients == ""
+    assert read.coefficients == rubbing(scene, 0.0).coefficients == ""
+    assert rubbing(scene, 0.2).coefficients == FRICTION
     np.testing.assert_array_equal(read.values, plain.values.reshape(-1))
     assert not np.shares_memory(read.values, plain.values)
-    assert RenderedField.of(
-        replace(plain, parameters={FRICTION: 0.2})
-    ).coefficients == (FRICTION)
-    assert (
-        RenderedField.of(replace(plain, parameters={FRICTION: 0.0})).coefficients == ""
-    )
 
 
 def test_before_the_first_frame_a_field_is_simply_taken(scene):

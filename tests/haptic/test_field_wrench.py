@@ -19,7 +19,7 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def motion(n: int = 40) -> Trajectory:
+def motion(n=40):
     """In from the air, along and around the front with changes of speed, and out."""
     s = np.linspace(0.0, 1.0, n)
     angle = 1.4 + 0.4 * np.sin(5 * s)
@@ -32,7 +32,7 @@ def motion(n: int = 40) -> Trajectory:
     return Trajectory(time, centre - rotation @ SHELL.reference, rotation)
 
 
-def rendered(field: PotentialField, trajectory: Trajectory) -> np.ndarray:
+def rendered(field, trajectory):
     """Frame by frame with the trajectory's twists, shape (T, 6)."""
     renderer = Renderer(field, SHELL)
     frames = zip(

@@ -14,7 +14,6 @@ from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.haptic.frame import touch
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -22,12 +21,12 @@ SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21), r_inner=0.04)
 
 
-def shell() -> PointShell:
+def shell():
     return ellipsoid(1500, (0.03, 0.0125, 0.018))
 
 
 @functools.cache
-def data_of(sampling: str) -> FrameData:
+def data_of(sampling):
     return FrameData.of(VOXMAP, shell(), trilinear=sampling == "trilinear")
 
 
@@ -41,7 +40,7 @@ class Expected:
     beyond: int
 
 
-def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
+def by_definition(R, at):
     grid = VOXMAP.grid
     r, theta, z = cylindrical(shell().points @ R.T + at)
     within = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
@@ -74,13 +73,13 @@ def test_touches_exactly_the_points_inside(sampling, seed):
 
 
 @functools.cache
-def tube() -> Voxmap:
+def tube():
     """A cylinder of 10 cm in a grid to 16 cm: no ceiling is above it."""
     surface = Surface.from_radius(np.full((8, 3), 0.1), np.array([0.0, 0.1, 0.2]))
     return Voxmap.from_surface(surface, shape=(24, 40, 21), r_inner=0.04, r_outer=0.16)
 
 
-def turned(direction: np.ndarray, to: np.ndarray) -> np.ndarray:
+def turned(direction, to):
     """A rotation of one direction to another."""
     return Rotation.align_vectors(to[None], direction[None])[0].as_matrix()
 

@@ -25,12 +25,7 @@ LAW = MotionFilter()
 STEP = 1e-3
 
 
-def follow(
-    rotation: np.ndarray,
-    position: np.ndarray,
-    step: float = STEP,
-    law: MotionFilter = LAW,
-) -> np.ndarray:
+def follow(rotation, position, step=STEP, law=LAW):
     """Twists of all frames, shape (T, 6)."""
     motion, twist, found = np.zeros(MOTION), np.zeros(6), []
     numbers = law.kernel_numbers(LENGTH)
@@ -40,7 +35,7 @@ def follow(
     return np.array(found)
 
 
-def screw(n: int, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, ...]:
+def screw(n, velocity, spin):
     """The reference moves evenly while the probe spins evenly."""
     t = STEP * np.arange(n)[:, None]
     start = Rotation.from_rotvec([0.3, -0.8, 0.5])
@@ -174,22 +169,20 @@ def test_at_a_trackers_rate_it_smooths_over_frames():
 
 def test_the_same_time_again_changes_nothing_and_a_pause_starts_anew():
     motion, twist, numbers = np.zeros(MOTION), np.zeros(6), LAW.kernel_numbers(LENGTH)
+
+    def estimate(at, time):
+        return estimate_twist(motion, np.eye(3), at, time, REFERENCE, numbers, twist)
+
     for k in range(100):
         at = np.array([0.0, 0.05 * STEP * k, 0.0])
-        assert estimate_twist(
-            motion, np.eye(3), at, STEP * k, REFERENCE, numbers, twist
-        )
+        assert estimate(at, STEP * k)
     before, state = twist.copy(), motion.copy()
-    assert estimate_twist(
-        motion, np.eye(3), at + 1.0, STEP * 99, REFERENCE, numbers, twist
-    )
+    assert estimate(at + 1.0, STEP * 99)
     np.testing.assert_array_equal(twist, before)
     for late in (STEP * 98, float("nan"), float("inf")):
-        assert not estimate_twist(
-            motion, np.eye(3), at, late, REFERENCE, numbers, twist
-        )
+        assert not estimate(at, late)
     np.testing.assert_array_equal(motion, state)
-    assert estimate_twist(motion, np.eye(3), at + 1.0, 1.0, REFERENCE, numbers, twist)
+    assert estimate(at + 1.0, 1.0)
     assert not twist.any()
 
 

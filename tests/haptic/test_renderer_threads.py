@@ -29,7 +29,7 @@ def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     before = renderer.render(*pose).force
     failures: list[BaseException] = []
 
-    def feed() -> None:
+    def feed():
         try:
             for new in fields:
                 renderer.update(new)
@@ -54,7 +54,7 @@ def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     )
 
 
-def scratch_of(renderer: Renderer) -> dict[str, np.ndarray]:
+def scratch_of(renderer):
     """Copies of all that a frame writes and the next call might read."""
     data, buffers = renderer._data, renderer._buffers
     names = ("place", "near", "node", "touched", "depth", "voxel", "share", "hits")
@@ -105,7 +105,7 @@ def test_updates_come_one_after_the_other(scene, monkeypatch):
     renderer, claims = Renderer(field, scene.shell), []
     threads = [threading.Thread(target=renderer.update, args=(field,)) for _ in "ab"]
 
-    def watched(*arguments: object) -> object:
+    def watched(*arguments):
         if not claims:
             claims.append(renderer._waiting)
             threads[1].start()
@@ -128,14 +128,14 @@ def test_two_threads_that_render_at_once_are_told(scene, call):
     renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
     within, told = renderer._set_motion, []
 
-    def frame() -> object:
+    def frame():
         more = (np.empty(6),) if call == "render_into" else ()
         return getattr(renderer, call)(*pose, *more)
 
-    def meanwhile(*arguments: object) -> object:
+    def meanwhile(*arguments):
         renderer._set_motion = within
 
-        def other() -> None:
+        def other():
             refuses(InputError, "give each thread its own Renderer", frame)
             told.append(True)
 

@@ -13,8 +13,6 @@ from ttus_opt.haptic.field_swap import RenderedField, RenderedFields
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.tables import (
     N_ARRAYS,
-    N_DATA,
-    N_FIELDS,
     WORDS,
     _data,
     buffers_at,
@@ -27,7 +25,6 @@ from ttus_opt.haptic.tables import (
 from ttus_opt.haptic.wrench import (
     TWIST,
     WRENCH,
-    FieldPair,
     FrameBuffers,
     FrameLimits,
     render_frame,
@@ -118,19 +115,9 @@ def test_a_frame_by_tables_is_the_frame_itself(trilinear):
     np.testing.assert_array_equal(*wrenches)
 
 
-def test_counts_are_those_of_the_tuples():
-    """The flag of the sampling is no array and stands in no table."""
-    data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=True)
-    assert sum(isinstance(a, np.ndarray) for a in data) == N_DATA
-    assert len(FieldPair._fields) == N_FIELDS
-
-
 def test_without_a_compiler_there_is_no_table(monkeypatch):
+    nothing = np.zeros(SCENE.voxmap.grid.shape)
+    field = tt.PotentialField(SCENE.voxmap, nothing, "trilinear")
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     with pytest.raises(InputError, match="unset NUMBA_DISABLE_JIT"):
-        tt.Renderer(
-            tt.PotentialField(
-                SCENE.voxmap, np.zeros(SCENE.voxmap.grid.shape), "trilinear"
-            ),
-            SCENE.shell,
-        )
+        tt.Renderer(field, SCENE.shell)

@@ -12,7 +12,6 @@ import pytest
 from scipy.special import i0
 
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
@@ -22,7 +21,7 @@ R_INNER, R_OUTER, HEIGHT = 0.03, 0.2, 0.2
 SHELL = PointShell.ellipsoid((0.03, 0.0125, 0.018), n_points=400)
 
 
-def potential(r: Array, theta: Array, z: Array) -> Array:
+def potential(r, theta, z):
     """The harmonic field."""
     across = 0.5 * r * np.cos(theta) + 6.0 * r**2 * np.cos(2.0 * theta)
     along = 0.03 * i0(15.0 * r) * np.cos(15.0 * z)
@@ -30,7 +29,7 @@ def potential(r: Array, theta: Array, z: Array) -> Array:
 
 
 @cache
-def patient() -> Surface:
+def patient():
     """Where it is zero, on a grid fine enough to be exact here."""
     theta = 2.0 * np.pi * np.arange(288)[:, None] / 288
     z = np.linspace(0.0, HEIGHT, 145)
@@ -43,7 +42,7 @@ def patient() -> Surface:
 
 
 @cache
-def presses() -> tuple[Array, Array]:
+def presses():
     """The probe's long axis along z, 0.5 to 15 mm deep at some places."""
     rotations, positions = [], []
     for angle, z, depth in itertools.product(
@@ -57,7 +56,7 @@ def presses() -> tuple[Array, Array]:
     return np.array(rotations), np.array(positions)
 
 
-def exact_forces() -> Array:
+def exact_forces():
     """The sum of the harmonic field over shell points inside, shape (T, 3)."""
     forces = []
     for R, at in zip(*presses(), strict=True):
@@ -69,7 +68,7 @@ def exact_forces() -> Array:
 
 
 @cache
-def errors(n: int, boundary: str) -> tuple[float, float]:
+def errors(n, boundary):
     """Largest error of the field inside, and of force over the largest force."""
     voxmap = Voxmap.from_surface(
         patient(),
@@ -140,7 +139,7 @@ def test_a_straight_press_starts_from_zero_and_never_pulls(shape):
         assert steps.max() < 0.05 * outwards[-1]
 
 
-def max_reach(shell: PointShell, angle: float, z: float) -> float:
+def max_reach(shell, angle, z):
     """The distance from the axis at which a shell's first point touches [m]."""
     low, high = 0.05, 0.2
     surface = patient()

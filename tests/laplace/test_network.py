@@ -5,7 +5,6 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.terms.total_variation import difference_rows
 
@@ -14,7 +13,7 @@ LAPLACE, GRID = SCENE.laplace, SCENE.voxmap.grid
 D = difference_rows(GRID)
 
 
-def conductances_of(slope: Array) -> Array:
+def conductances_of(slope):
     return NeighbourRows.of(D, GRID).links(slope, GRID.n_voxels)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sector import Sector
@@ -17,7 +16,7 @@ SECTOR: Sector = (np.radians(40.0), np.radians(140.0))
 WAVE = np.pi / (SECTOR[1] - SECTOR[0])
 
 
-def harmonic(r: Array, theta: Array) -> Array:
+def harmonic(r, theta):
     """ln(r₀/r) and a harmonic of the sector's own wave."""
     return np.asarray(
         np.log(0.1 / r) + 0.1 * (r / 0.1) ** WAVE * np.cos(WAVE * (theta - SECTOR[0]))
@@ -25,7 +24,7 @@ def harmonic(r: Array, theta: Array) -> Array:
 
 
 @cache
-def patient() -> Surface:
+def patient():
     """Where it is zero within the sector; beside it, whatever."""
     theta = 2.0 * np.pi * np.arange(360) / 360
     low, high = np.full(360, 0.05), np.full(360, 0.16)
@@ -39,7 +38,7 @@ def patient() -> Surface:
     )
 
 
-def error(n: int) -> float:
+def error(n):
     """Largest error inside."""
     voxmap = Voxmap.from_surface(
         patient(), shape=(n, n + 1, 6), r_inner=0.03, r_outer=0.2, sector=SECTOR

@@ -20,15 +20,15 @@ class Dense:
 
     A: Array
 
-    def preconditioner(self, near: object) -> None:
+    def preconditioner(self, near):
         raise NotImplementedError
 
-    def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
+    def solve(self, rhs, *, rtol):
         x = np.zeros(V)
         x[FREE] = np.linalg.solve(self.A, rhs[FREE])
         return MultigridResult(x, 1, rtol)
 
-    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
+    def solve_adjoint(self, rhs, *, rtol):
         return Dense(self.A.T).solve(rhs, rtol=rtol)
 
 
@@ -40,7 +40,7 @@ class Made(BlockSolves):
     multigrid: Dense
 
 
-def made(symmetric: bool) -> tuple[Made, Array]:
+def made(symmetric):
     """L with identity rows at fixed voxels, and its parts."""
     rng = np.random.default_rng(0)
     radii = rng.uniform(0.5, 2.0, V)

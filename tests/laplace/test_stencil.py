@@ -11,7 +11,7 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.voxmap.voxmap import SURFACE, Voxmap
 
 
-def ghost(voxmap: Voxmap, a: tuple[int, ...], b: tuple[int, ...]) -> float:
+def ghost(voxmap, a, b):
     """What voxel b of the surface layer has of the value of its neighbour a.
 
     Linear between a and the surface, and beyond (docs/method/contact.md, eq. 4.10); a
@@ -27,7 +27,7 @@ def ghost(voxmap: Voxmap, a: tuple[int, ...], b: tuple[int, ...]) -> float:
     return min(depths[1] / depths[0], 1.0)
 
 
-def reference_rows(voxmap: Voxmap) -> sp.csr_array:
+def reference_rows(voxmap):
     """The stencil (docs/method/contact.md, eq. 4.2) written down voxel by voxel."""
     grid = voxmap.grid
     n_r, n_theta, n_z = grid.shape
@@ -67,12 +67,12 @@ def test_rows_equal_the_plain_reference(shape, boundary):
         assert (np.diff(columns) > 0).all()
 
 
-def between() -> LaplaceSystem:
+def between():
     """A torso whose surface lies between the layers."""
     return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(14, 24, 11)))
 
 
-def touching() -> LaplaceSystem:
+def touching():
     """A torso whose surface reaches the outer layer at its widest, ends as well."""
     surface = torso()
     widest = float(surface.radius.max())
@@ -96,9 +96,7 @@ def test_ends_satisfy_the_polar_stencil_of_a_torso(where, end):
             continue
         r, turn = grid.r[i], grid.shape[1]
 
-        def seen(
-            i2: int, j2: int, a: tuple[int, ...] = (i, j), turn: int = turn
-        ) -> float:
+        def seen(i2, j2, a=(i, j), turn=turn):
             """The neighbour's value, a ghost of one's own beyond the surface."""
             k = end % grid.shape[2]
             own = ghost(system.voxmap, (*a, k), (i2, j2 % turn, k))

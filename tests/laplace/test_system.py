@@ -15,15 +15,13 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, SURFACE, Voxmap
 
 
-def tube(
-    shape: tuple[int, int, int], r_inner: float, radius: float, r_outer: float
-) -> LaplaceSystem:
+def tube(shape, r_inner, radius, r_outer):
     surface = Surface.from_radius(np.full((8, 3), radius), np.array([0.0, 0.1, 0.2]))
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=r_inner, r_outer=r_outer)
     return LaplaceSystem.assemble(voxmap)
 
 
-def annulus_error(n: int) -> float:
+def annulus_error(n):
     """Largest error of p = ln(R/r)/ln(R/r_in) inside, R on a layer."""
     system = tube((2 * n + 1, 8, 5), 0.04, 0.08, 0.12)
     p = system.grid.unflatten(system.solve(system.right_side(1.0, 1.0)))
@@ -34,19 +32,12 @@ def annulus_error(n: int) -> float:
     return float(np.abs(p - exact[:, None, None]).max())
 
 
-def test_annulus_converges_at_second_order():
-    errors = [annulus_error(n) for n in (4, 8, 16, 32)]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.abs(orders[1:] - 2.0).max() < 0.1
-    assert errors[-1] < 1e-4
-
-
-def cylinder_error(n: int) -> float:
+def cylinder_error(n):
     """Error of the radially symmetric finite-cylinder solution sin(πz/h)·(I₀, K₀)."""
     system = tube((2 * n + 1, 8, 2 * n + 1), 0.04, 0.08, 0.12)
     grid, kappa = system.grid, np.pi / 0.2
 
-    def profile(r: np.ndarray) -> np.ndarray:
+    def profile(r):
         return i0(kappa * r) * k0(kappa * 0.08) - k0(kappa * r) * i0(kappa * 0.08)
 
     exact = np.broadcast_to(
@@ -58,13 +49,7 @@ def cylinder_error(n: int) -> float:
     return float(np.abs(p - exact).max() / np.abs(exact).max())
 
 
-def test_finite_cylinder_converges_at_second_order():
-    errors = [cylinder_error(n) for n in (4, 8, 16, 32)]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.abs(orders[1:] - 2.0).max() < 0.1
-
-
-def angular_error(n: int) -> float:
+def angular_error(n):
     """Error of cos(2θ)·(r² - R⁴/r²), which exercises the θ stencil."""
     system = tube((2 * n + 1, 4 * n, 5), 0.04, 0.08, 0.12)
     grid = system.grid
@@ -75,10 +60,12 @@ def angular_error(n: int) -> float:
     return float(np.abs(grid.unflatten(p) - exact).max() / np.abs(exact).max())
 
 
-def test_angular_harmonic_converges_at_second_order():
-    errors = [angular_error(n) for n in (4, 8, 16, 32)]
+@pytest.mark.parametrize("error", [annulus_error, cylinder_error, angular_error])
+def test_the_order_is_the_second(error):
+    errors = [error(n) for n in (4, 8, 16, 32)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.abs(orders[1:] - 2.0).max() < 0.1
+    assert errors[-1] < 1e-4 or error is not annulus_error
 
 
 @pytest.fixture(scope="module")
@@ -124,17 +111,13 @@ def test_solves_agree_with_a_direct_factorisation(system):
 @pytest.fixture(scope="module")
 def tiny():
     """Small enough for dense decompositions."""
-    return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 12, 7)))
+    return Voxmap.from_surface(torso(), shape=(9, 12, 7))
 
 
-def test_full_column_rank(tiny):
-    system = tiny
+def test_full_column_rank_and_a_free_block_that_is_symmetric_positive_definite(tiny):
+    system = LaplaceSystem.assemble(tiny)
     smallest = np.linalg.svd(system.L.toarray(), compute_uv=False)[-1]
     assert smallest > 1e-4
-
-
-def test_the_free_block_is_symmetric_positive_definite(tiny):
-    system = tiny
     A = (sp.diags_array(-system.radii) @ system.L).toarray()
     A = A[np.ix_(system.free, system.free)]
     np.testing.assert_allclose(A, A.T, rtol=0, atol=1e-15)
@@ -174,12 +157,10 @@ def test_skin_on_the_outer_layer_is_zero_at_the_ends_too():
     assert (b[0] == 1.0).all()
 
 
-def test_screening_takes_from_the_diagonal():
+def test_screening_takes_from_the_diagonal(tiny):
     """κ² Δr² off the diagonal of free rows: (κ Δr)² = 0.09 by hand."""
-    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
-    plain = LaplaceSystem.assemble(voxmap)
-    kappa = 0.3 / voxmap.grid.r_step
-    change = (LaplaceSystem.assemble(voxmap, screening=kappa).L - plain.L).toarray()
+    plain, kappa = LaplaceSystem.assemble(tiny), 0.3 / tiny.grid.r_step
+    change = (LaplaceSystem.assemble(tiny, screening=kappa).L - plain.L).toarray()
     np.testing.assert_allclose(change, np.diag(-0.09 * plain.free), rtol=0, atol=1e-12)
 
 
@@ -193,9 +174,9 @@ def test_screening_takes_from_the_diagonal():
         {"screening": np.nan},
     ],
 )
-def test_variants_are_checked(given):
-    with pytest.raises(InputError, match=r"conductivities|screening"):
-        LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 12, 7)), **given)
+def test_variants_are_checked(tiny, given):
+    (name,) = given
+    refuses(InputError, name, LaplaceSystem.assemble, tiny, **given)
 
 
 @pytest.mark.parametrize(
@@ -208,9 +189,8 @@ def test_variants_are_checked(given):
         {"conductivities": (1.0, 50.0, 0.02), "screening": 20.0},
     ],
 )
-def test_solves_of_a_variant_equal_a_factorisation(given):
-    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
-    system = LaplaceSystem.assemble(voxmap, **given)
+def test_solves_of_a_variant_equal_a_factorisation(tiny, given):
+    system = LaplaceSystem.assemble(tiny, **given)
     g = np.random.default_rng(1).normal(size=len(system.free))
     L = sp.csc_array(system.L)
     np.testing.assert_allclose(system.solve(g), spsolve(L, g), rtol=1e-9, atol=1e-9)
@@ -218,8 +198,8 @@ def test_solves_of_a_variant_equal_a_factorisation(given):
     np.testing.assert_allclose(system.solve_adjoint(g), expected, rtol=1e-9, atol=1e-9)
 
 
-def test_a_variant_is_assembled_once():
-    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 12, 7)))
+def test_a_variant_is_assembled_once(tiny):
+    system = LaplaceSystem.assemble(tiny)
     one = system.variant(conductivities=(1.0, 2.0, 3.0))
     assert one is system.variant(conductivities=(1.0, 2.0, 3.0))
     assert one is not system.variant(conductivities=(1.0, 2.0, 3.0), screening=1.0)

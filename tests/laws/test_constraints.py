@@ -17,7 +17,7 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm
 SCENE = small_scene("trilinear", shape=(12, 24, 10), n_poses=6)
 
 
-def members() -> list[type[Constraint]]:
+def members():
     found = []
     for info in pkgutil.iter_modules(ttus_opt.problem.constraints.__path__):
         module = importlib.import_module(f"ttus_opt.problem.constraints.{info.name}")

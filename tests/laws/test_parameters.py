@@ -22,7 +22,7 @@ GIVEN = {
 
 
 @functools.cache
-def fitted() -> Scene:
+def fitted():
     made = dragged_scene("contact", shape=(8, 18, 9))
     return Scene.assemble(
         made.voxmap, made.shell, made.trajectory, inner="fit", sampling="trilinear"

@@ -21,7 +21,7 @@ OPTIONS: dict[str, dict[str, float]] = {
 }
 
 
-def members() -> list[Penalty]:
+def members():
     found = []
     for info in pkgutil.iter_modules(ttus_opt.problem.terms.penalties.__path__):
         module = importlib.import_module(

@@ -32,7 +32,7 @@ OPTIONS: dict[str, list[dict[str, object]]] = {
 }
 
 
-def members() -> list[type[Term]]:
+def members():
     """All but cvxpy's rows, whose laws are those of the expression they are given."""
     found = []
     for info in pkgutil.iter_modules(ttus_opt.problem.terms.__path__):
@@ -59,11 +59,11 @@ QUADRATIC_CASES = [
 each_term = pytest.mark.parametrize(("kind", "options"), CASES)
 
 
-def made(kind: type[Term], options: dict[str, object], weight: float = 0.7) -> Term:
+def made(kind, options, weight=0.7):
     return kind(SCENE, weight, **options)
 
 
-def program_of(term: Term) -> Program:
+def program_of(term):
     return Program.build(SCENE, [term], [])
 
 

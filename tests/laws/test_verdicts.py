@@ -6,7 +6,7 @@ tolerance of the optimum and every parameter within 1 %.
 """
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from tests.dragging import dragged_scene
-from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
@@ -30,7 +29,7 @@ NAMES = [info.name for info in available()]
 
 
 #: Viscous and dry drag, so that every parameter has something to say
-def made() -> Scene:
+def made():
     return dragged_scene("contact", 0.3, 40.0, (8, 16, 9), n=30)
 
 
@@ -45,9 +44,7 @@ class Exact:
 
 
 @functools.cache
-def exact(
-    name: str, weight: float, scene_of: Callable[[], Scene] = made, least: float = 1e-9
-) -> Exact:
+def exact(name, weight, scene_of=made, least=1e-9):
     """Solved far beyond the tolerance, by a solver of its own kind if there is one."""
     options = {} if name == "laplace_only" else {
         "force_weight": weight, "torque_weight": weight
@@ -63,7 +60,7 @@ def exact(
     return Exact(declared, reduction, candidate, solution)
 
 
-def judge(known: Exact, x: np.ndarray) -> Solution:
+def judge(known, x):
     """The verdict on another point, with the exact multipliers."""
     return judged(
         known.declared,
@@ -75,7 +72,7 @@ def judge(known: Exact, x: np.ndarray) -> Solution:
     )
 
 
-def assert_law(found: Solution, known: Solution, what: str) -> None:
+def assert_law(found, known, what):
     """SOLVED means: the objective and every parameter are those of the optimum."""
     if found.status is not Status.SOLVED:
         return
@@ -89,7 +86,7 @@ def assert_law(found: Solution, known: Solution, what: str) -> None:
         assert error <= 0.01 * abs(value) + 1e-9, (what, name, found.kkt)
 
 
-def perturbations(known: Exact, rng: np.random.Generator) -> Iterator[tuple[str, Any]]:
+def perturbations(known, rng):
     """Directions of unit size relative to the answer, by name."""
     program = known.reduction.program
     x = known.candidate.x
@@ -137,21 +134,21 @@ def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
     assert refused > 0
 
 
-def _few_dual(patch: pytest.MonkeyPatch, n: int) -> None:
+def _few_dual(patch, n):
     few = DualOptions(max_directions=n, refinements=1, max_working_sets=1 + n // 10)
     patch.setattr(registry.solvers()["structured"], "options", few)
 
 
-def _few_iterations(module: Any) -> Callable[[pytest.MonkeyPatch, int], None]:
-    def stop(patch: pytest.MonkeyPatch, n: int) -> None:
+def _few_iterations(module):
+    def stop(patch, n):
         patch.setattr(module, "ITERATIONS", n)
         patch.setattr(module._Loaded, "continuations", 0)
 
     return stop
 
 
-def _few_of(name: str, key: str) -> Callable[[pytest.MonkeyPatch, int], None]:
-    def stop(patch: pytest.MonkeyPatch, n: int) -> None:
+def _few_of(name, key):
+    def stop(patch, n):
         solver: Any = registry.solvers()[name]
         fixed = {**solver.package.fixed, key: n}
         patch.setattr(solver, "package", replace(solver.package, fixed=fixed))
@@ -170,7 +167,7 @@ STOPS: dict[str, Callable[[pytest.MonkeyPatch, int], None]] = {
 }
 
 
-def stopped(name: str, solver: str, rng: np.random.Generator) -> Iterator[Solution]:
+def stopped(name, solver, rng):
     """Answers of a solver that was stopped early, at several weights."""
     for weight in (1e-6, 1e-2):
         known = exact(name, weight)

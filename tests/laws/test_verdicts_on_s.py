@@ -12,14 +12,12 @@ import pytest
 from tests.laws.test_verdicts import (
     NAMES,
     TOLERANCE,
-    Exact,
     assert_law,
     exact,
     judge,
     perturbations,
 )
 from ttus_opt.benchmark.cases import reference_cases
-from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.solution import Status
 from ttus_opt.solvers import registry
@@ -35,11 +33,11 @@ EARLY = (0.2, 0.6)
 
 
 @functools.cache
-def case_s() -> Scene:
+def case_s():
     return reference_cases("S")[0].build()
 
 
-def answer(name: str) -> Exact:
+def answer(name):
     return exact(name, 1e-2, case_s, 1e-8)
 
 

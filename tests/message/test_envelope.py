@@ -11,7 +11,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.message.envelope import LONGEST, SURFACE, VERSION, Reader, Writer
 
 
-def message() -> bytes:
+def message():
     writer = Writer()
     writer.number("Hd", 7, 0.5)
     writer.packed(b"word" * 100)

@@ -2,7 +2,6 @@
 
 import tracemalloc
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from tests.message.sealing import body, sealed
 from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.errors import InputError, TtusError
-from ttus_opt.laplace.multigrid.solver import Multigrid, MultigridResult
+from ttus_opt.laplace.multigrid.solver import Multigrid
 from ttus_opt.message import decode, encode, field_message
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.message.field_message import sampled
@@ -206,7 +205,7 @@ def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
     message = encode(PotentialField(voxmap, rough, "trilinear"), base=base)
     solve, cycles = Multigrid.solve, []
 
-    def counted(self: Multigrid, *given: Any, **named: Any) -> MultigridResult:
+    def counted(self, *given, **named):
         found = solve(self, *given, **named)
         cycles.append(found.iterations)
         return found
@@ -225,7 +224,7 @@ def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
         decode(encode(flat, base=base), base=base)
 
 
-def bent(at: int, value: bytes, message: bytes | None = None) -> bytes:
+def bent(at, value, message=None):
     content = body(message or sent()[1])
     return sealed(content[:at] + value + content[at + len(value) :], FIELD)
 

@@ -1,7 +1,6 @@
 """Mutated messages: the package's own errors and no others, bounded memory."""
 
 import resource
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ NUMBERS = [
 MEMORY = 400 * 1024
 
 
-def sound() -> list[tuple[bytes, bytes | None]]:
+def sound():
     whole = encode(uneven())
     small = encode(torso(8, 6))
     surface, field = sent()
@@ -44,7 +43,7 @@ def sound() -> list[tuple[bytes, bytes | None]]:
     ]
 
 
-def hostile(n: int, part: int) -> Iterator[tuple[int, bytes, bytes | None]]:
+def hostile(n, part):
     """Mutated messages; three in four with the envelope put right again."""
     rng, messages = np.random.default_rng([SEED, part]), sound()
     for number in range(n):

@@ -12,7 +12,7 @@ from ttus_opt.message.integer_stream import DENSE, SPARSE, read_integers, write_
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
-def sparse_numbers() -> np.ndarray:
+def sparse_numbers():
     """Few of many, in clusters."""
     numbers = np.zeros(50_000, np.int64)
     numbers[7::1000] = numbers[8::1000] = 1
@@ -48,7 +48,7 @@ def test_another_count_is_refused(count):
         read_integers(Reader(writer.message(SURFACE)), count)
 
 
-def hostile(gaps: list[int], count: int) -> Reader:
+def hostile(gaps, count):
     """A sparse array with these gaps."""
     writer, block = Writer(), Writer()
     for numbers in (gaps, [1] * len(gaps)):

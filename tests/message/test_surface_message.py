@@ -21,7 +21,7 @@ from ttus_opt.scan.surface import Surface
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
-def check(sent: Surface, received: object, bound: float) -> None:
+def check(sent, received, bound):
     assert isinstance(received, Surface)
     assert np.abs(received.radius - sent.radius).max() <= bound * (1 + 1e-9)
     np.testing.assert_array_equal(received.observed, sent.observed)

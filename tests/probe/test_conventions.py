@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
@@ -17,7 +16,7 @@ CENTROID = np.array([0.01, -0.02, 0.06])
 OWN = presses(torso(), 12, np.random.default_rng(5))
 
 
-def same(a: Trajectory, b: Trajectory) -> None:
+def same(a, b):
     for name in ("rotation", "position", "force", "torque"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-12)
 
@@ -77,7 +76,7 @@ def test_poses_alone():
     assert read.force is None
 
 
-def motion(seed: int) -> Array:
+def motion(seed):
     rng = np.random.default_rng(seed)
     out = np.eye(4)
     out[:3, :3] = Rotation.random(rng=rng).as_matrix()
@@ -88,7 +87,7 @@ def motion(seed: int) -> Array:
 BASE_TO_SCAN, SCAN_TO_PATIENT = motion(1), motion(2)
 
 
-def in_frame(to_patient: Array) -> Trajectory:
+def in_frame(to_patient):
     """The own recording as a frame sees it, by points rather than by rotations."""
     back = np.linalg.inv(to_patient)
     turn = back[:3, :3]

@@ -12,7 +12,7 @@ from ttus_opt.probe.cylindrical import turn_angle
 
 
 @numba.njit
-def angle(x: float, y: float) -> float:
+def angle(x, y):
     return turn_angle(x, y)
 
 

@@ -14,7 +14,7 @@ from ttus_opt.probe.even_sampling import (
 from ttus_opt.probe.mesh import TriangleMesh
 
 
-def sphere_mesh() -> TriangleMesh:
+def sphere_mesh():
     made = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
     return TriangleMesh(np.array(made.vertices), np.array(made.faces, dtype=np.int64))
 

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +7,7 @@ from ttus_opt.core.errors import FileError, GeometryError, InputError
 from ttus_opt.probe.mesh import TriangleMesh, read_mesh
 
 
-def written(folder: Path, name: str, mesh: trimesh.Trimesh) -> Path:
+def written(folder, name, mesh):
     file = folder / name
     mesh.export(file)
     return file
@@ -96,16 +94,16 @@ end_header
 """
 
 
-def _text(file: Path, text: str) -> Path:
+def _text(file, text):
     file.write_text(text)
     return file
 
 
-def _box(folder: Path, size: float) -> Path:
+def _box(folder, size):
     return written(folder, "b.stl", trimesh.creation.box((size,) * 3))
 
 
-def _truncated(folder: Path) -> Path:
+def _truncated(folder):
     file = _box(folder, 40)
     file.write_bytes(file.read_bytes()[:-70])
     return file

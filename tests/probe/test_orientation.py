@@ -15,19 +15,19 @@ from ttus_opt.probe.orientation import consistent_patches, orient_faces
 PROBE = SHARED / "probe" / "Probe_L14-5_38_lowres.stl"
 
 
-def torus() -> trimesh.Trimesh:
+def torus():
     return trimesh.creation.torus(0.03, 0.01, major_sections=20, minor_sections=10)
 
 
-def capsule() -> trimesh.Trimesh:
+def capsule():
     return trimesh.creation.capsule(height=0.05, radius=0.015, count=[12, 12])
 
 
-def box() -> trimesh.Trimesh:
+def box():
     return trimesh.creation.box((0.05, 0.02, 0.01))
 
 
-def probe_head() -> trimesh.Trimesh:
+def probe_head():
     """A linear probe's outline with concave shoulders, extruded."""
     outline = [[-20, 0], [20, 0], [20, 12], [9, 22], [9, 70], [-9, 70], [-9, 22]]
     outline.append([-20, 12])
@@ -46,7 +46,7 @@ def probe_head() -> trimesh.Trimesh:
 SHAPES = [torus, capsule, box, probe_head]
 
 
-def as_mesh(shape) -> TriangleMesh:
+def as_mesh(shape):
     made = shape()
     assert made.is_watertight and made.is_winding_consistent and made.volume > 0
     return TriangleMesh(np.array(made.vertices), np.array(made.faces, dtype=np.int64))
@@ -112,7 +112,7 @@ class Groove:
     floor: np.ndarray
 
 
-def groove() -> Groove:
+def groove():
     w, long = 0.01, 2.0
     made = trimesh.creation.extrude_triangulation(
         np.array(

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.hostile import NUMBERS, only_our_errors
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
 
@@ -16,7 +15,7 @@ TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])
 SHIFT = np.array([0.4, -0.2, 1.5])
 
 
-def motion(turn: Array | None = None, shift: Array = SHIFT) -> Array:
+def motion(turn=None, shift=SHIFT):
     out = np.eye(4)
     out[:3, :3] = TURN.as_matrix() if turn is None else turn
     out[:3, 3] = shift

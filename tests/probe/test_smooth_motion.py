@@ -10,7 +10,7 @@ from ttus_opt.probe.trajectory import Trajectory
 STEP = 0.05
 
 
-def hand(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def hand(time):
     """Path [m] and velocity of presses of 12 mm that slide by 4 mm, shape (T, 3)."""
     deep, slow = 2.0 * np.pi * 0.4, 2.0 * np.pi * 0.15
     path = np.stack(
@@ -27,16 +27,14 @@ def hand(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return path, velocity
 
 
-def noise(n: int, drift: float, jitter: float, seed: int = 1) -> np.ndarray:
+def noise(n, drift, jitter, seed=1):
     """Brownian drift [m/√s] and jitter [m] at `STEP`, shape (n, 3)."""
     rng = np.random.default_rng(seed)
     walk = np.cumsum(rng.normal(0.0, drift * np.sqrt(STEP), (n, 3)), axis=0)
     return np.asarray(walk + rng.normal(0.0, jitter, (n, 3)))
 
 
-def dense(
-    path: np.ndarray, time: np.ndarray, jerk: float, drift: float, jitter: float
-) -> np.ndarray:
+def dense(path, time, jerk, drift, jitter):
     """The same regression by dense algebra: ∫ (s−u)²₊/2 (t−u)²₊/2 du and parabolas."""
     t = time - time[0]
     s, u = np.meshgrid(t, t, indexing="ij")
@@ -85,13 +83,13 @@ def test_the_noise_is_found_and_its_deviation_is_told():
         assert found.difference_std == pytest.approx(expected, rel=0.15)
 
 
-def trajectory(path: np.ndarray, turns: np.ndarray) -> Trajectory:
+def trajectory(path, turns):
     """Poses at `STEP` from positions and rotation vectors."""
     rotation = Rotation.from_rotvec(turns).as_matrix()
     return Trajectory(STEP * np.arange(len(path)), path, rotation)
 
 
-def differences(recording: Trajectory) -> np.ndarray:
+def differences(recording):
     return np.hstack([recording.velocity(), recording.angular_velocity()])
 
 

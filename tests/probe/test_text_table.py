@@ -1,7 +1,5 @@
 """Tables that other programs write."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -27,13 +25,13 @@ ROS = (
 )
 
 
-def write(folder: Path, header: str, rows: list[str]) -> Path:
+def write(folder, header, rows):
     file = folder / "press.csv"
     file.write_text("\n".join([header, *rows, ""]))
     return file
 
 
-def lines(separator: str) -> list[str]:
+def lines(separator):
     return [separator.join(map(str, row)) for row in ROWS]
 
 

@@ -12,7 +12,7 @@ from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
 
 
-def two_recordings() -> Trajectory:
+def two_recordings():
     each = presses(torso(), 7, np.random.default_rng(0))
     return Trajectory.concatenate([each, each])
 

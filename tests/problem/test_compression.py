@@ -16,7 +16,7 @@ from ttus_opt.problem.terms.penalties.huber import Huber
 RNG = np.random.default_rng(3)
 
 
-def windows(m: int, n: int, width: int) -> sp.csr_array:
+def windows(m, n, width):
     """Rows that touch a window of columns which moves along, as a recording does."""
     start = (np.arange(m) * (n - width)) // m
     columns = start[:, None] + np.arange(width)

@@ -15,7 +15,7 @@ from ttus_opt.problem.terms.penalties.absolute import Absolute
 from ttus_opt.problem.verify.kkt import kkt_residuals
 
 
-def solved(stated: Program) -> CvxpyProgram:
+def solved(stated):
     form = CvxpyProgram.of(stated)
     form.problem.solve(solver=cp.CLARABEL)
     return form

@@ -16,7 +16,7 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
 
 
-def eq10(weight: float = 0.1) -> Formulation:
+def eq10(weight=0.1):
     return Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, weight)], name="mine")
 
 

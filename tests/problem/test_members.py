@@ -12,7 +12,7 @@ from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 RNG = np.random.default_rng(0)
 
 
-def cones(sizes: tuple[int, ...]) -> ProgramCones:
+def cones(sizes):
     m = sum(sizes)
     eye = sp.csr_array(sp.eye_array(m))
     return ProgramCones("cones", eye, np.zeros(m), sizes)

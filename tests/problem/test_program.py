@@ -8,7 +8,6 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.refusals import refuses
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
@@ -32,14 +31,14 @@ class TwoVariables(Term):
     name = "two"
     formula = "‖A p + B s − t‖²"
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         rng = np.random.default_rng(9)
         A = sp.random_array((4, self.scene.n_voxels), density=0.1, rng=rng)
         B = sp.random_array((4, 3), density=1.0, rng=rng)
         return AffineRows({"p": sp.csr_array(A), "s": sp.csr_array(B)}, np.ones(4))
 
 
-def eq10(scene: Scene = TINY) -> list[Term]:
+def eq10(scene=TINY):
     return [LaplaceTerm(scene), ForceTerm(scene, 0.3), TorqueTerm(scene, 0.2)]
 
 
@@ -84,7 +83,7 @@ def test_normal_equations_are_the_dense_ones():
     )
 
 
-def explicit_qp(program: Program) -> QuadraticForm:
+def explicit_qp(program):
     """The QP with P = 2Q formed, by the definition."""
     Q, d = program.normal_equations()
     rows = program.constraints
@@ -98,7 +97,7 @@ def explicit_qp(program: Program) -> QuadraticForm:
     )
 
 
-def lifted_value(form: object, x: np.ndarray) -> float:
+def lifted_value(form, x):
     return float(0.5 * x @ (form.P @ x) + form.q @ x)
 
 
@@ -161,7 +160,7 @@ def test_variables_of_two_sizes_are_refused():
     class Other(Constraint):
         name, formula = "other", "s ≥ 0"
 
-        def rows(self) -> Bounds:
+        def rows(self):
             return Bounds("s", np.zeros(5), np.ones(5))
 
     with pytest.raises(InputError, match="'s' 5 entries, others 3"):
@@ -172,7 +171,7 @@ def test_the_box_is_the_tightest_of_all_bounds():
     class Cap(Constraint):
         name, formula = "cap", "p ≤ 1"
 
-        def rows(self) -> Bounds:
+        def rows(self):
             V = self.scene.n_voxels
             return Bounds("p", np.full(V, -1.0), np.full(V, 1.0))
 
@@ -210,7 +209,7 @@ def test_constraint_rows_keep_their_limits():
     class Band(Constraint):
         name, formula = "band", "-1 ≤ p₀ ≤ 2"
 
-        def rows(self) -> LinearRows:
+        def rows(self):
             row = sp.csr_array(([1.0], ([0], [0])), shape=(1, self.scene.n_voxels))
             return LinearRows({"p": row}, np.array([-1.0]), np.array([2.0]))
 

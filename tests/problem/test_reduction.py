@@ -22,7 +22,7 @@ from ttus_opt.solvers.base import Request
 SCENE = small_scene("trilinear", shape=(7, 12, 8), n_poses=6)
 
 
-def bent() -> Program:
+def bent():
     terms = [
         LaplaceTerm(SCENE),
         RobustForceTerm(SCENE, 0.1, 0.3),

@@ -1,7 +1,6 @@
 """Reading clouds: every format gives the same points, every fault one line."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ DATA = SHARED / "torso"
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)).astype("<f4")
 
 
-def pcd_header(n: int, encoding: str, *, fields: str = "x y z rgb") -> str:
+def pcd_header(n, encoding, *, fields="x y z rgb"):
     k = len(fields.split())
     return (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
@@ -27,12 +26,12 @@ def pcd_header(n: int, encoding: str, *, fields: str = "x y z rgb") -> str:
     )
 
 
-def lzf_compress(raw: bytes) -> bytes:
+def lzf_compress(raw):
     """A naive LZF packer: the last place of each three bytes, at most 264 long."""
     out, literals, last = bytearray(), bytearray(), {}
     at = 0
 
-    def flush() -> None:
+    def flush():
         for start in range(0, len(literals), 32):
             piece = literals[start : start + 32]
             out.append(len(piece) - 1)
@@ -64,7 +63,7 @@ def lzf_compress(raw: bytes) -> bytes:
     return bytes(out)
 
 
-def write(path: Path, points: np.ndarray, kind: str) -> Path:
+def write(path, points, kind):
     n = len(points)
     table = np.column_stack([points, np.arange(n)]).astype("<f4")
     if kind == "npy":

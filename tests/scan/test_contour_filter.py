@@ -6,7 +6,6 @@ from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan import contour_filter
 from ttus_opt.scan.candidates import Candidates
@@ -107,7 +106,7 @@ def test_more_candidates_measure_better():
     assert all_eight.variance[0] == pytest.approx(0.003**2 / 8)
 
 
-def discretised(model: ContourModel, step: float) -> tuple[Array, Array]:
+def discretised(model, step):
     """F and Q of the continuous model, from its equations alone.
 
     (d, g)' = A (d, g) + (0, s √(2/ℓ)) w with unit white noise w has F = exp(A Δθ), and
@@ -163,9 +162,7 @@ def test_small_steps_keep_their_digits():
         assert model.transition(x)[1][0, 0] == pytest.approx(exact, rel=1e-10)
 
 
-def dense_contour(
-    y: Array, noise: Array, model: ContourModel, jump: Array | None = None
-) -> tuple[Array, Array]:
+def dense_contour(y, noise, model, jump=None):
     """Mean and variance of d at every spoke of one slice, by dense least squares.
 
     Four laps of the model's own discretisation, so that the middle one knows both

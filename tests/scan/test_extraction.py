@@ -19,7 +19,6 @@ from ttus_opt.scan.contour_filter import Contour
 from ttus_opt.scan.extraction import extract_surface, filled_surface, followed
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
-from ttus_opt.scan.surface import Surface
 
 DATA = SHARED / "torso"
 
@@ -228,7 +227,7 @@ class Simulated:
 
 
 @cache
-def ct_scan() -> Simulated:
+def ct_scan():
     """The CT skin on a bed, seen from the front and both flanks, two holes."""
     path = DATA / "ct_skin_mm.ply"
     if not path.exists():
@@ -261,7 +260,7 @@ def ct_scan() -> Simulated:
     return Simulated(vertices, faces, cloud)
 
 
-def true_radius(scan: Simulated, surface: Surface) -> Array:
+def true_radius(scan, surface):
     """True r(θ, z); NaN where the section meets the mesh's cut ends."""
     vertices = surface.axis.to_patient(scan.vertices)
     truth = camera.radius_by_section(vertices, scan.faces, surface.theta, surface.z)
@@ -317,9 +316,7 @@ def test_errors_of_a_hidden_back_are_as_stated(bed):
     assert np.median(surface.radius_std[filled]) < 0.05
 
 
-def seen_from_the_front(
-    scan: Simulated, rng: np.random.Generator, *, bed: bool
-) -> Array:
+def seen_from_the_front(scan, rng, *, bed):
     """Points that a camera above the front sees."""
     points, normals = camera.sample_mesh(scan.vertices, scan.faces, 600_000, rng)
     low, high = points[:, 2].min() + 0.002, points[:, 2].max() - 0.002
@@ -360,7 +357,7 @@ def test_camera_sees_one_side_only():
 
 
 @cache
-def real_scan() -> tuple[Array, Surface]:
+def real_scan():
     path = DATA / "realsense_male_m.pcd"
     if not path.exists():
         pytest.skip("realsense_male_m.pcd is not beside the checkout")

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.outline import outline
 
@@ -12,7 +11,7 @@ THETA = np.arange(N_THETA)[:, None] * (2 * np.pi / N_THETA)
 HEIGHT = np.linspace(-0.5, 0.5, N_Z)[None, :]
 
 
-def ellipse(a: Array | float, b: Array | float) -> Array:
+def ellipse(a, b):
     r = 1 / np.sqrt((np.cos(THETA) / a) ** 2 + (np.sin(THETA) / b) ** 2)
     return np.broadcast_to(r, (N_THETA, N_Z)).copy()
 

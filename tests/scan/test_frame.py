@@ -62,7 +62,7 @@ def test_the_supporting_plane_is_found_once(monkeypatch):
     expected = extract_surface(cloud, axis=axis, support=plane, n_theta=36, n_z=8)
     looks: list[Array] = []
 
-    def looked(cloud: Array) -> SupportingPlane:
+    def looked(cloud):
         looks.append(cloud)
         return plane
 

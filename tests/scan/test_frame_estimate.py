@@ -21,13 +21,13 @@ from ttus_opt.scan.surface import Surface
 DATA = SHARED / "torso"
 
 
-def rotation(rng: np.random.Generator) -> Array:
+def rotation(rng):
     q, r = np.linalg.qr(rng.standard_normal((3, 3)))
     q = q * np.sign(np.diag(r))
     return q if np.linalg.det(q) > 0 else q[:, [1, 0, 2]]
 
 
-def body(rng: np.random.Generator, *, upper: bool, n: int = 30_000) -> Array:
+def body(rng, *, upper, n=30_000):
     """A torso lying along z on y = 0: flat back, wider and deeper towards the head."""
     theta = rng.uniform(0, np.pi if upper else 2 * np.pi, n)
     z = rng.uniform(-0.25, 0.25, theta.size)
@@ -39,7 +39,7 @@ def body(rng: np.random.Generator, *, upper: bool, n: int = 30_000) -> Array:
     return np.stack([x, y, z], axis=1) + noise
 
 
-def bed(rng: np.random.Generator, n: int = 20_000) -> Array:
+def bed(rng, n=20_000):
     x = rng.uniform(0.16, 0.4, n) * rng.choice([-1, 1], n)
     flat = 0.003 * rng.standard_normal(x.size)
     return np.stack([x, flat, rng.uniform(-0.3, 0.3, x.size)], axis=1)
@@ -92,7 +92,7 @@ def test_what_the_scan_hardly_tells_is_said(monkeypatch):
     assert {w.filename for w in told} == {__file__}
 
 
-def turned_around(cloud: Array, count: int) -> tuple[float, float]:
+def turned_around(cloud, count):
     """Largest difference of the frames of a scan turned and shuffled [°, m]."""
     rng = np.random.default_rng(7)
     own, angles, distances = Axis.from_cloud(cloud), [], []
@@ -150,7 +150,7 @@ def test_found_without_a_bed(seed):
     np.testing.assert_allclose(origin, [0, 0.11, 0], atol=0.03)
 
 
-def no_bed(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_bed(monkeypatch):
     """No search for one: that none is found has tests of its own, and takes long."""
     monkeypatch.setattr(frame_estimate, "find_supporting_plane", lambda *_, **__: None)
 
@@ -186,7 +186,7 @@ def test_refusals():
         Axis.from_cloud(np.concatenate([flat, stubs]))
 
 
-def tube(n_around: int, n_along: int, share: float = 1.0) -> tuple[Array, Array]:
+def tube(n_around, n_along, share=1.0):
     """A tube of 0.15 m about z, 0.5 m long, or a part of its round, and its normals."""
     turn = share * 2 * np.pi * (np.arange(n_around) + 0.5) / n_around
     theta, z = np.meshgrid(turn, np.linspace(-0.25, 0.25, n_along), indexing="ij")

@@ -2,7 +2,6 @@
 
 import io
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,12 +16,12 @@ from ttus_opt.scan.cloud import read_cloud
 POINTS = torso(40, 12).points().reshape(-1, 3)
 
 
-def npy_header(text: str) -> bytes:
+def npy_header(text):
     header = text.encode().ljust(117) + b"\n"
     return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
 
 
-def archive() -> bytes:
+def archive():
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w") as file:
         file.writestr("x.npy", b"nothing")
@@ -59,7 +58,7 @@ def test_one_line_that_names_the_file(name, tmp_path):
     refuses(FileError, name, read_cloud, tmp_path / name)
 
 
-def seeds(folder: Path) -> list[Path]:
+def seeds(folder):
     """A sound file of every kind."""
     import trimesh
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.scan.outline import outline
 
 N_THETA, N_Z = 72, 7
@@ -10,7 +9,7 @@ THETA = np.arange(N_THETA)[:, None] * (2 * np.pi / N_THETA)
 ALL = np.ones((N_THETA, N_Z), dtype=bool)
 
 
-def ellipse(a: float = 0.16, b: float = 0.11) -> Array:
+def ellipse(a=0.16, b=0.11):
     radius = 1.0 / np.sqrt((np.cos(THETA) / a) ** 2 + (np.sin(THETA) / b) ** 2)
     return np.broadcast_to(radius, (N_THETA, N_Z)).copy()
 

@@ -20,7 +20,7 @@ RECORD = np.dtype(
 )
 
 
-def mixed() -> np.ndarray:
+def mixed():
     table = np.zeros(len(POINTS), RECORD)
     table["i"], table["n"] = np.arange(len(POINTS)), 7.0
     for column, name in enumerate("xyz"):
@@ -28,7 +28,7 @@ def mixed() -> np.ndarray:
     return table
 
 
-def body(encoding: str) -> bytes:
+def body(encoding):
     """The points of `mixed`, written one way or another."""
     table = mixed()
     if encoding == "binary":

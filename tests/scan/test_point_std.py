@@ -61,7 +61,7 @@ def test_slope_adds_to_a_points_own_deviation():
     std = np.full(radius.shape, 0.001)
     model = ContourModel(slope_std=0.1)
 
-    def level(offset: float) -> float:
+    def level(offset):
         offsets = np.zeros(radius.shape)
         offsets[..., 1] = offset
         given = Candidates(radius, np.full((36, 1), 2), std, offsets)

@@ -15,14 +15,12 @@ BASE = torso(n_theta=37, n_z=11)
 
 
 @numba.njit
-def look(
-    theta: float, z: float, n_theta: int, n_z: int, layout: np.ndarray, flat: np.ndarray
-) -> float:
+def look(theta, z, n_theta, n_z, layout, flat):
     here, after, a, b = radius_cell(theta, z, n_theta, n_z, layout)
     return radius_between(here, after, a, b, flat)
 
 
-def turned(first_angle: float) -> Surface:
+def turned(first_angle):
     return Surface(
         BASE.theta + first_angle,
         BASE.z,
@@ -33,7 +31,7 @@ def turned(first_angle: float) -> Surface:
     )
 
 
-def plain(surface: Surface, theta: float, z: float) -> float:
+def plain(surface, theta, z):
     """Bilinear between the nodes, one turn after the other; ends go on."""
     turns = np.concatenate([surface.theta + 2 * np.pi * n for n in range(-3, 4)])
     along = [

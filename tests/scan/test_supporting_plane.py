@@ -7,20 +7,19 @@ from hypothesis import strategies as st
 
 from tests.conftest import some
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan import supporting_plane
 from ttus_opt.scan.supporting_plane import find_supporting_plane
 
 
-def torso(rng: np.random.Generator, n: int = 20_000, *, upper: bool = False) -> Array:
+def torso(rng, n=20_000, *, upper=False):
     """An elliptic cylinder on the plane y = 0, along z, open or its upper half."""
     theta = rng.uniform(0, np.pi if upper else 2 * np.pi, n)
     x, y = 0.17 * np.cos(theta), 0.12 + 0.12 * np.sin(theta)
     return np.stack([x, y, rng.uniform(-0.25, 0.25, n)], axis=1)
 
 
-def bed(rng: np.random.Generator, n: int, noise: float = 0.003) -> Array:
+def bed(rng, n, noise=0.003):
     x = rng.uniform(0.1, 0.4, n) * rng.choice([-1, 1], n)
     return np.stack([x, noise * rng.standard_normal(n), rng.uniform(-0.3, 0.3, n)], 1)
 

@@ -1,7 +1,6 @@
 """The surface's bilinear radius, its file, and what it refuses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 
 
-def wavy(n_theta: int = 12, n_z: int = 7, seed: int = 0) -> Surface:
+def wavy(n_theta=12, n_z=7, seed=0):
     rng = np.random.default_rng(seed)
     surface = Surface.from_radius(
         0.15 + 0.02 * rng.standard_normal((n_theta, n_z)),
@@ -90,7 +89,7 @@ def test_file_from_elsewhere(tmp_path):
     np.testing.assert_array_equal(again.axis.rotation, np.eye(3))
 
 
-def _file(path: Path, *, units: str = "m", **changes: object) -> Path:
+def _file(path, *, units="m", **changes):
     s = wavy()
     data = xr.Dataset(
         {"radius": (("theta", "z"), s.radius, {"units": units})},

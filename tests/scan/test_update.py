@@ -7,17 +7,15 @@ import pytest
 
 from tests.refusals import refuses
 from tests.scan.clouds import cylinder
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
 from ttus_opt.scan.update import update_surface
 
 SIZE = {"n_theta": 72, "n_z": 20, "z_range": (-0.15, 0.15), "support": None}
 
 
-def part(cloud: Array, first: float, last: float) -> Array:
+def part(cloud, first, last):
     """Points between two angles [degrees]."""
     theta = np.rad2deg(np.arctan2(cloud[:, 1], cloud[:, 0])) % 360
     return cloud[(theta >= first) & (theta < last)]
@@ -29,7 +27,7 @@ def earlier():
     return extract_surface(cloud, axis=Axis.identity(), **SIZE)
 
 
-def degrees(surface: Surface) -> Array:
+def degrees(surface):
     return np.rad2deg(surface.theta)
 
 
@@ -67,7 +65,7 @@ def test_the_same_seen_twice_is_known_better(earlier):
     assert found.averaged > 0.98 * seen.mean()
     assert abs(found.difference) < 1e-3
 
-    def rms(surface: Surface) -> float:
+    def rms(surface):
         return float(np.sqrt(np.mean((surface.radius[seen] - 0.15) ** 2)))
 
     assert rms(found.surface) < 0.85 * rms(earlier)

@@ -11,9 +11,7 @@ POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (12, 3)).round(6)
 COLOUR, NORMAL, INTENSITY = [255, 0, 17], [0.0, 0.6, 0.8], [0.5]
 
 
-def text(
-    more: list[float], mark: str = " ", head: tuple[str, ...] = (), tail: str = ""
-) -> str:
+def text(more, mark=" ", head=(), tail=""):
     rows = [mark.join(map(str, [*point, *more])) for point in POINTS.tolist()]
     return "\n".join([*head, *rows]) + tail
 

@@ -1,11 +1,10 @@
 """Angular speeds of exact and of noisy poses."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from tests.conftest import some
 from tests.refusals import refuses
 from tests.sensors.test_clock import wander
 from ttus_opt.core.errors import InputError
@@ -28,9 +27,7 @@ def test_angular_speed_is_that_of_any_frame():
     assert found.seconds == pytest.approx(0.8, abs=0.02)
 
 
-def tracked(
-    shared: Path, run: str, noise: float, offset: float, rng: np.random.Generator
-) -> tuple[Trajectory, Trajectory]:
+def tracked(shared, run, noise, offset, rng):
     """A robot's own poses, 20 Hz, and a tracker's with jitter, quantised, 30 Hz."""
     robot = read_trajectory(shared / "wrench" / f"{run}.csv")
     turns = RotationSpline(robot.time, Rotation.from_matrix(robot.rotation))
@@ -42,10 +39,15 @@ def tracked(
     return robot, Trajectory(stamp - offset, np.zeros((len(stamp), 3)), rotation)
 
 
-@pytest.mark.parametrize("noise", [0.2, 0.5])
-@pytest.mark.parametrize("run", ["run_A_20_17_35_10", "run_B_20_16_44_10"])
-def test_the_offset_of_noisy_poses_is_without_bias(shared, run, noise):
+RUNS = ("run_A_20_17_35_10", "run_B_20_16_44_10")
+
+
+@pytest.mark.parametrize(
+    "case", some(zip(RUNS * 2, (0.5, 0.2, 0.2, 0.5), strict=True), 2)
+)
+def test_the_offset_of_noisy_poses_is_without_bias(shared, case):
     """Differences of the same poses are refused; the stated error holds the bias."""
+    run, noise = case
     rng = np.random.default_rng(0)
     errors, stated = [], []
     for offset in rng.uniform(-0.3, 0.3, 20):

@@ -19,7 +19,7 @@ from ttus_opt.sensors.clock import (
 )
 
 
-def wander(time: np.ndarray) -> np.ndarray:
+def wander(time):
     """An irregular motion, the same whenever it is asked."""
     return sum(
         np.sin(2 * np.pi * f * time + p)
@@ -119,7 +119,7 @@ def test_gravity_needs_no_calibration(sign):
     rng = np.random.default_rng(3)
     time, own = np.arange(0.0, 15.0, 0.03), np.arange(-1.0, 17.0, 0.009)
 
-    def turned(t: np.ndarray) -> np.ndarray:
+    def turned(t):
         angle = np.stack([wander(t), wander(t + 40.0), wander(t + 80.0)], axis=1)
         return Rotation.from_rotvec(0.25 * angle).as_matrix()
 

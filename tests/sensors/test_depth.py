@@ -13,7 +13,6 @@ from tests.sensors.cameras import (
     see_ellipsoid,
     see_plane,
 )
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.sensors.depth import DepthImage, read_depth_image
 from ttus_opt.sensors.depth_noise import Pixels, StructuredLight, TimeOfFlight
@@ -25,26 +24,26 @@ CENTRE, SEMI_AXES = np.array([0, 0.11, 0]), np.array([0.17, 0.11, 0.35])
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def rays(camera: Camera = CAMERA) -> Unprojection:
+def rays(camera=CAMERA):
     return Unprojection.from_intrinsics(
         Intrinsics(camera.matrix, np.zeros(0)), camera.shape
     )
 
 
-def seen(camera: Camera = CAMERA) -> Array:
+def seen(camera=CAMERA):
     """An ellipsoid on a bed."""
     body = see_ellipsoid(camera, CENTRE, SEMI_AXES)
     return np.minimum(body, see_plane(camera, UP, 0.0))
 
 
-def off_the_body(points: Array) -> Array:
+def off_the_body(points):
     """Distance to the ellipsoid, to first order, signed outwards [m]."""
     scaled = (points - CENTRE) / SEMI_AXES
     f = np.linalg.norm(scaled, axis=1)
     return (f - 1.0) * f / np.linalg.norm(scaled / SEMI_AXES, axis=1)
 
 
-def distance(points: Array) -> Array:
+def distance(points):
     return np.minimum(np.abs(off_the_body(points)), np.abs(points[:, 1]))
 
 
@@ -93,7 +92,7 @@ def test_incidence_is_that_of_a_plane(tilt):
     """The deviation tells it; beyond 75° nothing is left."""
 
     class Angle:
-        def along_ray(self, pixels: Pixels) -> Array:
+        def along_ray(self, pixels):
             return pixels.incidence
 
     camera = Camera((0, 0, 0), (0, 0, 1), focal=600.0)

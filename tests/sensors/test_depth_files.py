@@ -1,7 +1,5 @@
 """Depth images as files: units, what is no depth, damage."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ DEPTH = np.full((20, 24), 0.8)
 DEPTH[3, 4], DEPTH[5, 6] = 0.9, np.nan
 
 
-def written(folder: Path, name: str, values: np.ndarray) -> Path:
+def written(folder, name, values):
     file = folder / name
     if file.suffix == ".npy":
         np.save(file, values)
@@ -24,7 +22,7 @@ def written(folder: Path, name: str, values: np.ndarray) -> Path:
     return file
 
 
-def whole(depth: np.ndarray) -> np.ndarray:
+def whole(depth):
     return np.nan_to_num(np.rint(1e3 * depth)).astype(np.uint16)
 
 

@@ -14,7 +14,7 @@ from ttus_opt.sensors.depth_noise import (
 )
 
 
-def pixels(z: float, angle: float = 0.0, off_axis: float = 1.0) -> Pixels:
+def pixels(z, angle=0.0, off_axis=1.0):
     each = np.array([z])
     return Pixels(each, off_axis * each, np.array([np.deg2rad(angle)]), 600.0)
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.sensors.depth_pixels import LEAST_COUNT, STEPS, _neighbours, judge
 
 SHAPE, FOCAL = (24, 30), 120.0
 STEEPEST = np.deg2rad(80.0)
 
 
-def rays() -> Array:
+def rays():
     v, u = np.indices(SHAPE, dtype=float)
     out = np.stack(
         [(u - SHAPE[1] / 2) / FOCAL, (v - SHAPE[0] / 2) / FOCAL, np.ones(SHAPE)], -1
@@ -18,7 +17,7 @@ def rays() -> Array:
     return np.asarray(out / np.linalg.norm(out, axis=-1, keepdims=True))
 
 
-def plane(normal: Array, at: float = 1.0) -> Array:
+def plane(normal, at=1.0):
     """Depth z of the plane n·X = n_z · at."""
     own = rays()
     return np.asarray(normal[2] * at / (own @ normal) * own[..., 2])

@@ -1,7 +1,6 @@
 """Hand-eye calibration: known answers, real pairs, and what OpenCV would not say."""
 
 import json
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -9,13 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.sensors.hand_eye import HAND_EYE, ROBOT_WORLD, hand_eye, read_pose_pairs
 
 
-def motion(turn: Array | list[float], shift: Array | list[float]) -> Array:
+def motion(turn, shift):
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
     return out
@@ -25,12 +23,7 @@ X = motion([0.3, -1.0, 2.0], [0.1, -0.4, 0.9])
 Z = motion([1.0, 0.2, -0.5], [0.02, 0.05, -0.08])
 
 
-def pairs(
-    camera: Literal["fixed", "moving"],
-    n: int = 12,
-    noise: float = 0.0,
-    turns: Array | None = None,
-) -> tuple[Array, Array]:
+def pairs(camera, n=12, noise=0.0, turns=None):
     """Marker in camera and hand in base for a known X and Z [rad, m]."""
     rng = np.random.default_rng(3)
     turns = rng.normal(0, 0.5, (n, 3)) if turns is None else turns

@@ -5,7 +5,6 @@ import json
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
@@ -45,7 +44,7 @@ TAG_CAMERA = Intrinsics(
 )
 
 
-def looking(turn: list[float], shift: list[float]) -> NDArray[np.float64]:
+def looking(turn, shift):
     """A marker turned towards the camera, then by a rotation vector [rad, m]."""
     pose = np.eye(4)
     facing = np.diag([1.0, -1.0, -1.0])
@@ -54,7 +53,7 @@ def looking(turn: list[float], shift: list[float]) -> NDArray[np.float64]:
     return pose
 
 
-def drawn(pose: NDArray[np.float64], side: float = 0.06) -> NDArray[np.uint8]:
+def drawn(pose, side=0.06):
     """A photo of AprilTag 7 at a pose, antialiased."""
     cells, scale = 10, 40  # a white rim of one cell
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

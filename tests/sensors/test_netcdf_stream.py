@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, TtusWarning
 from ttus_opt.sensors import netcdf_child, netcdf_stream
-from ttus_opt.sensors.netcdf_child import Variable, unpacked
+from ttus_opt.sensors.netcdf_child import unpacked
 from ttus_opt.sensors.netcdf_stream import (
     read_netcdf_poses,
     read_netcdf_wrenches,
@@ -32,7 +31,7 @@ TURNS = Rotation.from_rotvec(np.outer(np.arange(8), [0.1, -0.05, 0.02]))
 PLACE = np.outer(np.arange(8), [0.01, 0.02, -0.03])
 
 
-def poses(order: str = "xyzw", labelled: bool = True) -> xr.Dataset:
+def poses(order="xyzw", labelled=True):
     quaternion = TURNS.as_quat()
     if order == "wxyz":
         quaternion = np.roll(quaternion, 1, axis=1)
@@ -48,7 +47,7 @@ def poses(order: str = "xyzw", labelled: bool = True) -> xr.Dataset:
     )
 
 
-def written(data: xr.Dataset, file: Path) -> Path:
+def written(data, file):
     data.to_netcdf(file, engine="netcdf4")
     return file
 
@@ -71,11 +70,11 @@ for line in sys.stdin:
 class Server:
     """`read_apart` by a process that reads many files, and a new one after a crash."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.crashes = 0
         self._process: subprocess.Popen[bytes] | None = None
 
-    def read(self, file: Path) -> dict[str, Variable]:
+    def read(self, file):
         if self._process is None:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", SERVE, netcdf_child.__file__],
@@ -97,7 +96,7 @@ class Server:
             raise ValueError("its reader gave up")
         return unpacked(content)
 
-    def end(self) -> None:
+    def end(self):
         if self._process is not None:
             for stream in (self._process.stdin, self._process.stdout):
                 with contextlib.suppress(OSError):
@@ -179,11 +178,11 @@ def test_wrenches_there_and_back(tmp_path):
     assert read_netcdf_wrenches(tmp_path / "f.nc").torque is None
 
 
-def late(data: xr.Dataset) -> xr.Dataset:
+def late(data):
     return data.assign_coords(time=("time", TIME[::-1].copy(), {"units": "s"}))
 
 
-def gone(data: xr.Dataset) -> xr.Dataset:
+def gone(data):
     place = data.position.copy()
     place[3, 1] = np.nan
     return data.assign(position=place.assign_attrs(units="m"))

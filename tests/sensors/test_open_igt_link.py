@@ -6,8 +6,6 @@ import struct
 import threading
 import time
 import warnings
-from collections.abc import Iterator
-from typing import Any
 from unittest.mock import ANY
 
 import numpy as np
@@ -26,7 +24,7 @@ pyigtl = pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
 
 
-def transform(i: int, device: str = "ProbeToTracker") -> Any:
+def transform(i, device="ProbeToTracker"):
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = TURN, [10.0 * i, 20.0, -30.0]
     return pyigtl.TransformMessage(matrix, timestamp=50.0 + 0.1 * i, device_name=device)
@@ -35,17 +33,17 @@ def transform(i: int, device: str = "ProbeToTracker") -> Any:
 class SensorMessage(pyigtl.messages.MessageBase):
     """Count, status, unit, then ``count`` doubles; pyigtl has none."""
 
-    def __init__(self, values: Any, **more: Any) -> None:
+    def __init__(self, values, **more):
         super().__init__(**more)
         self._message_type, self.values = "SENSOR", values
         self._valid_message = True
 
-    def _pack_content(self) -> bytes:
+    def _pack_content(self):
         head = struct.pack(">BBQ", len(self.values), 0, 0)
         return head + self.values.astype(">f8").tobytes()
 
 
-def sensor(i: int, n: int = 6) -> Any:
+def sensor(i, n=6):
     values = np.arange(1.0, 7.0)[:n] + i
     return SensorMessage(values, timestamp=60.0 + 0.01 * i, device_name="Force")
 
@@ -53,40 +51,40 @@ def sensor(i: int, n: int = 6) -> Any:
 class Bytes:
     """A message as it travels."""
 
-    def __init__(self, content: bytes) -> None:
+    def __init__(self, content):
         self.content = content
 
-    def pack(self) -> bytes:
+    def pack(self):
         return self.content
 
 
-def bent(i: int, value: float = np.nan) -> Any:
+def bent(i, value=np.nan):
     message = transform(i)
     message.matrix[0, 0] = value
     return message
 
 
-def flipped(i: int) -> Bytes:
+def flipped(i):
     content = bytearray(transform(i).pack())
     content[HEADER.size + 40] ^= 1
     return Bytes(bytes(content))
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 @contextlib.contextmanager
-def serving(messages: list[Any], *, closing: bool = False) -> Iterator[int]:
+def serving(messages, *, closing=False):
     """Sends all of it, with a moment between two; then is silent, or closes."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         done = threading.Event()
 
-        def serve() -> None:
+        def serve():
             with contextlib.suppress(OSError):
                 connection, _ = listener.accept()
                 with connection:
@@ -119,7 +117,7 @@ def test_poses_and_forces_are_recorded():
 
 
 def test_an_interrupt_ends_a_recording(monkeypatch):
-    def interrupt(count: int) -> None:
+    def interrupt(count):
         if count >= 10:
             raise KeyboardInterrupt
 
@@ -137,7 +135,7 @@ def test_nobody_listens():
     refuses(InputError, "positive", igt.record, "127.0.0.1", 5, seconds=-1.0)
 
 
-def received(*messages: Any) -> igt.Received:
+def received(*messages):
     out, reader = igt.Received(), MessageReader()
     for message in reader.feed(b"".join(message.pack() for message in messages)):
         out.take(message)
@@ -275,7 +273,7 @@ def test_silence_is_told_and_outlasted(monkeypatch):
     monkeypatch.setattr(igt, "SILENCE", 0.2)
 
     class Late(Bytes):
-        def pack(self) -> bytes:
+        def pack(self):
             time.sleep(0.6)
             return self.content
 

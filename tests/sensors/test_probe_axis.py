@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.probe_axis import axis_from_probe
@@ -19,7 +18,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "torso"
 HELD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
 
 
-def scan(rng: np.random.Generator) -> Array:
+def scan(rng):
     """Half an ellipsoid, 0.22 m deep, on a bed."""
     u = rng.normal(size=(12_000, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
@@ -31,7 +30,7 @@ def scan(rng: np.random.Generator) -> Array:
     return np.concatenate([body, bed]) + 0.001 * rng.standard_normal((20_000, 3))
 
 
-def probe(n: int = 5, rotation: Array = HELD, at: Array | None = None) -> Trajectory:
+def probe(n=5, rotation=HELD, at=None):
     rng = np.random.default_rng(1)
     shake = Rotation.from_rotvec(0.004 * rng.standard_normal((n, 3))).as_matrix()
     position = np.array([0.0, 0.24, 0.05]) if at is None else at

@@ -2,7 +2,6 @@
 
 import shutil
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,11 @@ rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
 KINDS = ["ros1", "sqlite3", "mcap"]
 
 
-def turn(i: int) -> Rotation:
+def turn(i):
     return Rotation.from_rotvec([0.1 * i, 0.05, -0.2])
 
 
-def recorded(folder: Path, kind: str, twice: bool = False) -> Path:
+def recorded(folder, kind, twice=False):
     """Ten poses, transforms and wrenches, 20 Hz."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
@@ -43,12 +42,12 @@ def recorded(folder: Path, kind: str, twice: bool = False) -> Path:
         plugin = rosbag2.StoragePlugin[kind.upper()]
         writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
 
-    def header(i: int) -> Any:
+    def header(i):
         stamp = T["Time"](sec=1_700_000_000, nanosec=50_000_000 * i)
         more = {"seq": i} if ros1 else {}
         return T["Header"](stamp=stamp, frame_id="base", **more)
 
-    def messages(i: int) -> dict[str, Any]:
+    def messages(i):
         x, y, z, w = turn(i).as_quat()
         q = T["Quaternion"](x=x, y=y, z=z, w=w)
         v = T["Vector3"](x=0.1 * i, y=2.0, z=3.0)

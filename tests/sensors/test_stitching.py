@@ -1,7 +1,6 @@
 """Scans put together: by their poses, refined, and refused."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import TimeOfFlight
@@ -27,7 +25,7 @@ CENTRE, SEMI_AXES = np.array([0, 0.11, 0]), np.array([0.17, 0.11, 0.35])
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def image(camera: Camera, what: str, seed: int = 0) -> DepthImage:
+def image(camera, what, seed=0):
     z = see_plane(camera, UP, 0.0)
     if what == "body and bed":
         z = np.minimum(z, see_ellipsoid(camera, CENTRE, SEMI_AXES))
@@ -40,11 +38,11 @@ def image(camera: Camera, what: str, seed: int = 0) -> DepthImage:
 
 
 @cache
-def images(what: str) -> list[DepthImage]:
+def images(what):
     return [image(camera, what, k) for k, camera in enumerate(CAMERAS)]
 
 
-def moved(pose: Array, shift: tuple[float, ...], turn: tuple[float, ...]) -> Array:
+def moved(pose, shift, turn):
     """About the camera, in mm and degrees."""
     change = np.eye(4)
     change[:3, :3] = Rotation.from_rotvec(np.deg2rad(turn)).as_matrix()
@@ -55,7 +53,7 @@ def moved(pose: Array, shift: tuple[float, ...], turn: tuple[float, ...]) -> Arr
 OFF = moved(POSES[1], (6.0, -4.0, 5.0), (0.4, -0.3, 0.5))
 
 
-def body_error(pose: Array) -> float:
+def body_error(pose):
     """How far the second scan's points are from where they belong [m]."""
     points = images("body and bed")[1].to_cloud().points
     truth, found = (points @ p[:3, :3].T + p[:3, 3] for p in (POSES[1], pose))
@@ -148,7 +146,7 @@ def test_refusals(monkeypatch):
         stitch(shots, POSES, refine=PoseUncertainty())
 
 
-def poses_file(file: Path, order: str = "wxyz") -> Path:
+def poses_file(file, order="wxyz"):
     lines = ["t,px,py,pz,qw,qx,qy,qz"]
     for k, pose in enumerate(POSES):
         turn = Rotation.from_matrix(pose[:3, :3])

@@ -16,7 +16,7 @@ TIME = np.arange(4.0)
 MAP = {"t": "stamp", "px": "x", "fx": "F1", "tx": "M1"}
 
 
-def wrenches() -> WrenchStream:
+def wrenches():
     return WrenchStream(TIME, np.outer(TIME, [1.0, 2, 3]), np.outer(TIME, [4.0, 5, 6]))
 
 

@@ -1,7 +1,5 @@
 """Streams put together: exact where it can be, nothing across gaps."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -18,13 +16,13 @@ from ttus_opt.sensors.streams import (
 )
 
 
-def turning(time: np.ndarray) -> Trajectory:
+def turning(time):
     """Steady motion and a steady turn, which interpolation follows exactly."""
     turns = Rotation.from_rotvec(np.outer(time, [0.2, -0.5, 0.3])).as_matrix()
     return Trajectory(time, np.outer(time, [0.1, 0.0, -0.02]), turns)
 
 
-def stream(time: np.ndarray) -> WrenchStream:
+def stream(time):
     return WrenchStream(time, np.outer(time, [1.0, 2, 3]), np.outer(time, [4.0, 5, 6]))
 
 
@@ -83,7 +81,7 @@ def test_what_is_refused():
     refuses(InputError, "finite", WrenchStream, np.arange(2.0), np.full((2, 3), np.nan))
 
 
-def table(file: Path) -> Path:
+def table(file):
     time = np.arange(1000.0, 1010.0, 0.5)
     rows = np.column_stack([time, np.outer(time, np.ones(6)) / 1000])
     lines = ["time;force.x;force.y;force.z;torque.x;torque.y;torque.z"]

@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,7 +101,7 @@ def test_axes_that_are_turned_are_noticed_and_mended():
     assert load.mass == pytest.approx(MASS, abs=0.01)
 
 
-def about(*axes: list[float], n: int = 12) -> np.ndarray:
+def about(*axes, n=12):
     """Turns about a few axes, one after the other."""
     angles = np.linspace(-1.2, 1.2, n)
     turns = [np.outer(angles, axis) for axis in axes]
@@ -151,7 +150,7 @@ def test_mutations(tmp_path, n):
     file = tmp_path / "free.csv"
     readings(tilts(12), noise=0.01).save(file, digits=6)
 
-    def read(path: Path) -> None:
+    def read(path):
         free = read_trajectory(path)
         load = identify_load(free, SENSOR, DOWN)
         compensated(free, SENSOR, load, DOWN, np.zeros(3), inertia=True)

@@ -44,12 +44,12 @@ class Torso:
     faces: NDArray[np.int64]
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def ends(self):
         return float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max())
 
 
 @cache
-def torso() -> Torso:
+def torso():
     path = DATA / "ct_skin_mm.ply"
     if not path.exists():
         pytest.skip("ct_skin_mm.ply is not beside the checkout")
@@ -60,7 +60,7 @@ def torso() -> Torso:
 
 
 @cache
-def cameras() -> tuple[Camera, ...]:
+def cameras():
     """From the front and from both sides, 0.9 m off, as tests/scan has them."""
     body = torso().vertices
     middle = (body.min(axis=0) + body.max(axis=0)) / 2
@@ -74,7 +74,7 @@ def cameras() -> tuple[Camera, ...]:
 
 
 @cache
-def depths(k: int) -> Array:
+def depths(k):
     """What camera k measures, z [m]."""
     camera, body = cameras()[k], torso()
     skin = see_mesh(camera, body.vertices, body.faces)
@@ -93,7 +93,7 @@ def depths(k: int) -> Array:
     return measured(mixed, std, 0.1, rng)
 
 
-def written(folder: Path, poses: list[Array]) -> list[str]:
+def written(folder, poses):
     """Images, camera and poses as files; the words of the command."""
     lines = ["t,px,py,pz,qw,qx,qy,qz"]
     for k, pose in enumerate(poses):
@@ -110,7 +110,7 @@ def written(folder: Path, poses: list[Array]) -> list[str]:
     ]
 
 
-def errors(found: tt.Surface) -> Array:
+def errors(found):
     """Errors of the radius where it was seen, off the CT's ends [m]."""
     body = torso()
     vertices = found.axis.to_patient(body.vertices)
@@ -131,7 +131,7 @@ def errors(found: tt.Surface) -> Array:
     return np.asarray((found.radius - truth)[kept])
 
 
-def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+def run(words, capsys):
     with pytest.raises(SystemExit) as stop:
         main(words)
     printed = capsys.readouterr()
@@ -180,7 +180,7 @@ def test_poses_that_are_off(tmp_path, capsys):
     assert found[1][0] < 0.5 * found[0][0]
 
 
-def real_views(apart: float) -> tuple[list[Camera], list[DepthImage]]:
+def real_views(apart):
     """Every second point of a RealSense's cloud in one view, the others in another."""
     path = DATA / "realsense_male_m.pcd"
     if not path.exists():
@@ -216,7 +216,7 @@ def test_real_points_are_put_back(apart, most):
     change[:3, :3], change[:3, 3] = turn.as_matrix(), [0.0035, 0.0035, -0.0035]
     points = images[1].to_cloud().points
 
-    def off(first: Array, second: Array) -> float:
+    def off(first, second):
         """How far the second view's points are, as the first sees them [mm]."""
         to_first = np.linalg.inv(first) @ second
         true = np.linalg.inv(seen[0].pose) @ seen[1].pose

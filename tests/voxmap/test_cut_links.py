@@ -12,7 +12,7 @@ from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.voxmap import SURFACE, Voxmap
 
 
-def tube(radius: float, boundary: str = "subvoxel") -> Voxmap:
+def tube(radius, boundary="subvoxel"):
     """Layers at 3, 4, … 15 cm around a cylinder."""
     surface = Surface.from_radius(np.full((8, 3), radius), np.array([0.0, 0.1, 0.2]))
     return Voxmap.from_surface(

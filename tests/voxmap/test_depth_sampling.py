@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
@@ -18,18 +18,16 @@ POINT = PointShell(
 SAMPLINGS = ["voxel-mean", "trilinear"]
 
 
-def rows_at(voxmap: Voxmap, places: np.ndarray, sampling: str) -> ContactRows:
+def rows_at(voxmap, places, sampling):
     turns = np.tile(np.eye(3), (len(places), 1, 1))
     return contact_rows(voxmap, POINT, turns, places, sampling=sampling)
 
 
-def sampled(
-    voxmap: Voxmap, values: np.ndarray, places: np.ndarray, sampling: str = "trilinear"
-) -> np.ndarray:
+def sampled(voxmap, values, places, sampling="trilinear"):
     return (rows_at(voxmap, places, sampling).N @ values.reshape(-1))[::3]
 
 
-def bumpy(n_theta: int = 180, n_z: int = 61) -> Surface:
+def bumpy(n_theta=180, n_z=61):
     theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
     z = np.linspace(0.0, 0.2, n_z)
     return Surface.from_radius(
@@ -37,15 +35,13 @@ def bumpy(n_theta: int = 180, n_z: int = 61) -> Surface:
     )
 
 
-def depths_of_voxels(voxmap: Voxmap) -> np.ndarray:
+def depths_of_voxels(voxmap):
     grid = voxmap.grid
     skin = voxmap.surface.radius_at(grid.theta[:, None], grid.z)
     return np.asarray(skin - grid.r[:, None, None])
 
 
-def places_below(
-    surface: Surface, depth: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def places_below(surface, depth, rng):
     """Random places at given depths: Cartesian, and their θ and z."""
     theta = rng.uniform(0.0, 2 * np.pi, depth.size)
     z = rng.uniform(surface.z[0], surface.z[-1], depth.size)
@@ -73,7 +69,7 @@ def test_second_order_on_a_bumpy_skin():
     depth = rng.uniform(0.0, 0.03, 6000)
     places, theta, z = places_below(surface, depth, rng)
 
-    def field(d: np.ndarray, theta: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def field(d, theta, z):
         return np.sin(60.0 * d) * (2.0 + np.sin(2 * theta) * np.cos(15 * z))
 
     errors = []

@@ -99,7 +99,7 @@ def test_a_damaged_file_is_one_line(field, tmp_path):
     refuses(FileError, "damaged", PotentialField.load, tmp_path / "b.nc")
 
 
-def altered(data: xr.Dataset, name: str, **attrs: object) -> xr.Dataset:
+def altered(data, name, **attrs):
     """The same file with other attributes of one variable."""
     return data.assign({name: data[name].assign_attrs(attrs)})
 

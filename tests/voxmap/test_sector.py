@@ -6,7 +6,6 @@ import pytest
 from tests.conftest import ellipsoid, presses, torso
 from tests.refusals import refuses
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.scan.surface import Surface
@@ -19,7 +18,7 @@ TURN = 2.0 * np.pi
 ACROSS: Sector = (np.radians(-50.0), np.radians(70.0))
 
 
-def field(sampling: str = "trilinear", boundary: str = "subvoxel") -> PotentialField:
+def field(sampling="trilinear", boundary="subvoxel"):
     """P grows with depth and angle, over a sector across θ = 0."""
     voxmap = Voxmap.from_surface(
         torso(), shape=(12, 13, 9), boundary=boundary, sector=ACROSS
@@ -63,7 +62,7 @@ def test_a_bad_sector_is_refused_in_one_line(sector, told):
     assert "\n" not in str(caught.value)
 
 
-def half_seen() -> Surface:
+def half_seen():
     """The torso, seen from 30° to 148° alone, and beyond that a radius of 0.3 m."""
     surface = torso()
     seen = (surface.theta > np.radians(29)) & (surface.theta < np.radians(149))
@@ -145,7 +144,7 @@ def test_a_damaged_sector_is_told(text):
         _from_dataset(data)
 
 
-def around_the_sides(n: int) -> tuple[Array, Array]:
+def around_the_sides(n):
     """Presses at angles inside, across both sides, and outside of the sector."""
     rng = np.random.default_rng(3)
     angle = rng.uniform(np.radians(-120), np.radians(150), n)

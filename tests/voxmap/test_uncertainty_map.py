@@ -11,7 +11,7 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 THETA = np.arange(8) * np.pi / 4.0
 
 
-def linear() -> UncertaintyMap:
+def linear():
     z = np.linspace(0.0, 0.2, 3)
     return UncertaintyMap(THETA, z, 0.1 + np.abs(np.cos(THETA))[:, None] + z)
 

@@ -8,7 +8,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE, Voxmap
 
 
-def cylinder(radius: float, n_theta: int = 12, n_z: int = 4) -> Surface:
+def cylinder(radius, n_theta=12, n_z=4):
     return Surface.from_radius(
         np.full((n_theta, n_z), radius), np.linspace(0.0, 0.2, n_z)
     )
@@ -32,7 +32,7 @@ def test_the_layer_is_the_nearest_one():
         assert (voxmap.region[layer] == SURFACE).all()
 
 
-def rough(seed: int) -> Surface:
+def rough(seed):
     rng = np.random.default_rng(seed)
     return Surface.from_radius(rng.uniform(0.05, 0.12, (24, 9)), np.linspace(0, 0.2, 9))
 

@@ -7,7 +7,6 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
@@ -19,10 +18,8 @@ from tests.laplace.multigrid.test_solver import (
     pockets,
     torso,
 )
-from ttus_opt.core.arrays import Mask
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid
-from ttus_opt.voxmap.grid import CylindricalGrid
 
 GRIDS = {
     "even": make_grid((16, 24, 14)),
@@ -33,29 +30,29 @@ GRIDS = {
 }
 
 
-def allowed(free: Mask) -> Mask:
+def allowed(free):
     """Voxels that may be pooled: both they and the next one outwards are free."""
     both = np.zeros_like(free)
     both[:-1] = free[:-1] & free[1:]
     return both
 
 
-def some_pooled(free: Mask, seed: int, share: float = 0.3) -> Mask:
+def some_pooled(free, seed, share=0.3):
     return allowed(free) & (np.random.default_rng(seed).random(free.shape) < share)
 
 
-def whole_spokes(free: Mask, seed: int) -> Mask:
+def whole_spokes(free, seed):
     """Every second or third spoke is one block, inside to outside."""
     rng = np.random.default_rng(seed)
     return allowed(free) & (rng.random(free.shape[1:]) < 0.4)[None]
 
 
-def every_spoke(free: Mask, seed: int) -> Mask:
+def every_spoke(free, seed):
     del seed
     return allowed(free)
 
 
-def nearly_whole(free: Mask, seed: int) -> Mask:
+def nearly_whole(free, seed):
     """Blocks over nearly the whole radius, cut at a random layer each."""
     rng = np.random.default_rng(seed)
     pooled = allowed(free)
@@ -64,16 +61,14 @@ def nearly_whole(free: Mask, seed: int) -> Mask:
     return pooled
 
 
-def one_pair(free: Mask, seed: int) -> Mask:
+def one_pair(free, seed):
     pooled = np.zeros_like(free)
     spots = np.argwhere(allowed(free))
     pooled[tuple(spots[seed % len(spots)])] = True
     return pooled
 
 
-def spread(
-    free: Mask, pooled: Mask, rng: np.random.Generator
-) -> tuple[sp.csc_array, NDArray[np.int64]]:
+def spread(free, pooled, rng):
     """P by connected components, on free voxels, and a random member of each block."""
     stride = free.shape[1] * free.shape[2]
     number = np.full(free.size, -1)
@@ -91,9 +86,7 @@ def spread(
     return P, member
 
 
-def aggregated(
-    grid: CylindricalGrid, free: Mask, pooled: Mask
-) -> tuple[AggregatedMultigrid, NDArray[np.bool_]]:
+def aggregated(grid, free, pooled):
     """The solver, and the voxels at which blocks stand."""
     _, member = spread(free, pooled, np.random.default_rng(0))
     shown = np.zeros(free.size, dtype=bool)
@@ -101,7 +94,7 @@ def aggregated(
     return AggregatedMultigrid(grid, free.reshape(-1), pooled.reshape(-1), shown), shown
 
 
-def check(grid: CylindricalGrid, free: Mask, pooled: Mask, seed: int = 0) -> None:
+def check(grid, free, pooled, seed=0):
     """Solution, residual and zeros, for a right-hand side that is noise."""
     rng = np.random.default_rng(seed)
     P, member = spread(free, pooled, rng)
@@ -168,17 +161,14 @@ def test_equals_a_factorisation_on_any_mask_and_ties(
         check(grid, free, some_pooled(free, seed + 1, joined), seed)
 
 
-def test_is_linear_in_sizes_and_symmetric():
+def test_sizes_do_not_matter():
     grid = GRIDS["odd"]
     free = torso(grid)
     solver, shown = aggregated(grid, free, some_pooled(free, 1))
-    rng = np.random.default_rng(1)
-    a, b = (np.where(shown, rng.standard_normal(free.size), 0.0) for _ in range(2))
-    x, y = solver.solve(a).x, solver.solve(b).x
-    # what cancels in x @ b counts as well
-    assert abs(x @ b - a @ y) <= 1e-10 * np.linalg.norm(x) * np.linalg.norm(b)
+    b = np.where(shown, np.random.default_rng(1).standard_normal(free.size), 0.0)
+    x = solver.solve(b).x
     for size in (1e-200, 1e200):
-        np.testing.assert_allclose(solver.solve(size * a).x / size, x, rtol=1e-9)
+        np.testing.assert_allclose(solver.solve(size * b).x / size, x, rtol=1e-9)
     assert not solver.solve(np.zeros(free.size)).x.any()
 
 

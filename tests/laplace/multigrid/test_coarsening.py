@@ -5,7 +5,6 @@ import pytest
 
 from tests.laplace.multigrid.test_solver import box, make_grid
 from ttus_opt.laplace.multigrid.coarsening import THETA, R, Z, coarsen, finest, plan
-from ttus_opt.laplace.multigrid.red_black import Single
 
 
 def test_the_finest_network_is_the_operator(small):
@@ -22,7 +21,7 @@ def test_a_line_is_coarsened_by_eliminating_its_nodes(axis):
     free[4, 5, 6] = False
     whole = finest(grid, free)
 
-    def along(values: tuple[Single, ...]) -> tuple[Single, ...]:
+    def along(values):
         return tuple(v if a == axis else 0.0 * v for a, v in enumerate(values))
 
     line = whole.__class__(

@@ -22,7 +22,7 @@ def system(request):
     return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=request.param))
 
 
-def block(system: LaplaceSystem) -> sp.csr_array:
+def block(system):
     """A from the rows of L."""
     free = system.free
     A = sp.diags_array(-system.radii[free]) @ system.L[free][:, free]

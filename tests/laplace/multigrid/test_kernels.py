@@ -6,18 +6,17 @@ from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.core.compiled import compiled
 from ttus_opt.laplace.multigrid.kernels import (
     LevelIndex,
-    Table,
     fill_ghost_rows,
     flow,
     level_index,
     span,
 )
-from ttus_opt.laplace.multigrid.red_black import BLACK, RED, Single
+from ttus_opt.laplace.multigrid.red_black import BLACK, RED
 from ttus_opt.laplace.multigrid.workspace import Workspace
 
 
 @compiled()
-def _fill_ghosts(table: Table, work: Single, x: int, colour: int) -> tuple[int, int]:
+def _fill_ghosts(table, work, x, colour):
     at = level_index(table[0])
     fill_ghost_rows(at, work, x, colour)
     first, last = span(at, colour)

@@ -8,7 +8,7 @@ from ttus_opt.laplace.multigrid.coarsening import Added
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 
 
-def written_out(cycle: OneCycle, free: np.ndarray) -> np.ndarray:
+def written_out(cycle, free):
     """Its matrix over the free voxels, column by column."""
     columns = []
     for n in np.flatnonzero(free):
@@ -29,7 +29,7 @@ def test_it_is_spectrally_equivalent_to_the_inverse(small):
         assert np.abs(B - B.T).max() < 1e-4 * np.abs(B).max()
         exact = np.linalg.inv(A + screening * np.eye(len(A)))
         ratios = scipy.linalg.eigh((B + B.T) / 2, exact, eigvals_only=True)
-        assert 0.6 < ratios.min() <= ratios.max() < 1.4
+        assert 0.6 < ratios.min() <= ratios.max() < (1.4 if screening else 1.1)
 
 
 def test_it_is_linear_and_leaves_fixed_voxels_alone(small):

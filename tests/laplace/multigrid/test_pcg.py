@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.laplace.multigrid.conftest import Torso, noise, split
+from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.laplace.multigrid.pcg import Vectors, dot, extend, operate, step
 from ttus_opt.laplace.multigrid.red_black import BLACK, RED
 
@@ -70,7 +70,7 @@ def test_a_correction_solves_to_the_accuracy_asked_for(small, goal):
     assert work.correct(1e-30, 2) == 2  # no more V-cycles than allowed
 
 
-def _beside(small: Torso) -> np.ndarray:
+def _beside(small):
     """Places that hold no free node, the copies where the circle closes among them."""
     layout = small.hierarchy.levels[0].layout
     used = layout.places(np.nonzero(small.free))

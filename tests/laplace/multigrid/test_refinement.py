@@ -5,21 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from tests.laplace.multigrid.conftest import Torso, noise, split
+from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.laplace.multigrid.coarsening import conductances
-from ttus_opt.laplace.multigrid.refinement import Operator, add, operate, residual
+from ttus_opt.laplace.multigrid.refinement import Operator, add, residual
 
 
-def operator(small: Torso) -> Operator:
+def operator(small):
     sizes = *small.grid.shape[1:], small.hierarchy.levels[0].layout.pitch
     return Operator.of(small.free.reshape(-1), conductances(small.grid), sizes)
-
-
-def test_operate_is_A(small):
-    x = noise(small.free)
-    out = np.full_like(x, np.nan)
-    operate(out, x, operator(small), (0, 1))
-    np.testing.assert_allclose(out, small.A @ x, atol=1e-13)
 
 
 @pytest.mark.parametrize("is_zero", [False, True])

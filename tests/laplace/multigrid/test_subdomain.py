@@ -4,19 +4,16 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from tests.laplace.multigrid.test_solver import explicit, make_grid, torso
-from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid, VCycle
+from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid
 from ttus_opt.laplace.multigrid.subdomain import LARGE, MARGIN, SPOKES, Subdomain
-from ttus_opt.voxmap.grid import CylindricalGrid
 
 GRID = make_grid((24, 64, 40))
 
 
-def patch(grid: CylindricalGrid, free: Mask, spoke: int) -> NDArray[np.int64]:
+def patch(grid, free, spoke):
     """Free voxels within three layers under the skin of a few spokes and slices."""
     spokes = (spoke + np.arange(-3, 4)) % grid.shape[1]
     chosen = np.zeros(grid.shape, dtype=bool)
@@ -28,7 +25,7 @@ def patch(grid: CylindricalGrid, free: Mask, spoke: int) -> NDArray[np.int64]:
     return np.flatnonzero(chosen & free)
 
 
-def run(cycle: VCycle, at: NDArray[np.int64], b: Array) -> Array:
+def run(cycle, at, b):
     """One V-cycle on values at some voxels."""
     places = cycle.places(at)
     cycle.b.fill(0.0)

@@ -4,33 +4,26 @@ import numpy as np
 
 from tests.laplace.multigrid.conftest import made
 from tests.laplace.multigrid.test_solver import box, make_grid
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
-from ttus_opt.laplace.multigrid.kernels import (
-    LevelIndex,
-    Table,
-    fill_ghost_rows,
-    level_index,
-)
-from ttus_opt.laplace.multigrid.red_black import Single
+from ttus_opt.laplace.multigrid.kernels import LevelIndex, fill_ghost_rows, level_index
 from ttus_opt.laplace.multigrid.transfer import prolong, restrict
 
 
 @compiled()
-def _restricted(table: Table, fields: Single, work: Single) -> None:
+def _restricted(table, fields, work):
     restrict(level_index(table[0]), level_index(table[1]), fields, work, (0, 1))
 
 
 @compiled()
-def _prolonged(table: Table, fields: Single, work: Single) -> None:
+def _prolonged(table, fields, work):
     below = level_index(table[1])
     fill_ghost_rows(below, work, below.x, np.int64(0))
     fill_ghost_rows(below, work, below.x, np.int64(1))
     prolong(level_index(table[0]), below, fields, work, (0, 1))
 
 
-def matrices(h: Hierarchy, free: np.ndarray, coarse: np.ndarray) -> tuple[Array, Array]:
+def matrices(h, free, coarse):
     """R onto free coarse nodes and P onto free black ones, through the kernels."""
     top, below = (LevelIndex(*row.tolist()) for row in h.table[:2])
     fine, small = h.levels[0].layout, h.levels[1].layout
@@ -52,7 +45,7 @@ def matrices(h: Hierarchy, free: np.ndarray, coarse: np.ndarray) -> tuple[Array,
     return R, P
 
 
-def coarse_free(h: Hierarchy) -> np.ndarray:
+def coarse_free(h):
     """Free nodes of the second level: those with a pivot."""
     level = h.levels[1]
     shape = level.layout.shape

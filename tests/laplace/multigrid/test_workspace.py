@@ -5,21 +5,20 @@ import pytest
 
 from tests.laplace.multigrid.conftest import made, noise, split
 from tests.laplace.multigrid.test_solver import make_grid, torso
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.multigrid import solver, workspace
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.solver import Multigrid
 from ttus_opt.laplace.multigrid.workspace import Workspace
 
 
-def share(monkeypatch: pytest.MonkeyPatch, cores: int, large: int = 0) -> None:
+def share(monkeypatch, cores, large=0):
     """From now on there are so many cores, and levels are large from this size on."""
     for module in (solver, workspace):
         monkeypatch.setattr(module, "LARGE", large)
     monkeypatch.setattr("ttus_opt.core.threads.usable_cores", lambda: cores)
 
 
-def cycled(work: Workspace, b: np.ndarray, sweeps: int, has_red: bool) -> np.ndarray:
+def cycled(work, b, sweeps, has_red):
     work.b[:] = b
     work.v_cycle(sweeps=sweeps, has_red=has_red)
     return work.x.copy()
@@ -46,7 +45,7 @@ def test_a_v_cycle_does_not_depend_on_the_number_of_cores(
             np.testing.assert_array_equal(x, alone)
 
 
-def solved() -> list[Array]:
+def solved():
     """Solutions and products on grids with even and odd numbers of spokes."""
     found = []
     for shape in ((10, 12, 8), (9, 11, 7)):

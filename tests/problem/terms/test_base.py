@@ -10,7 +10,6 @@ from tests.conftest import small_scene
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.penalties.base import Penalty
 from ttus_opt.problem.terms.penalties.groups import Groups
 from ttus_opt.problem.terms.penalties.squares import Squares
 
@@ -27,10 +26,10 @@ class Own(Term):
     name = "own"
 
     @property
-    def penalty(self) -> Penalty:
+    def penalty(self):
         return Groups(self.group) if self.group else Squares()
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         self.made.append(1)
         return AffineRows({"p": sp.coo_array(np.eye(6, V))}, np.arange(6))
 

@@ -21,7 +21,7 @@ SCENE = small_scene("trilinear", shape=(8, 12, 8), n_poses=10)
 SHAPE = SCENE.voxmap.grid.shape
 
 
-def eq10() -> Formulation:
+def eq10():
     return load("eq10", SCENE, force_weight=1.0, torque_weight=1.0)
 
 
@@ -76,7 +76,7 @@ def test_a_wrong_answer_fails_its_check():
 def test_another_weight_is_brought_into_form_once():
     calls = []
 
-    def counted(p: Any) -> Any:
+    def counted(p):
         calls.append(p)
         return cp.tv(p[:, :, 4])
 

@@ -26,7 +26,7 @@ class Own(tt.Term):
     given: Any = field(default=None, repr=False)
     name = "own"
 
-    def rows(self) -> Any:
+    def rows(self):
         return self.given
 
 
@@ -37,7 +37,7 @@ class Limits(Constraint):
     given: Any = field(default=None, repr=False)
     name = "mine"
 
-    def rows(self) -> Any:
+    def rows(self):
         return self.given
 
 
@@ -62,11 +62,11 @@ def test_every_sparse_format_is_taken(matrix):
     np.testing.assert_array_equal(rows.target, [1.0, 2.0, 3.0])
 
 
-def target(value: Any) -> tt.AffineRows:
+def target(value):
     return tt.AffineRows({"p": ROWS}, value)
 
 
-def matrix(value: Any) -> tt.AffineRows:
+def matrix(value):
     return tt.AffineRows({"p": value}, np.zeros(3))
 
 
@@ -145,7 +145,7 @@ def test_an_exception_in_rows_is_told_with_its_own_line(tmp_path):
 
 def test_a_class_without_a_name_is_told():
     class Nameless(tt.Term):
-        def rows(self) -> tt.AffineRows:
+        def rows(self):
             return target(np.zeros(3))
 
     with pytest.raises(InputError, match="Nameless has no name: add name"):

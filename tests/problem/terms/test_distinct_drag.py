@@ -60,7 +60,7 @@ def test_reversal_and_sideways_drag_tell_and_constant_sense_does_not():
 
 
 @functools.cache
-def tube() -> tt.Voxmap:
+def tube():
     z = np.linspace(0.0, 0.2, 21)
     surface = tt.Surface.from_radius(np.full((60, 21), 0.15), z)
     return tt.Voxmap.from_surface(surface, shape=(12, 60, 21), r_inner=0.12)
@@ -70,7 +70,7 @@ def tube() -> tt.Voxmap:
 EXPONENT = 1.5
 
 
-def pressed(depth: np.ndarray, angles: np.ndarray, step: float = 0.05) -> Scene:
+def pressed(depth, angles, step=0.05):
     """A ball pressed straight in at several angles, a recording each."""
     along = np.repeat(angles, len(depth))
     r = 0.15 + 0.02 - np.tile(depth, len(angles))
@@ -133,7 +133,7 @@ def test_a_probe_that_slides_tells_friction_in_one_sense_too():
         assert not model.not_identifiable()
 
 
-def frictionless(released: bool) -> Scene:
+def frictionless(released):
     """Without noise."""
     depth = np.concatenate([DOWN, DOWN[-2::-1]]) if released else DOWN
     return pressed(depth, np.linspace(0.5, 3.0, 8))
@@ -203,7 +203,7 @@ def test_tuning_takes_no_friction_that_could_be_elastic():
     assert "friction_coefficient" not in names
 
 
-def recordings(shared: Path) -> list[tuple[Path, Path]]:
+def recordings(shared):
     """Surfaces and recordings of hands and robots that press and slide."""
     bundled = Path(example.path("surface.nc"))
     names = ("press_fit", "sweep_fit", "press_test", "sweep_test", "sweep_drag_fit")

@@ -5,7 +5,6 @@ Five poses are in the air, ten at rest, the others slide along the skin.
 
 import functools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,11 @@ import pytest
 
 from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.terms.base import Fitted
-from ttus_opt.problem.terms.drag import CoulombField, DragModel, GlobalCoulomb, Viscous
+from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -30,7 +27,7 @@ N = SECTORS * BANDS
 
 
 @functools.cache
-def scene() -> Scene:
+def scene():
     whole = dragged_scene("contact", shape=(8, 16, 8), n=30)
     position, rotation = (
         getattr(whole.trajectory, name).copy() for name in ("position", "rotation")
@@ -49,22 +46,22 @@ def scene() -> Scene:
 AIR, REST = np.arange(30) < 5, np.arange(30) >= 20
 
 
-def field() -> Array:
+def field():
     return np.asarray(scene().laplace.solve(scene().b))
 
 
-def times(blocks: Mapping[str, object], values: Mapping[str, Array]) -> Array:
+def times(blocks, values):
     """What rows make of values, a vector per pose, shape (T, 3)."""
     return np.sum([blocks[k] @ values[k] for k in blocks], axis=0).reshape(-1, 3)
 
 
-def contact() -> tuple[Array, Array]:
+def contact():
     """Force and torque without drag, shape (T, 3) each."""
     p = field()
     return (scene().N @ p).reshape(-1, 3), (scene().W @ p).reshape(-1, 3)
 
 
-def told(model: DragModel, values: Mapping[str, Array], drag: Array) -> None:
+def told(model, values, drag):
     """Rows of force and torque have this drag in them, and act at the arm's end."""
     force, torque = contact()
     np.testing.assert_allclose(
@@ -77,7 +74,7 @@ def told(model: DragModel, values: Mapping[str, Array], drag: Array) -> None:
     )
 
 
-def by_coulomb(model: DragModel, mu: float) -> Array:
+def by_coulomb(model, mu):
     """−μ v/max(|v|, v₀) (n̂·f), pose by pose, shape (T, 3) [N]."""
     drag = []
     poses = zip(model.sliding.velocity, model.sliding.normal, contact()[0], strict=True)
@@ -108,7 +105,7 @@ def test_a_field_of_drag_does_the_same_where_it_is_a_share_of_the_potential():
     assert model.with_neutral(["viscous_coefficient"]) is model
 
 
-def by_patch(where: Scene) -> Viscous:
+def by_patch(where):
     return Viscous(where, sectors=SECTORS, bands=BANDS)
 
 
@@ -158,7 +155,7 @@ def test_poses_in_the_air_and_at_rest_do_not_slide():
     assert model.moving[6:19].all()
 
 
-def some_drag_field(rng: np.random.Generator) -> dict[str, Array]:
+def some_drag_field(rng):
     p = field()
     return {"p": p, "q": p * rng.uniform(0.1, 0.5, len(p))}
 
@@ -179,9 +176,7 @@ def test_the_one_coefficient_of_a_drag_field_is_its_regression():
     assert not excluded.fitted(values)
 
 
-def slopes_agree(
-    model: DragModel, name: str, one: Fitted, values: dict[str, Array]
-) -> None:
+def slopes_agree(model, name, one, values):
     """A parameter's derivative against central differences along random directions."""
     rng = np.random.default_rng(2)
     assert one.gradient
@@ -243,7 +238,7 @@ def test_a_patch_never_touched_has_the_mean_of_all_frames_in_contact():
     assert not left_out.fitted({"p": field()})
 
 
-def only(poses: Array) -> Scene:
+def only(poses):
     """The scene's poses of a mask alone."""
     whole = scene()
     return Scene.assemble(

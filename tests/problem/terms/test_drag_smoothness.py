@@ -9,7 +9,7 @@ SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 V = SCENE.n_voxels
 
 
-def residual(term: DragSmoothnessTerm, q: np.ndarray, m: float) -> np.ndarray:
+def residual(term, q, m):
     rows = term.assembled
     r = rows.blocks["q"] @ q - rows.target
     return r + rows.blocks["m"] @ [m] if "m" in rows.blocks else r

@@ -8,7 +8,6 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
@@ -22,18 +21,18 @@ WEIGHTS = {"force_weight": 2.0, "torque_weight": 0.5}
 
 
 @functools.cache
-def place() -> Scene:
+def place():
     return small_scene("trilinear", shape=(6, 12, 7), n_poses=8)
 
 
-def declared(profile: DepthProfile) -> tt.Formulation:
+def declared(profile):
     force, torque = ForceTerm(place(), 2.0), TorqueTerm(place(), 0.5)
     return tt.Formulation(
         [LaplaceResidualTerm(place(), profile=profile), force, torque]
     )
 
 
-def dense(mean: np.ndarray) -> np.ndarray:
+def dense(mean):
     """Minimum of ‖L (p − φ)‖² + 2 ‖N p − f‖² + ½ ‖(W p − τ)/ℓ‖² by dense algebra."""
     scene = place()
     length = scene.torque_length
@@ -44,7 +43,7 @@ def dense(mean: np.ndarray) -> np.ndarray:
     return np.linalg.solve(M.T @ M, M.T @ target)
 
 
-def profile_at_voxels(profile: DepthProfile) -> np.ndarray:
+def profile_at_voxels(profile):
     """φ voxel by voxel, zero on the surface layer."""
     voxmap = place().voxmap
     mean = np.zeros(place().n_voxels)

@@ -17,24 +17,24 @@ from ttus_opt.voxmap.voxmap import Voxmap
 SCENE = small_scene("trilinear")
 
 
-def tube(n: int, n_theta: int = 8, n_z: int = 5) -> Voxmap:
+def tube(n, n_theta=8, n_z=5):
     surface = Surface.from_radius(np.full((8, 3), 0.08), np.array([0.0, 0.1, 0.2]))
     return Voxmap.from_surface(
         surface, shape=(2 * n + 1, n_theta, n_z), r_inner=0.04, r_outer=0.12
     )
 
 
-def orders(errors: list[float]) -> np.ndarray:
+def orders(errors):
     return np.log2(np.array(errors[:-1]) / errors[1:])
 
 
-def anisotropic_error(n: int) -> float:
+def anisotropic_error(n):
     """sin(πz/h) times the cylinder functions of π/h·√(k_z/k_r)."""
     voxmap = tube(n, n_z=2 * n + 1)
     system = LaplaceSystem.assemble(voxmap, conductivities=(0.5, 3.0, 2.0))
     grid, kappa = system.grid, np.pi / 0.2 * np.sqrt(2.0 / 0.5)
 
-    def profile(r: np.ndarray) -> np.ndarray:
+    def profile(r):
         return i0(kappa * r) * k0(kappa * 0.08) - k0(kappa * r) * i0(kappa * 0.08)
 
     exact = profile(grid.r)[:, None] * np.sin(np.pi / 0.2 * grid.z)[None]
@@ -57,14 +57,14 @@ def test_only_the_ratio_of_conductivities_matters():
     )
 
 
-def screened_error(n: int, kappa: float) -> float:
+def screened_error(n, kappa):
     """Largest error inside a tube, where p is a sum of I₀(κr) and K₀(κr)."""
     voxmap = tube(n)
     system = LaplaceSystem.assemble(voxmap, screening=kappa)
     r = voxmap.grid.r
     inside = r <= 0.08
 
-    def profile(s: np.ndarray | float) -> np.ndarray:
+    def profile(s):
         return i0(kappa * s) * k0(kappa * 0.08) - k0(kappa * s) * i0(kappa * 0.08)
 
     exact = (profile(r) / profile(0.04))[inside]

@@ -7,7 +7,6 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.part_noise import (
@@ -71,7 +70,7 @@ def test_equal_parts_are_the_plain_term():
             assert abs(found[0] - found[1]).max() < 1e-12
 
 
-def covariance(time: np.ndarray, recording: np.ndarray) -> np.ndarray:
+def covariance(time, recording):
     """That of normal residuals by its definition, (T, T)."""
     late = np.exp(-np.abs(time[:, None] - time)) * (recording[:, None] == recording)
     touching = TOUCHING[:, None] & TOUCHING
@@ -79,7 +78,7 @@ def covariance(time: np.ndarray, recording: np.ndarray) -> np.ndarray:
     return np.asarray(np.diag(own**2) + late * touching * np.outer(DRIFT, DRIFT))
 
 
-def timed(step: float, n_recordings: int) -> tuple[Trajectory, np.ndarray]:
+def timed(step, n_recordings):
     """The poses at even times in recordings of equal length, and the covariance."""
     recording = np.arange(T) * n_recordings // T
     time = step * np.arange(T, dtype=float)

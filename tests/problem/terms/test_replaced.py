@@ -12,11 +12,11 @@ class Square:
     name: str = ""
 
     @cached_property
-    def area(self) -> list[float]:
+    def area(self):
         return [self.side**2]
 
     @cached_property
-    def title(self) -> str:
+    def title(self):
         return f"a {self.name}"
 
 

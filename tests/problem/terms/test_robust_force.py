@@ -38,7 +38,7 @@ def test_huber_bends_less_than_squares_to_an_outlier():
     scene = replace(SCENE, trajectory=trajectory)
     others = np.delete(np.arange(len(force)), touched)
 
-    def missed(name: str, **options: float) -> float:
+    def missed(name, **options):
         solution = fit(scene, name, force_weight=1.0, torque_weight=0.0, **options)
         rendered = (scene.N @ solution.field.values.reshape(-1)).reshape(-1, 3)
         return float(np.abs(rendered - force)[others].max())

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
@@ -19,7 +18,7 @@ def test_sparse_sources_are_sparse():
     few = fit(SCENE, "sparse_sources", sparsity=1e-2, tolerance=1e-7, **options)
     term = SparseSourcesTerm(SCENE).rows()
 
-    def active(field: tt.PotentialField) -> int:
+    def active(field):
         source = np.abs(term.blocks["p"] @ field.values.reshape(-1) - term.target)
         return int((source > 1e-4 * source.max()).sum())
 

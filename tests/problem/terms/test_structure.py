@@ -34,10 +34,10 @@ class Own(Term):
     tags: Tags = frozenset()
 
     @property
-    def name(self) -> str:
+    def name(self):
         return self.called
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         scale = np.ones(self.scene.n_voxels)
         scale[::3] = self.share
         rows = sp.csr_array(sp.diags_array(scale) @ self.scene.L)
@@ -51,7 +51,7 @@ class Given(Constraint):
     at: Array = field(repr=False)
     name = "boundary"
 
-    def rows(self) -> LinearRows:
+    def rows(self):
         V, m = self.scene.n_voxels, len(self.at)
         rows = sp.csr_array((np.ones(m), self.at, np.arange(m + 1)), shape=(m, V))
         return LinearRows({"p": rows}, np.full(m, 0.3), np.full(m, 0.3))

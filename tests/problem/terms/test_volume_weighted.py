@@ -14,7 +14,7 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def departures(name: str, refinements: tuple[int, ...], weight: float) -> list[float]:
+def departures(name, refinements, weight):
     """How far measured forces move rendered ones on unseen poses, per grid."""
     surface = Surface.from_radius(np.full((60, 31), 0.09), np.linspace(0.0, 0.2, 31))
     shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1000)

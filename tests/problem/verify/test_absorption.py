@@ -11,15 +11,14 @@ from tests.conftest import small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import term
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties.absolute import Absolute
 from ttus_opt.problem.terms.penalties.base import Penalty
 from ttus_opt.problem.terms.penalties.groups import Groups
 from ttus_opt.problem.terms.penalties.huber import Huber
 from ttus_opt.problem.terms.penalties.linear import Linear
 from ttus_opt.problem.verify import absorption
-from ttus_opt.problem.verify.kkt import KKT, Duals, kkt_residuals
-from ttus_opt.solvers.base import Candidate, Request
+from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
+from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
@@ -27,7 +26,7 @@ PENALTIES = [Absolute(), Groups(3), Huber(0.4)]
 each_penalty = pytest.mark.parametrize("phi", PENALTIES, ids=lambda p: p.formula)
 
 
-def mixed(phi: Penalty, seed: int, rank: int = 4) -> Program:
+def mixed(phi, seed, rank=4):
     """Six penalised rows of a rank, and one square, over four variables."""
     rng = np.random.default_rng(seed)
     M = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, 4))
@@ -35,7 +34,7 @@ def mixed(phi: Penalty, seed: int, rank: int = 4) -> Program:
     return bare([own, term(rng.normal(size=(1, 4)), [5.0], weight=2.0, name="one")])
 
 
-def optimum(program: Program) -> tuple[np.ndarray, float]:
+def optimum(program):
     """By an interior-point method of cvxpy's, from the declaration alone."""
     x = cp.Variable(program.n_variables)
     costs = [
@@ -48,7 +47,7 @@ def optimum(program: Program) -> tuple[np.ndarray, float]:
     return np.asarray(x.value), float(value)
 
 
-def multiplier(program: Program, x: np.ndarray) -> np.ndarray:
+def multiplier(program, x):
     """About the optimum's: the subgradient nearest to what squares ask for."""
     own, one = program.terms
     slope = 2.0 * one.weight * (one.matrix.T @ one.residual(x))
@@ -77,13 +76,13 @@ def test_no_answer_lies_further_above_the_optimum(phi, rank):
 
 
 @functools.cache
-def answer(name: str) -> tuple[Program, Candidate]:
+def answer(name):
     program = load(name, SCENE, force_weight=0.1).compile()
     solver = solvers()["augmented_lagrangian"]
     return program, solver.prepare(program, Request(1e-9)).solve()
 
 
-def residuals(name: str, factor: float = 1.0) -> KKT:
+def residuals(name, factor=1.0):
     """Of the answer, with multipliers that many times as long as they may be."""
     program, found = answer(name)
     assert found.x is not None

@@ -39,7 +39,7 @@ DOWNHILL = program(
 )
 
 
-def duals(y: float, z: list[float]) -> Duals:
+def duals(y, z):
     return Duals({"high": np.array([y])}, np.array(z))
 
 

@@ -27,12 +27,12 @@ class Band(Constraint):
     name = "band"
     formula = "low ≤ p ≤ high"
 
-    def rows(self) -> Bounds:
+    def rows(self):
         V = self.scene.n_voxels
         return Bounds("p", np.full(V, self.low), np.full(V, self.high))
 
 
-def names(*constraints: Constraint) -> tuple[str, ...]:
+def names(*constraints):
     return conflicting(Program.build(SCENE, [LaplaceTerm(SCENE)], constraints))
 
 

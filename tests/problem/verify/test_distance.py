@@ -10,7 +10,6 @@ from tests.conftest import small_scene
 from tests.dragging import dragged_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties.linear import Linear
@@ -23,16 +22,16 @@ from ttus_opt.solvers.registry import solvers
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
 
 
-def sliding() -> Scene:
+def sliding():
     return dragged_scene("contact", mu=0.2, viscous=30.0, shape=(7, 12, 8))
 
 
-def compiled(name: str, **options: float) -> Program:
+def compiled(name, **options):
     scene = sliding() if "drag" in name else SCENE
     return load(name, scene, **options).compile()
 
 
-def dense(program: Program, r: np.ndarray, fixed: np.ndarray) -> float:
+def dense(program, r, fixed):
     """½ rᵀP⁻¹r over what is free to move."""
     P = np.zeros((program.n_variables, program.n_variables))
     for member in program.terms:

@@ -14,7 +14,7 @@ from ttus_opt.problem.verify.gradient_blocks import (
 )
 
 
-def two_blocks() -> Program:
+def two_blocks():
     """(3 p₀ − 1)² + (p₀ + q − 2)² over p of one entry and q of one."""
     whole = program([term([[3.0, 0.0], [1.0, 1.0]], [1.0, 2.0])])
     return Program(

@@ -22,33 +22,28 @@ from ttus_opt.problem.terms.penalties.linear import Linear
 from ttus_opt.problem.verify import kkt
 from ttus_opt.problem.verify.distance import CLOSE
 from ttus_opt.problem.verify.gradient_blocks import _least_gradient
-from ttus_opt.problem.verify.kkt import KKT, Duals, _held, bound_duals, kkt_residuals
+from ttus_opt.problem.verify.kkt import Duals, _held, bound_duals, kkt_residuals
 
 LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
 
 
-def program(
-    n: int,
-    terms: list[ProgramTerm],
-    constraints: tuple[ProgramConstraint, ...] = (),
-    bounds: tuple[ProgramBounds, ...] = (),
-) -> Program:
+def program(n, terms, constraints=(), bounds=()):
     return Program({"p": slice(0, n)}, tuple(terms), constraints, bounds, LAPLACE)
 
 
-def squares(target: list[float], weight: float = 1.0) -> ProgramTerm:
+def squares(target, weight=1.0):
     eye = sp.csr_array(sp.eye_array(len(target)))
     return ProgramTerm("squares", weight, eye, np.array(target))
 
 
-def rows(name: str, A: list[list[float]], low: float, high: float) -> ProgramConstraint:
+def rows(name, A, low, high):
     m = len(A)
     return ProgramConstraint(
         name, sp.csr_array(np.array(A)), np.full(m, low), np.full(m, high)
     )
 
 
-def assert_optimal(kkt: KKT, tolerance: float = 1e-12) -> None:
+def assert_optimal(kkt, tolerance=1e-12):
     assert kkt.worst_relative <= tolerance
     assert max(kkt.primal, kkt.dual, kkt.gap) <= 10 * tolerance
 

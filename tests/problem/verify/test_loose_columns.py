@@ -13,7 +13,7 @@ from tests.problem.terms.test_cvxpy_term import IDEAS, SCENE, eq10
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.fitting.verdict import judged
-from ttus_opt.problem.formulation import Formulation, load
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.cvxpy_term import CvxpyTerm
@@ -25,7 +25,7 @@ from ttus_opt.solvers.base import Claim, Request
 INF = np.inf
 
 
-def declared() -> Formulation:
+def declared():
     plain = load("eq10", SCENE, force_weight=0.1, torque_weight=0.0)
     return plain + CvxpyTerm("x", lambda p: cp.max(p[2]), weight=1e-6)
 
@@ -86,7 +86,7 @@ def test_every_idea_has_a_bound(idea):
         assert kkt.gap >= -1e-6 * best
 
 
-def hinge(cost: float = 1.0) -> Any:
+def hinge(cost=1.0):
     """x² + cost·t with t ≥ x − 1 and t ≥ 0, both as rows."""
     return program(
         [

@@ -1,14 +1,12 @@
 """Penalties by hand, by searches and by dense matrices: values, slopes, resolvents."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize, minimize_scalar
 
 from tests.refusals import refuses
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.penalties.absolute import Absolute
 from ttus_opt.problem.terms.penalties.base import Penalty, Slope
@@ -29,19 +27,19 @@ class Fourth(Penalty):
 
     formula = "Σ r⁴/4"
 
-    def value(self, r: Array) -> float:
+    def value(self, r):
         return float((r**4).sum()) / 4.0
 
-    def subgradient(self, r: Array) -> Array:
+    def subgradient(self, r):
         return np.asarray(r**3)
 
-    def admissible(self, g: Array) -> Array:
+    def admissible(self, g):
         return g
 
-    def conjugate(self, g: Array) -> float:
+    def conjugate(self, g):
         return 0.75 * float((np.abs(g) ** (4.0 / 3.0)).sum())
 
-    def in_cvxpy(self, r: Any, cp: Any) -> Any:
+    def in_cvxpy(self, r, cp):
         return cp.sum(cp.power(r, 4)) / 4.0
 
 
