@@ -152,7 +152,7 @@ FILE_STORAGE = """<?xml version="1.0"?>
         ("opencv.xml", FILE_STORAGE),
     ],
 )
-def test_other_makers(tmp_path: Path, name: str, text: str) -> None:
+def test_other_makers(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     found = read_intrinsics(tmp_path / name)
     np.testing.assert_array_equal(found.matrix, K)
@@ -160,7 +160,7 @@ def test_other_makers(tmp_path: Path, name: str, text: str) -> None:
     assert not found.distortion.any()
 
 
-def test_opencv_reads_what_we_read_as_xml(tmp_path: Path) -> None:
+def test_opencv_reads_what_we_read_as_xml(tmp_path):
     """Its own writer, its own names."""
     import cv2
 
@@ -173,7 +173,7 @@ def test_opencv_reads_what_we_read_as_xml(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.distortion, [0.1, -0.2, 0.0, 0.0, 0.05])
 
 
-def test_an_inverse_distortion_is_refused(tmp_path: Path) -> None:
+def test_an_inverse_distortion_is_refused(tmp_path):
     (tmp_path / "c.json").write_text(json.dumps({**REALSENSE, "coeffs": [0.1] * 5}))
     with pytest.raises(FileError, match="Inverse Brown Conrady is not known"):
         read_intrinsics(tmp_path / "c.json")
