@@ -23,7 +23,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.fitting.uncertainty.posterior import NORMAL
+from ttus_opt.fitting.uncertainty.uncertainty_check import NORMAL
 from ttus_opt.fitting.weights.weight_choice import default_model
 
 #: What is fitted

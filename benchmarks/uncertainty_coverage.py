@@ -29,8 +29,8 @@ from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, Patient, patients
 from ttus_opt.experiment.recordings import Examination, examine
 from ttus_opt.experiment.settings import AUTO, GIVEN, Setting, chosen, compared
-from ttus_opt.fitting.uncertainty.posterior import NORMAL
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
+    NORMAL,
     StatesUncertainty,
     check_uncertainty,
     stated_in_contact,
