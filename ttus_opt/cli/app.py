@@ -22,6 +22,7 @@ from ttus_opt.cli.doctor_command import doctor
 from ttus_opt.cli.evaluate_command import evaluate
 from ttus_opt.cli.experiment_command import experiment
 from ttus_opt.cli.fit_command import fit
+from ttus_opt.cli.hand_eye_command import hand_eye as hand_eye_of_streams
 from ttus_opt.cli.list_commands import formulations, solvers
 from ttus_opt.cli.message_commands import decode, encode
 from ttus_opt.cli.next_press_command import next_press
@@ -65,6 +66,7 @@ for function in (
         demo,
         doctor,
         record,
+        hand_eye_of_streams,
         synchronise,
         compensate,
         surface,

@@ -185,8 +185,8 @@ def hand_eye(
             f"hand-eye calibration takes at least {LEAST_PAIRS} pairs of poses, got "
             f"{len(A)} and {len(B)}"
         )
-    _check_motions(A, B)
-    candidates = _solved(inverse(B) if camera == "fixed" else B, A)
+    check_motions(A, B)
+    candidates = solved(inverse(B) if camera == "fixed" else B, A)
     best = _best(candidates)
     limits = largest_gap, largest_twist
     if best is None or not _closes(candidates[best].loop, *limits):
@@ -239,7 +239,7 @@ def _turns(poses: Array) -> Array:
     return np.asarray((of[second] * of[first].inv()).as_rotvec())
 
 
-def _check_motions(A: Array, B: Array) -> None:
+def check_motions(A: Array, B: Array) -> None:
     """Validate, before any solver runs, that the motions determine the camera.
 
     Raises:
@@ -266,7 +266,7 @@ def _check_motions(A: Array, B: Array) -> None:
         )
 
 
-def _solved(G: Array, A: Array) -> dict[str, Candidate]:
+def solved(G: Array, A: Array) -> dict[str, Candidate]:
     """The answer of every solver to G X A = Z."""
     import cv2
 
@@ -333,7 +333,7 @@ def _remedy(A: Array, B: Array, camera: Camera) -> str:
         "that no pose is inverted"
     )
     other = "moving" if camera == "fixed" else "fixed"
-    tried = _solved(inverse(B) if other == "fixed" else B, A)
+    tried = solved(inverse(B) if other == "fixed" else B, A)
     solver = _best(tried)
     if solver is None or not _closes(tried[solver].loop):
         return expected

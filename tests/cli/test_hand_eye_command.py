@@ -1,0 +1,31 @@
+"""``ttus-opt hand-eye``: from two files to a motion that other commands read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.conftest import Run
+from tests.sensors.test_stream_hand_eye import CAMERA, LATE, streams
+from ttus_opt.probe.rigid_motion import read_rigid_motion
+
+
+def test_two_files(run: Run, tmp_path: Path) -> None:
+    seen, carried = streams(outliers=0.05)
+    seen.save(tmp_path / "tracker.csv")
+    carried.save(tmp_path / "robot.csv")
+    files = f"{tmp_path / 'tracker.csv'} {tmp_path / 'robot.csv'}"
+    words = f"hand-eye {files} --camera fixed -o {tmp_path / 'x.json'}"
+    answer = run(f"{words} --largest-offset 1.5 --json")
+    told = json.loads(answer.out)
+    found = read_rigid_motion(tmp_path / "x.json")
+    np.testing.assert_allclose(found, CAMERA, atol=2e-3)
+    np.testing.assert_array_equal(told["camera_to_base"], found)
+    assert told["offset_s"] == pytest.approx(LATE, abs=2e-3)
+    off = np.abs(found[:3, 3] - CAMERA[:3, 3])
+    assert (off < 5 * np.array(told["position_std_m"])).all()
+    text = run(f"{words} --offset {LATE} --force").out
+    assert "camera to base: (1.2" in text and "mm, ±" in text

@@ -1,0 +1,158 @@
+"""A camera's pose from two streams, against one that is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.probe.pose import rotations
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.hand_eye import hand_eye, read_pose_pairs
+from ttus_opt.sensors.stream_hand_eye import stream_hand_eye
+
+CAMERA = homogeneous(
+    Rotation.from_rotvec([2.0, 0.5, -1.0]).as_matrix(), [1.2, -0.3, 0.8]
+)
+MARKER = homogeneous(
+    Rotation.from_rotvec([0.1, 1.0, 0.4]).as_matrix(), [0.02, 0.05, 0.1]
+)
+LATE = 0.83
+
+
+def hand(time: np.ndarray, axes: int = 3) -> np.ndarray:
+    """Waving in all directions, or about some axes only."""
+    t = time[:, None]
+    turn = 0.6 * np.sin(t * [0.9, 1.3, 0.7] + [0.0, 1.0, 2.0])
+    turn += 0.2 * np.sin(t * [2.9, 2.1, 3.3])
+    turn[:, axes:] = 0.0
+    place = 0.15 * np.sin(t * [0.8, 0.5, 1.1] + [2.0, 0.0, 1.0]) + [0.5, 0, 0.4]
+    return homogeneous(Rotation.from_rotvec(turn).as_matrix(), place)
+
+
+def noisy(motion: np.ndarray, time: np.ndarray, turn: float, shift: float, seed: int):
+    rng = np.random.default_rng(seed)
+    errs = Rotation.from_rotvec(rng.normal(0, max(turn, 1e-15), (len(time), 3)))
+    rotation = errs.as_matrix() @ motion[:, :3, :3]
+    place = motion[:, :3, 3] + rng.normal(0, max(shift, 1e-15), (len(time), 3))
+    return Trajectory(time, place, rotation)
+
+
+def streams(
+    seed: int = 0,
+    *,
+    fixed: bool = True,
+    turn: float = 0.003,
+    shift: float = 5e-4,
+    outliers: float = 0.0,
+    axes: int = 3,
+) -> tuple[Trajectory, Trajectory]:
+    """A marker in a camera at 30 Hz, the hand at 50 Hz on a clock that is behind."""
+    time = np.arange(0.0, 25.0, 1 / 30)
+    B = hand(time, axes)
+    X, Z = CAMERA, MARKER
+    seen = inverse(X) @ B @ Z if fixed else inverse(B @ X) @ Z
+    rng = np.random.default_rng(seed + 100)
+    wild = rng.random(len(time)) < outliers
+    flip = Rotation.random(len(time), random_state=seed).as_matrix()
+    seen[wild, :3, :3] = flip[wild]
+    seen[wild, :3, 3] += rng.normal(0, 0.2, (wild.sum(), 3))
+    own = np.arange(0.0, 24.0, 0.02)
+    other = noisy(hand(own + LATE, axes), own, 2e-4, 1e-4, seed + 50)
+    return noisy(seen, time, turn, shift, seed), other
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_exact_poses_give_the_exact_camera(fixed: bool) -> None:
+    """Up to the interpolation of the hand's poses between 100 Hz."""
+    found = stream_hand_eye(
+        *streams(fixed=fixed, turn=0.0, shift=0.0),
+        "fixed" if fixed else "moving",
+        around=0.8,
+        largest=0.4,
+    )
+    np.testing.assert_allclose(found.camera, CAMERA, atol=3e-4)
+    np.testing.assert_allclose(found.marker, MARKER, atol=3e-4)
+    assert found.offset == pytest.approx(LATE, abs=1e-3)
+
+
+def test_outliers_and_noise() -> None:
+    """A quarter of all frames is wrong altogether."""
+    found = stream_hand_eye(*streams(outliers=0.25), "fixed", around=0.8, largest=0.4)
+    off = inverse(CAMERA) @ found.camera
+    assert np.linalg.norm(off[:3, 3]) < 2e-3
+    assert Rotation.from_matrix(off[:3, :3]).magnitude() < 2e-3
+    assert found.outliers > 150
+    assert found.loop.gap == pytest.approx(0.0013, rel=0.5)
+
+
+@pytest.mark.slow
+def test_the_covariance_is_that_of_repetitions() -> None:
+    """Squared errors by the stated covariance are χ² of six degrees, 12 times."""
+    squares, lates = [], []
+    for seed in range(12):
+        found = stream_hand_eye(*streams(seed), "fixed")
+        turn = Rotation.from_matrix(found.camera[:3, :3] @ CAMERA[:3, :3].T)
+        off = np.r_[turn.as_rotvec(), found.camera[:3, 3] - CAMERA[:3, 3]]
+        squares.append(off @ np.linalg.solve(found.covariance, off))
+        lates.append((found.offset - LATE) / found.offset_std)
+    # the mean of 12 of them has a standard deviation of 1
+    assert 3.0 < np.mean(squares) < 9.0
+    assert 0.6 < np.std(lates) < 1.5
+
+
+def test_a_known_offset_is_kept() -> None:
+    found = stream_hand_eye(*streams(), "fixed", offset=LATE)
+    assert found.offset == LATE
+    assert np.linalg.norm(found.camera[:3, 3] - CAMERA[:3, 3]) < 2e-3
+
+
+def test_motions_that_tell_nothing() -> None:
+    with pytest.raises(GeometryError, match="about one axis"):
+        stream_hand_eye(*streams(axes=1), "fixed", offset=LATE)
+    seen, other = streams()
+    still = Trajectory(seen.time, seen.position, seen.rotation[[0] * len(seen)])
+    with pytest.raises((InputError, GeometryError)):
+        stream_hand_eye(still, other, "fixed", offset=LATE)
+
+
+def test_streams_of_other_bodies_or_times() -> None:
+    seen, _ = streams()
+    _, other = streams()
+    with pytest.raises(InputError, match="do not overlap"):
+        stream_hand_eye(seen, other, "fixed", offset=500.0)
+    with pytest.raises(InputError, match="camera must be"):
+        stream_hand_eye(seen, other, "hand")  # type: ignore[arg-type]
+    wrong = Trajectory(other.time, other.position, other.rotation[::-1].copy())
+    with pytest.raises(InputError):
+        stream_hand_eye(seen, wrong, "fixed", offset=LATE)
+
+
+def test_the_wrong_place_of_the_camera_shows_in_the_loops() -> None:
+    """A fixed camera taken for a moving one: no exception, but loops of centimetres."""
+    try:
+        found = stream_hand_eye(*streams(), "moving", offset=LATE)
+    except (InputError, GeometryError):
+        return
+    assert found.median_gap > 0.02
+
+
+def test_poses_of_a_real_arm_agree_with_other_solvers(shared: Path) -> None:
+    """Fifty pairs of a camera beside an arm, given times; two methods, 5 mm."""
+    file = shared / "markers" / "handeye" / "pose_samples.json"
+    A, B = read_pose_pairs(file)
+    time = 0.1 * np.arange(len(A))
+    seen, carried = (
+        Trajectory(time, poses[:, :3, 3].copy(), rotations(poses[:, :3, :3]))
+        for poses in (A, B)
+    )
+    found = stream_hand_eye(seen, carried, "fixed", offset=0.0)
+    expected = hand_eye(A, B, "fixed").camera
+    off = inverse(expected) @ found.camera
+    assert np.linalg.norm(off[:3, 3]) < 5e-3
+    assert Rotation.from_matrix(off[:3, :3]).magnitude() < np.deg2rad(0.3)
+    assert found.loop.gap < 5e-3

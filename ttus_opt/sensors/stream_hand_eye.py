@@ -1,0 +1,502 @@
+"""Hand-eye calibration from two streams of poses with clocks of their own.
+
+A tracker or camera sees a marker over time, A(t), and a robot or a second tracker gives
+the hand that carries it, B(s). As in `ttus_opt.sensors.hand_eye`,
+
+    G X A = Z,   G = B (camera on the hand)   or   G = B⁻¹ (fixed camera).
+
+The clocks are aligned by the angular speeds, which are the same in every frame. Frames
+whose turns contradict the other stream's are left out (rotation angles between two
+instants are the same in both), and pairs are spread over the rotations. OpenCV's
+solvers on small random sets give a start that outliers do not spoil; X, Z and the
+offset of the clocks are then fitted together, with Huber's loss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors import hand_eye
+from ttus_opt.sensors.angular_offset import angular_offset
+from ttus_opt.sensors.clock import LARGEST_OFFSET, Offset
+from ttus_opt.sensors.streams import poses_at
+
+#: Most pairs, and fewest
+MOST_PAIRS, LEAST_PAIRS = 200, 20
+
+#: A pose is a spike if it turned from half of so many poses on either side by so many
+#: times the usual speed, and faster than this [rad/s]
+NEIGHBOURS, SPIKE, BRISK = 4, 6.0, 2.0
+
+#: Longest time between poses that is interpolated over [s]
+LONGEST_GAP = 0.2
+
+#: Instants with which each frame's turns are compared
+REFERENCES = 60
+
+#: A frame disagrees if its turns differ by so many times the usual difference, and
+#: more than this [rad]
+DISAGREES, LEAST_DISAGREEMENT = 4.0, np.deg2rad(0.5)
+
+#: Random sets of pairs for the start, and pairs in each
+STARTS, START_PAIRS = 24, 8
+
+#: Residuals beyond so many robust standard deviations are outliers
+OUTLIER = 4.0
+
+#: Rounds of fit and scale
+ROUNDS = 3
+
+#: Least scales of residuals, so that exact poses are no division by zero [rad, m]
+LEAST_SCALE = np.array([1e-8] * 3 + [1e-9] * 3)
+
+#: A larger standard error of the position is no calibration [m]
+LARGEST_STD = 0.02
+
+#: From the median absolute value of Normal errors to their standard deviation
+MEDIAN = 1.4826
+
+
+@dataclass(frozen=True)
+class StreamHandEye:
+    """A camera's pose and the offset of the clocks.
+
+    Attributes:
+        camera: Camera to base, or to hand where it moves, shape (4, 4) [–, m].
+        marker: Marker to hand, or to base where the camera moves, shape (4, 4).
+        covariance: Of the camera's turn and shift in its target frame, (6, 6)
+            [rad², rad m, m²].
+        offset: Seconds to add to the hand's clock [s].
+        offset_std: Its standard error [s].
+        correlation: Of the angular speeds.
+        loop: How well the loops of the pairs used close.
+        median_gap: Median distance of all pairs, outliers too [m].
+        median_twist: Median angle of all pairs, outliers too [rad].
+        pairs: Number of pairs used.
+        outliers: Frames and pairs left out.
+    """
+
+    camera: Array
+    marker: Array = field(repr=False)
+    covariance: Array = field(repr=False)
+    offset: float
+    offset_std: float
+    correlation: float
+    loop: hand_eye.Loop
+    median_gap: float
+    median_twist: float
+    pairs: int
+    outliers: int
+
+    @property
+    def turn_std(self) -> float:
+        """Standard error of the camera's rotation, about any axis [rad]."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
+
+    @property
+    def shift_std(self) -> Array:
+        """Standard errors of the camera's position, shape (3,) [m]."""
+        return np.sqrt(np.diag(self.covariance)[3:])
+
+
+def stream_hand_eye(
+    seen: Trajectory,
+    carried: Trajectory,
+    camera: hand_eye.Camera,
+    *,
+    offset: float | None = None,
+    around: float = 0.0,
+    largest: float = LARGEST_OFFSET,
+    rng: np.random.Generator | None = None,
+) -> StreamHandEye:
+    """The camera's pose from a marker's poses in it and a hand's poses in its base.
+
+    Args:
+        seen: A: marker to camera, on the camera's clock.
+        carried: B: hand to base, on its own clock.
+        camera: ``fixed``: the hand holds the marker. ``moving``: the hand holds the
+            camera and the marker is fixed.
+        offset: Seconds to add to the hand's clock, where it is known.
+        around: As in `ttus_opt.sensors.clock.clock_offset`.
+        largest: As in `ttus_opt.sensors.clock.clock_offset`.
+        rng: Chooses the random sets.
+
+    Raises:
+        InputError: The streams do not show one motion, or do not overlap.
+        GeometryError: The motion does not determine the camera's pose.
+    """
+    if camera not in ("fixed", "moving"):
+        raise InputError(f"camera must be fixed or moving, got {camera!r}")
+    rng = np.random.default_rng(0) if rng is None else rng
+    n_seen = len(seen)
+    seen, carried = _without_spikes(seen), _without_spikes(carried)
+    clock = (
+        Offset(offset, correlation=np.nan, rival=np.nan, std=0.0)
+        if offset is not None
+        else angular_offset(seen, carried, around=around, largest=largest)
+    )
+    time, A, B = _aligned(seen, carried, clock.seconds)
+    agree = _agreeing(A, B, rng)
+    pairs = np.flatnonzero(agree)
+    if len(pairs) < LEAST_PAIRS:
+        raise InputError(
+            f"only {len(pairs)} of {len(time)} common frames turn alike in both "
+            "streams: are they of one body, and is the offset right?"
+        )
+    pairs = pairs[_spread(A[pairs, :3, :3], MOST_PAIRS)]
+    if len(pairs) < LEAST_PAIRS:
+        raise GeometryError(
+            f"the marker takes only {len(pairs)} orientations: turn the hand about two "
+            "or more axes"
+        )
+    _require_turns(A[pairs], B[pairs])
+    problem = _Problem(
+        A[pairs], _Path(carried, time[pairs] - clock.seconds), camera == "fixed"
+    )
+    start = _start(problem, rng)
+    fit = _fitted(problem, start, free_offset=offset is None)
+    used = fit.used
+    _require_turns(A[pairs][used], B[pairs][used])
+    left_out = n_seen - len(seen) + len(time) - int(agree.sum())
+    answer = _answer(problem, fit, clock, left_out)
+    if not answer.shift_std.max() < LARGEST_STD:
+        raise GeometryError(
+            "the motion hardly tells where the camera is: its position has a standard "
+            f"error of {1e3 * answer.shift_std.max():.3g} mm: turn the hand about two "
+            "or more axes, by 30° and more"
+        )
+    return answer
+
+
+def _without_spikes(poses: Trajectory) -> Trajectory:
+    """The poses without single ones that turned much faster than those around them.
+
+    They would be heard in the angular speed, by which the clocks are aligned.
+    """
+    if len(poses) < 2 * NEIGHBOURS + 1:
+        return poses
+    turn = Rotation.from_matrix(poses.rotation)
+    index = np.arange(len(poses))
+    speeds = []
+    for step in range(1, NEIGHBOURS + 1):
+        for j in (index - step, index + step):
+            j = np.where((j < 0) | (j >= len(poses)), 2 * index - j, j)
+            span = np.abs(poses.time[j] - poses.time)
+            angle = (turn[j] * turn.inv()).magnitude()
+            speeds.append(angle / np.maximum(span, 1e-9))
+    speed = np.median(speeds, axis=0)
+    limit = max(BRISK, SPIKE * float(np.median(speed)))
+    return poses.select(np.asarray(speed <= limit))
+
+
+def _aligned(
+    seen: Trajectory, carried: Trajectory, offset: float
+) -> tuple[Array, Array, Array]:
+    """Times [s], A and B (n, 4, 4) at the frames of the first stream that both have.
+
+    Raises:
+        InputError: They do not overlap.
+    """
+    times, own, other = [], [], []
+    for part in np.unique(carried.segment):
+        stretch = carried.select(carried.segment == part)
+        if len(stretch) < 2:
+            continue
+        at = seen.time - offset
+        inside = (at > stretch.time[0]) & (at < stretch.time[-1])
+        if not inside.any():
+            continue
+        order = np.argsort(at[inside], kind="stable")
+        rows = np.flatnonzero(inside)[order]
+        rows = rows[np.r_[True, np.diff(at[rows]) > 0]]
+        try:
+            moved = poses_at(stretch, at[rows], largest_gap=LONGEST_GAP)
+        except InputError:  # every common time lies in a gap
+            continue
+        rows = rows[np.isin(at[rows], moved.time)]
+        times.append(seen.time[rows])
+        own.append(homogeneous(seen.rotation[rows], seen.position[rows]))
+        other.append(homogeneous(moved.rotation, moved.position))
+    if not times:
+        raise InputError(
+            f"the streams do not overlap at an offset of {offset:.4g} s: check the "
+            "clocks"
+        )
+    return np.concatenate(times), np.concatenate(own), np.concatenate(other)
+
+
+def _agreeing(A: Array, B: Array, rng: np.random.Generator) -> Mask:
+    """Mask of the frames that turn from most others by the same angle in both, (n,)."""
+    first, second = (
+        Rotation.from_matrix(A[:, :3, :3]),
+        Rotation.from_matrix(B[:, :3, :3]),
+    )
+    chosen = rng.choice(len(A), min(REFERENCES, len(A)), replace=False)
+    apart = np.stack(
+        [
+            np.abs(
+                (first * first[int(j)].inv()).magnitude()
+                - (second * second[int(j)].inv()).magnitude()
+            )
+            for j in chosen
+        ],
+        axis=1,
+    )
+    typical = np.median(apart, axis=1)
+    limit = max(DISAGREES * float(np.median(typical)), LEAST_DISAGREEMENT)
+    return np.asarray(typical <= limit)
+
+
+def _spread(rotation: Array, most: int) -> IntArray:
+    """Indices of rotations far from each other, most of them, in order."""
+    if len(rotation) <= most:
+        return np.arange(len(rotation))
+    quaternion = Rotation.from_matrix(rotation).as_quat()
+    chosen = [0]
+    near = np.abs(quaternion @ quaternion[0])
+    while len(chosen) < most:
+        farthest = int(np.argmin(near))
+        chosen.append(farthest)
+        near = np.maximum(near, np.abs(quaternion @ quaternion[farthest]))
+    return np.unique(chosen)
+
+
+def _require_turns(A: Array, B: Array) -> None:
+    """Refuse motions that turn about one axis only.
+
+    Raises:
+        GeometryError: They do.
+        InputError: Marker and hand turn by different angles.
+    """
+    hand_eye.check_motions(A, B)
+
+
+class _Path:
+    """The hand's poses at any offset of its clock.
+
+    Attributes:
+        at: Times on the hand's clock, shape (n,) [s].
+    """
+
+    def __init__(self, carried: Trajectory, at: Array) -> None:
+        self.at = at
+        step = np.median(np.diff(carried.time)[np.diff(carried.segment) == 0])
+        self._step = float(step)
+        lead = [self._pose(carried, at + d) for d in (-self._step, 0.0, self._step)]
+        before, self._now, after = lead
+        turn = Rotation.from_matrix(after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2))
+        self._turning = turn.as_rotvec() / (2.0 * self._step)
+        self._moving = (after[:, :3, 3] - before[:, :3, 3]) / (2.0 * self._step)
+
+    def _pose(self, carried: Trajectory, at: Array) -> Array:
+        """Poses at times, held at the ends, shape (n, 4, 4)."""
+        time = carried.time
+        order = np.argsort(time, kind="stable")
+        time = time[order]
+        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+        share = np.clip((at - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)
+        first, second = order[after - 1], order[after]
+        low = Rotation.from_matrix(carried.rotation[first])
+        step = (Rotation.from_matrix(carried.rotation[second]) * low.inv()).as_rotvec()
+        turn = Rotation.from_rotvec(share[:, None] * step) * low
+        place = carried.position[first] + share[:, None] * (
+            carried.position[second] - carried.position[first]
+        )
+        return homogeneous(turn.as_matrix(), place)
+
+    def poses(self, later: float) -> Array:
+        """Poses at a small shift of the clock [s], shape (n, 4, 4)."""
+        turn = Rotation.from_rotvec(later * self._turning).as_matrix()
+        place = self._now[:, :3, 3] + later * self._moving
+        return homogeneous(turn @ self._now[:, :3, :3], place)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Pairs of poses.
+
+    Attributes:
+        A: Marker to camera, shape (n, 4, 4).
+        path: Hand to base.
+        fixed: Whether the camera stands still.
+    """
+
+    A: Array
+    path: _Path
+    fixed: bool
+
+    def G(self, later: float = 0.0) -> Array:
+        """G of every pair, shape (n, 4, 4)."""
+        B = self.path.poses(later)
+        return inverse(B) if self.fixed else B
+
+    def residuals(self, parameters: Array) -> Array:
+        """Turn [rad] and shift [m] of Z⁻¹ G X A, shape (n, 6).
+
+        Args:
+            parameters: X and Z as rotation vector [rad] and shift [m] each, and the
+                shift of the clock [s], shape (13,).
+        """
+        X, Z = _motion(parameters[:6]), _motion(parameters[6:12])
+        off = inverse(Z) @ self.G(parameters[12]) @ X @ self.A
+        turn = Rotation.from_matrix(off[:, :3, :3]).as_rotvec()
+        return np.asarray(np.hstack([turn, off[:, :3, 3]]))
+
+
+def _motion(six: Array) -> Array:
+    turn = Rotation.from_rotvec(six[:3]).as_matrix()
+    return homogeneous(turn, six[3:])
+
+
+def _six(motion: Array) -> Array:
+    turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+    return np.asarray(np.r_[turn, motion[:3, 3]])
+
+
+def _start(problem: _Problem, rng: np.random.Generator) -> Array:
+    """X and Z (12,) whose median loop is best among random sets of pairs.
+
+    Raises:
+        InputError: No solver has an answer.
+    """
+    G, best, least = problem.G(), None, np.inf
+    for _ in range(STARTS):
+        own = rng.choice(len(G), START_PAIRS, replace=False)
+        for found in hand_eye.solved(G[own], problem.A[own]).values():
+            if found.camera is None:
+                continue
+            six = np.r_[_six(found.camera), _six(found.marker), 0.0]
+            gap = float(
+                np.median(np.linalg.norm(problem.residuals(six)[:, 3:], axis=1))
+            )
+            if gap < least:
+                best, least = six[:12], gap
+    if best is None:
+        raise InputError("no solver has an answer: are the streams of one body?")
+    return np.asarray(best)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit.
+
+    Attributes:
+        parameters: Shape (13,).
+        residuals: Shape (n, 6) [rad, m].
+        scale: Robust standard deviation of each, shape (6,).
+        covariance: Shape (13, 13).
+        used: Pairs that are no outliers, shape (n,).
+    """
+
+    parameters: Array
+    residuals: Array
+    scale: Array
+    covariance: Array
+    used: Mask
+
+
+def _fitted(problem: _Problem, start: Array, *, free_offset: bool) -> _Fit:
+    """X, Z and the clock by robust least squares, outliers left out at the end."""
+    free = np.ones(13, bool)
+    free[12] = free_offset
+    parameters = np.r_[start, 0.0]
+    used = np.ones(len(problem.A), bool)
+    scale = _scale(problem.residuals(parameters))
+
+    def solve(
+        parameters: Array, rows: Mask, loss: Literal["linear", "huber"]
+    ) -> OptimizeResult:
+        def weighted(some: Array) -> Array:
+            full = parameters.copy()
+            full[free] = some
+            return (problem.residuals(full)[rows] / scale).ravel()
+
+        return least_squares(
+            weighted, parameters[free], x_scale="jac", loss=loss, f_scale=1.5
+        )
+
+    for _ in range(ROUNDS):
+        parameters[free] = solve(parameters, used, "huber").x
+        scale = _scale(problem.residuals(parameters))
+    off = np.abs(problem.residuals(parameters)) / scale
+    used = np.asarray(off.max(axis=1) <= OUTLIER)
+    last = solve(parameters, used, "linear")
+    parameters[free] = last.x
+    residuals = problem.residuals(parameters)
+    spread = residuals[used].std(axis=0) / scale
+    information = last.jac.T @ (last.jac / np.tile(spread**2, used.sum())[:, None])
+    covariance = np.zeros((13, 13))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(information)
+    covariance *= _dependence(residuals[used], problem.path.at[used])
+    return _Fit(parameters, residuals, scale * spread, covariance, used)
+
+
+def _scale(residuals: Array) -> Array:
+    """Robust standard deviations, one for the turns and one for the shifts, (6,)."""
+    out = np.empty(6)
+    for part in (slice(0, 3), slice(3, 6)):
+        out[part] = MEDIAN * np.median(np.abs(residuals[:, part]))
+    return np.asarray(np.maximum(out, LEAST_SCALE))
+
+
+def _dependence(residuals: Array, time: Array) -> float:
+    """Factor on the variance because errors at neighbouring times resemble, ≥ 1."""
+    ordered = residuals[np.argsort(time)]
+    ordered = ordered - ordered.mean(axis=0)
+    power = (ordered**2).sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alike = (ordered[1:] * ordered[:-1]).sum(axis=0) / power
+    alike = float(np.nan_to_num(alike).mean())
+    alike = min(max(alike, 0.0), 0.95)
+    return (1.0 + alike) / (1.0 - alike)
+
+
+def _answer(
+    problem: _Problem, fit: _Fit, clock: Offset, disagreeing: int
+) -> StreamHandEye:
+    X, Z = _motion(fit.parameters[:6]), _motion(fit.parameters[6:12])
+    gap = np.linalg.norm(fit.residuals[:, 3:], axis=1)
+    twist = np.linalg.norm(fit.residuals[:, :3], axis=1)
+    used = fit.used
+    loop = hand_eye.Loop(
+        float(gap[used].mean()), float(twist[used].mean()), float(gap[used].max())
+    )
+    std = float(np.sqrt(fit.covariance[12, 12]))
+    return StreamHandEye(
+        X,
+        Z,
+        _in_target(fit.covariance[:6, :6], fit.parameters[:3]),
+        clock.seconds - float(fit.parameters[12]),
+        std if std > 0.0 else clock.std,
+        clock.correlation,
+        loop,
+        float(np.median(gap)),
+        float(np.median(twist)),
+        int(used.sum()),
+        disagreeing + int((~used).sum()),
+    )
+
+
+def _in_target(covariance: Array, vector: Array) -> Array:
+    """The covariance of a small turn before X instead of that of its rotation vector.
+
+    With J the left Jacobian of SO(3) at the rotation vector, δ = J dv.
+    """
+    angle = float(np.linalg.norm(vector))
+    K = np.cross(np.eye(3), vector)
+    a, b = 0.5, 1.0 / 6.0
+    if angle > 1e-4:
+        a = (1.0 - np.cos(angle)) / angle**2
+        b = (angle - np.sin(angle)) / angle**3
+    J = np.eye(6)
+    J[:3, :3] = np.eye(3) + a * K + b * K @ K
+    return J @ covariance @ J.T
