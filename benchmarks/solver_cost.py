@@ -24,9 +24,8 @@ from dataclasses import dataclass, field, replace
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.compression import Compression
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Status
 from ttus_opt.solvers import registry
@@ -103,7 +102,7 @@ def choice(
 
 def _declared(formulation: str, scene: Scene) -> Formulation:
     """A formulation, or one convex fit of what it searches."""
-    declared = shelf.load(formulation, scene)
+    declared = load(formulation, scene)
     if declared.search is not None:
         declared = declared.search.build(declared.search.neutral_value)
     return declared
@@ -155,7 +154,7 @@ def main(words: list[str]) -> int:
     given = parser.parse_args(words)
     n_r, n_theta, n_z = (int(n) for n in given.shape.split(","))
     scenes = scene_of((n_r, n_theta, n_z), given.poses), scene_of(*SMALL)
-    names = [info.name for info in shelf.available()]
+    names = [info.name for info in available()]
     if given.formulations:
         names = given.formulations.split(",")
     worst = 0.0

@@ -22,7 +22,7 @@ from qpbenchmark.tolerance import Tolerance
 
 from ttus_opt.benchmark import CaseSpec, reference_cases
 from ttus_opt.benchmark.settings import WEIGHTS
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.packages.quadratic import OneSided
 
@@ -83,7 +83,7 @@ class Ttus(qpbenchmark.TestSet):
                 warnings.simplefilter("ignore")
                 scene = case.build()
             for name in FORMULATIONS:
-                program = shelf.load(name, scene, **WEIGHTS).compile()
+                program = load(name, scene, **WEIGHTS).compile()
                 yield _problem(program, f"{case.name}_{name}")
 
 

@@ -12,8 +12,8 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from ttus_opt.benchmark.export import export_program
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
@@ -21,7 +21,7 @@ from ttus_opt.solvers.registry import solvers
 
 def signed_program() -> Program:
     scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6, seed=2)
-    declared = shelf.load("eq10", scene, force_weight=1.0, torque_weight=1.0)
+    declared = load("eq10", scene, force_weight=1.0, torque_weight=1.0)
     return declared.with_constraints(Sign(scene)).compile()
 
 

@@ -8,7 +8,7 @@ import pytest
 from tests.cli.conftest import PROBE
 from ttus_opt.cli import main
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
 
@@ -51,7 +51,7 @@ def far_enough(
 ):
     """All of a fit but the solve, which no word can lead astray."""
     Request(tolerance, time_limit)
-    program = shelf.load(formulation, scene, **options).compile()
+    program = load(formulation, scene, **options).compile()
     registry.candidates(solver, program)
     raise InputError("far enough")
 

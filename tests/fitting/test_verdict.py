@@ -14,14 +14,14 @@ from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting import verdict
 from ttus_opt.fitting.verdict import CONFLICT_SECONDS, checked_candidate, judged
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 
 SCENE = small_scene("trilinear")
-EQ10 = shelf.load("eq10", SCENE)
+EQ10 = load("eq10", SCENE)
 TIMES = Timings(0.0, 0.0, 0.0)
 
 

@@ -9,8 +9,8 @@ from tests.conftest import small_scene
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import compression
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.compression import Compression, compressed_rows
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.penalties.huber import Huber
 
 RNG = np.random.default_rng(3)
@@ -99,7 +99,7 @@ def test_other_weights_and_values_are_compressed_again(monkeypatch):
     monkeypatch.setattr(compression, "LEAST_ROWS", 100)
     monkeypatch.setattr(compression, "OVERDETERMINED", 1.5)
     scene = small_scene("trilinear", shape=(9, 12, 8), n_poses=150)
-    declared = shelf.load("eq10", scene)
+    declared = load("eq10", scene)
     fitter = Fitter(declared)
     fitter.solve()
     other = declared.with_weights(force=0.3)

@@ -15,7 +15,7 @@ import pytest
 from tests.conftest import small_scene
 from tests.solvers import taking
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request, Solver
@@ -43,9 +43,9 @@ def scene() -> Scene:
 @functools.cache
 def reduction(formulation: str) -> Reduction:
     """The formulation's program and its reduced form."""
-    known = {info.name: info.options for info in shelf.available()}[formulation]
+    known = {info.name: info.options for info in available()}[formulation]
     weights = {k: 0.1 for k in ("force_weight", "torque_weight") if k in known}
-    return reduce(shelf.load(formulation, scene(), **weights).compile())
+    return reduce(load(formulation, scene(), **weights).compile())
 
 
 @functools.cache

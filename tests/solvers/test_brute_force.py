@@ -14,10 +14,9 @@ from tests.conftest import small_scene
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request, Solver
 
@@ -82,7 +81,7 @@ def tiny() -> Formulation:
     assert trajectory.force is not None
     pulled = replace(trajectory, force=-4.0 * trajectory.force)
     scene = replace(scene, trajectory=pulled)
-    return shelf.load("eq10", scene, force_weight=1.0, torque_weight=1.0)
+    return load("eq10", scene, force_weight=1.0, torque_weight=1.0)
 
 
 def stacked(problem: Program) -> tuple[Array, Array]:

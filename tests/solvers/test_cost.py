@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import available
 
 #: Most CPU seconds of a solver that is not yet known to be worse [s]
 LIMIT = 30.0
@@ -35,7 +35,7 @@ def scenes() -> tuple[Scene, Scene]:
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize("formulation", [f.name for f in shelf.available()])
+@pytest.mark.parametrize("formulation", [f.name for f in available()])
 def test_the_choice_is_no_worse_than_twice_the_best(
     formulation: str, scenes: tuple[Scene, Scene]
 ) -> None:

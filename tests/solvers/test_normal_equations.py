@@ -14,11 +14,10 @@ from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
@@ -36,7 +35,7 @@ TERMS = (TikhonovTerm, *OWN)
 
 def declared(scene: Scene, weight: float = 1e-2, hard: bool = False) -> Formulation:
     weights = {"force_weight": weight, "torque_weight": 0.5 * weight}
-    return shelf.load("eq10_hard_boundary" if hard else "eq10", scene, **weights)
+    return load("eq10_hard_boundary" if hard else "eq10", scene, **weights)
 
 
 def solved(program: Program, tolerance: float = 1e-8) -> Candidate:
@@ -78,7 +77,7 @@ def test_equals_a_factorisation(own: type, hard: bool) -> None:
 @pytest.mark.parametrize("name", ["anisotropic", "screened", "volume_weighted"])
 def test_takes_another_operator_with_a_wide_term(name: str) -> None:
     weights = {"force_weight": 0.1, "torque_weight": 0.1}
-    program = (shelf.load(name, SCENE, **weights) + AlongZ(SCENE, 0.01)).compile()
+    program = (load(name, SCENE, **weights) + AlongZ(SCENE, 0.01)).compile()
     found = solved(program, 1e-10)
     np.testing.assert_allclose(found.x, direct_answer(program), atol=1e-6)
 
@@ -179,9 +178,9 @@ def test_limits_that_contradict_each_other() -> None:
 def test_says_what_it_does_not_take() -> None:
     alone = Formulation([TikhonovTerm(SCENE)]).compile()
     assert "Laplace term" in SOLVER.refusal(alone)
-    drag = shelf.load("viscous_drag", SCENE).compile()
+    drag = load("viscous_drag", SCENE).compile()
     assert "unknowns beside the field" in SOLVER.refusal(drag)
-    robust = shelf.load("robust", SCENE).compile()
+    robust = load("robust", SCENE).compile()
     assert "not a sum of squares" in SOLVER.refusal(robust)
 
 

@@ -146,12 +146,12 @@ def test_another_package_offers_solvers_and_formulations(
 ) -> None:
     """By entry points; a name of ours stays ours."""
     from formulations.laplace_only import build
-    from ttus_opt.problem import formulation as shelf
+    from ttus_opt.problem.formulation import ENTRY_POINTS, available
 
     def entries(*, group: str) -> list[SimpleNamespace]:
         offered = {
             registry.ENTRY_POINTS: [("dense", Dense)],
-            shelf.ENTRY_POINTS: [("theirs", build), ("eq10", 3)],
+            ENTRY_POINTS: [("theirs", build), ("eq10", 3)],
         }
         return [
             SimpleNamespace(name=name, load=lambda given=given: given)
@@ -162,4 +162,4 @@ def test_another_package_offers_solvers_and_formulations(
     solution = tt.fit(SCENE, "theirs", solver="dense")
     assert (solution.solver, solution.formulation) == ("dense", "theirs")
     assert tt.fit(SCENE, "eq10").status is Status.SOLVED
-    assert "theirs" in [info.name for info in shelf.available()]
+    assert "theirs" in [info.name for info in available()]

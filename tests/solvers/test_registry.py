@@ -13,9 +13,8 @@ from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
 from tests.solvers.taking import ALGEBRAIC, BENT
 from ttus_opt.core.errors import InputError, SolverUnavailableError
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
@@ -69,18 +68,18 @@ def test_auto_takes_interior_point_when_small_and_splitting_when_large() -> None
     """A small box, and a grid whose factor an interior point repeats."""
     assert registry.choose("auto", bounded(10)).name == "clarabel"
     scene = small_scene("trilinear", shape=(24, 48, 24), n_poses=6)
-    robust = reduce(shelf.load("robust", scene).compile()).program
+    robust = reduce(load("robust", scene).compile()).program
     clarabel, scs = (registry.solvers()[name] for name in ("clarabel", "scs"))
     assert scs.cost(robust) < clarabel.cost(robust)
 
 
 def test_estimates_grow_with_the_grid_and_with_limits() -> None:
     small, large = (
-        shelf.load("eq10", small_scene("trilinear", shape=shape)).compile()
+        load("eq10", small_scene("trilinear", shape=shape)).compile()
         for shape in ((9, 20, 10), (18, 40, 20))
     )
     one = small_scene("trilinear", shape=(9, 20, 10))
-    limited = shelf.load("eq10_sign", one).compile()
+    limited = load("eq10_sign", one).compile()
     asked = [registry.solvers()[name] for name in registry.estimating()]
     able = [solver for solver in asked if not solver.refusal(small)]
     assert {"structured", "normal_equations", "clarabel", "scs"} <= {
@@ -93,9 +92,7 @@ def test_estimates_grow_with_the_grid_and_with_limits() -> None:
 
 def test_auto_takes_the_structured_solver_on_eq10() -> None:
     scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6)
-    assert registry.choose("auto", shelf.load("eq10", scene).compile()).name == (
-        "structured"
-    )
+    assert registry.choose("auto", load("eq10", scene).compile()).name == ("structured")
 
 
 def test_auto_never_takes_a_reference() -> None:
@@ -160,12 +157,12 @@ def test_refusals(what: object, refusing: list[str]) -> None:
 )
 def test_time_limit_strikes(solver: Solver) -> None:
     scene = small_scene("trilinear", shape=(9, 20, 10))
-    declared = shelf.load("eq10", scene, force_weight=1.0, torque_weight=1.0)
+    declared = load("eq10", scene, force_weight=1.0, torque_weight=1.0)
     problem = declared.compile()
     if not solver.refusal(declared.with_constraints(Sign(scene)).compile()):
         problem = declared.with_constraints(Sign(scene)).compile()
     if solver.name in BENT:
-        problem = reduce(shelf.load("sparse_sources", scene).compile()).program
+        problem = reduce(load("sparse_sources", scene).compile()).program
     if solver.name in ALGEBRAIC:
         problem = Formulation([AlongZ(scene), ForceTerm(scene, 1.0)]).compile()
     candidate = solver.prepare(problem, Request(1e-12, 1e-4)).solve()

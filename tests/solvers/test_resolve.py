@@ -9,8 +9,8 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.solvers import taking
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request, Solver
@@ -32,7 +32,7 @@ def compiled(signed: bool, factor: float = 1.0, weight: float = 1.0) -> Program:
     assert trajectory.force is not None
     other = replace(trajectory, force=trajectory.force * factor)
     scene = replace(scene, trajectory=other)
-    declared = shelf.load("eq10", scene, force_weight=weight, torque_weight=1.0)
+    declared = load("eq10", scene, force_weight=weight, torque_weight=1.0)
     if signed:
         declared = declared.with_constraints(Sign(scene))
     return declared.compile()

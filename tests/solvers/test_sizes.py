@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers.sizes import Sizes, interior_point_seconds, splitting_seconds
 
@@ -15,32 +15,32 @@ V = SCENE.n_voxels
 
 
 def test_eq10_has_rows_alone() -> None:
-    sizes = Sizes.of(shelf.load("eq10", SCENE).compile())
+    sizes = Sizes.of(load("eq10", SCENE).compile())
     measured = 2 * 3 * len(SCENE.trajectory)
     assert sizes == Sizes(V, V, V + measured, measured, 0, 0, 0.0)
 
 
 def test_limits_are_inequalities_and_bounds_alone() -> None:
-    program = shelf.load("eq10_sign_monotone", SCENE).compile()
+    program = load("eq10_sign_monotone", SCENE).compile()
     rows = sum(len(c.lower) for c in program.constraints)
     bounded = np.isfinite(program.box).any(axis=0).sum()
     sizes = Sizes.of(program)
     assert bounded and sizes.limits == rows + bounded
     assert sizes.width == pytest.approx(2.0)  # a voxel and the next one outwards
-    hard = Sizes.of(shelf.load("eq10_hard_boundary", SCENE).compile())
+    hard = Sizes.of(load("eq10_hard_boundary", SCENE).compile())
     assert hard.limits == 0
 
 
 def test_a_second_field_and_kinks_are_counted() -> None:
-    assert Sizes.of(shelf.load("coulomb_drag", SCENE).compile()).voxels == 2 * V
-    sparse = reduce(shelf.load("sparse_sources", SCENE).compile()).program
+    assert Sizes.of(load("coulomb_drag", SCENE).compile()).voxels == 2 * V
+    sparse = reduce(load("sparse_sources", SCENE).compile()).program
     assert Sizes.of(sparse).kinks > 0
 
 
 def test_estimates_put_larger_and_harder_programs_later() -> None:
-    small = shelf.load("eq10", SCENE).compile()
-    large = shelf.load("eq10", small_scene("trilinear")).compile()
-    limited = shelf.load("eq10_sign_monotone", SCENE).compile()
+    small = load("eq10", SCENE).compile()
+    large = load("eq10", small_scene("trilinear")).compile()
+    limited = load("eq10_sign_monotone", SCENE).compile()
     for seconds in (interior_point_seconds, splitting_seconds):
         assert 0.0 < seconds(small) < seconds(large)
         assert seconds(small) < seconds(limited)

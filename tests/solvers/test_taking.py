@@ -7,12 +7,12 @@ import pytest
 from tests.solvers import taking
 from tests.solvers.problems import Reference, bending_references, references
 from tests.solvers.test_agreement import reduction
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import available
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers.registry import solvers
 
 
-@pytest.mark.parametrize("name", [info.name for info in shelf.available()])
+@pytest.mark.parametrize("name", [info.name for info in available()])
 def test_a_formulation_is_taken_by(name: str) -> None:
     program = reduction(name).program
     takers = [s.name for s in solvers().values() if not s.refusal(program)]
@@ -35,7 +35,7 @@ def test_a_reference_problem_is_taken_by(reference: Reference) -> None:
 
 
 def test_the_tables_know_every_name() -> None:
-    assert set(taking.FORMULATIONS) == {info.name for info in shelf.available()}
+    assert set(taking.FORMULATIONS) == {info.name for info in available()}
     told = {reference.name for reference in references() + bending_references()}
     assert set(taking.REFERENCES) == told
     tabled = frozenset.union(*taking.FORMULATIONS.values())

@@ -18,8 +18,7 @@ from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import Fitter
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Solution
 from ttus_opt.solvers.base import Request, Solver
@@ -125,7 +124,7 @@ def _solved(
 
 def declared(spec: RunSpec, scene: Scene) -> Formulation:
     """The formulation of a run on a scene."""
-    return shelf.load(spec.options["formulation"], scene, **spec.options["options"])
+    return load(spec.options["formulation"], scene, **spec.options["options"])
 
 
 def _warm_up(spec: RunSpec, solver: Solver | Literal["auto"], request: Request) -> None:

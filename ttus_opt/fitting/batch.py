@@ -18,9 +18,8 @@ from ttus_opt.fitting.parameters.identification import with_estimates
 from ttus_opt.fitting.parameters.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import checked_candidate
 from ttus_opt.fitting.verdict import judged as judged
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.compression import Compression
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import DEFAULT, Formulation, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.solvers import registry
@@ -76,7 +75,7 @@ def fit(
         SolverUnavailableError: The solver's package is not installed.
     """
     expect(scene, Scene, "the scene")
-    usual = shelf.DEFAULT if formulation is None else formulation
+    usual = DEFAULT if formulation is None else formulation
     if weights not in (None, "own"):
         from ttus_opt.fitting.weights.weight_choice import choice_of
 
@@ -94,7 +93,7 @@ def fit(
         timings = replace(found.timings, search=spent)
         return replace(found, timings=timings, chosen=choice.lines)
     watch = Stopwatch()
-    declared = shelf.load(usual, scene, **options)
+    declared = load(usual, scene, **options)
     if declared.scene is not scene:
         raise InputError(
             "the formulation belongs to another scene: build it for this one"

@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.part_noise import (
     EARLIER,
@@ -135,11 +135,11 @@ def test_eq10_with_errors_of_directions_has_these_rows():
     noise = PartNoise.of(SCENE, own, m, ZERO, 0.3)
     across = np.sqrt(own**2 + (0.3 * m) ** 2) / noise.level
     np.testing.assert_allclose(noise.across, across)
-    declared = shelf.load("eq10", SCENE, direction_error=0.3)
+    declared = load("eq10", SCENE, direction_error=0.3)
     for term in declared.terms[1:]:
         expected = replace(term, noise=noise).assembled
         assert abs(term.assembled.blocks["p"] - expected.blocks["p"]).max() < 1e-12
-    dragged = shelf.load("coulomb_global", SCENE, direction_error=0.3)
+    dragged = load("coulomb_global", SCENE, direction_error=0.3)
     noises = [getattr(term, "noise", None) for term in dragged.terms]
     assert sum(one is not None for one in noises) == 2
     for wrong in (-0.1, np.nan, np.inf):

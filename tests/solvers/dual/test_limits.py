@@ -12,11 +12,11 @@ from scipy.optimize import linprog
 from tests.conftest import small_scene, some
 from tests.solvers.dual.user_limits import Rows, Steeper, Within
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.base import Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 
@@ -29,9 +29,7 @@ def small() -> Scene:
 
 
 def read(scene: Scene, *constraints: Constraint) -> SpokeLimits:
-    return SpokeLimits.of(
-        shelf.load("eq10", scene).with_constraints(*constraints).compile()
-    )
+    return SpokeLimits.of(load("eq10", scene).with_constraints(*constraints).compile())
 
 
 def rows_of(scene: Scene, entries: list[dict[int, float]]) -> sp.csr_array:
@@ -281,7 +279,7 @@ def test_contradiction_leaves_the_limits_alone() -> None:
 
 def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
     """Any multipliers, put back through the rows, is what was handed in."""
-    declared = shelf.load("eq10", small).with_constraints(
+    declared = load("eq10", small).with_constraints(
         Sign(small), Monotone(small), HardBoundary(small)
     )
     loaded = declared.compile()
@@ -305,7 +303,7 @@ def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
 
 def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -> None:
     loaded = (
-        shelf.load("eq10", small)
+        load("eq10", small)
         .with_constraints(Monotone(small, 0.0), Steeper(small, 3.0))
         .compile()
     )
@@ -325,9 +323,7 @@ def test_a_given_value_outside_its_bound_is_a_contradiction(small: Scene) -> Non
 
 def test_the_sweeps_answer_is_a_field_that_holds(small: Scene) -> None:
     """Without a contradiction there is a field; its primal residual is zero."""
-    declared = shelf.load("eq10", small).with_constraints(
-        Sign(small), Monotone(small, 3.0)
-    )
+    declared = load("eq10", small).with_constraints(Sign(small), Monotone(small, 3.0))
     limits = read(small, Sign(small), Monotone(small, 3.0))
     assert limits.contradiction() == 0.0
     p = np.where(np.isfinite(limits.lower), limits.lower, 0.0).reshape(limits.shape)

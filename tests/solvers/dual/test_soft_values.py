@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import soft_values
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
@@ -27,7 +27,7 @@ SCENE = small_scene("trilinear", shape=(8, 16, 10), n_poses=6)
 
 def data(weight: float = 1.0) -> DualData:
     weights = {"force_weight": weight, "torque_weight": weight}
-    return DualData.of(shelf.load("free_surface", SCENE, **weights).compile())
+    return DualData.of(load("free_surface", SCENE, **weights).compile())
 
 
 def dense(of: DualData) -> tuple[Array, Array]:
@@ -83,7 +83,7 @@ def test_it_is_told_what_soft_values_would_be_without_limits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """b + ω q, where they are held and where they are free, against dense algebra."""
-    program = shelf.load("free_surface", SCENE).compile()
+    program = load("free_surface", SCENE).compile()
     of, limits = DualData.of(program), SpokeLimits.of(program)
     solver, options = DualSolver(of.system), DualOptions()
     problem = LimitedField(program, limits, of, solver, options)
@@ -140,7 +140,7 @@ def test_steps_end_where_the_working_set_stays_whatever_its_size(
 
 
 def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) -> None:
-    program = shelf.load("free_surface", SCENE).compile()
+    program = load("free_surface", SCENE).compile()
     found = Structured().prepare(program, Request(1e-6)).solve()
     # without a model the same answer, and more of them
     monkeypatch.setattr(SoftValues, "held", lambda *_: None)

@@ -11,8 +11,7 @@ from scipy.sparse.linalg import spsolve
 
 from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.data import DualData, root_weights
@@ -34,7 +33,7 @@ def declared(
     name: str = "eq10", force: float = 1.0, torque: float = 1.0
 ) -> Formulation:
     scene = small_scene("trilinear")
-    return shelf.load(name, scene).with_weights(force=force, torque=torque)
+    return load(name, scene).with_weights(force=force, torque=torque)
 
 
 def exact(program: Program) -> Array:
@@ -114,7 +113,7 @@ def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
 def test_with_a_direction_for_every_row_the_basis_is_complete() -> None:
     """One pose: fewer rows than `PROBES`, whose mean would else end it."""
     scene = small_scene("trilinear", n_poses=1)
-    data = DualData.of(shelf.load("eq10", scene).without("torque").compile())
+    data = DualData.of(load("eq10", scene).without("torque").compile())
     sweep = WeightSweep(data)
     assert sweep.complete(data.system.root_weights, 1e-12)
     assert len(sweep) == 3 < PROBES
@@ -149,7 +148,7 @@ def test_too_few_directions_complete_nothing() -> None:
 def test_only_one_field_and_few_rows_suit() -> None:
     scene = small_scene("trilinear")
     for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
-        assert not suits_sweep(shelf.load(name, scene).compile()), name
+        assert not suits_sweep(load(name, scene).compile()), name
 
 
 def test_limits_are_told_from_boundary_values() -> None:
@@ -183,7 +182,7 @@ def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
 def test_dependent_rows_are_spanned_and_nothing_is_added(field_rtol: float) -> None:
     """Four frames beside each other tell twelve things of the field, not 24."""
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
-    data = DualData.of(shelf.load("eq10", scene).compile())
+    data = DualData.of(load("eq10", scene).compile())
     root, D = data.system.root_weights, data.system.rows.toarray()
     G = np.linalg.solve(scene.L.toarray().T, D.T)
     C = G.T @ G

@@ -10,10 +10,9 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 
 INF = np.inf
 
@@ -79,5 +78,5 @@ def louder(scene: Scene, seed: int, scale: float = 1.0, noise: float = 2.0) -> S
 
 def eq10(scene: Scene, weight: float, *constraints: Constraint) -> Formulation:
     """Eq. 10 under constraints, both weights the same."""
-    declared = shelf.load("eq10", scene, force_weight=weight, torque_weight=weight)
+    declared = load("eq10", scene, force_weight=weight, torque_weight=weight)
     return declared.with_constraints(*constraints)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.packages.amg_pcg import AmgPcg, _Loaded
 
@@ -17,7 +17,7 @@ SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 
 def loaded(weight: float = 3.0) -> _Loaded:
     weights = {"force_weight": weight, "torque_weight": 0.2 * weight}
-    program = shelf.load("eq10", SCENE, **weights).compile()
+    program = load("eq10", SCENE, **weights).compile()
     prepared = AmgPcg().prepare(program, Request(1e-10))
     assert isinstance(prepared, _Loaded)
     return prepared

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal.approximate_system import FixedBlock
@@ -24,7 +24,7 @@ def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
     """Written down column by column: symmetric, and its product with H in a band."""
     for weight in (1e-2, 1.0):
         weights = {"force_weight": weight, "torque_weight": weight}
-        program = shelf.load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
+        program = load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
         split = Split.of(program, 50)
         assert len(split.wide) == 1
         made = preconditioner(

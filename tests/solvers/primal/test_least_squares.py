@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.primal.conjugate_gradients import Pair
@@ -30,7 +30,7 @@ class Made(NamedTuple):
 @functools.cache
 def made() -> Made:
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
-    program = shelf.load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
+    program = load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
     split = Split.of(program, FEW)
     none = Complement(np.zeros((len(split.few.t), 0)), lambda residual: residual)
     return Made(program, split, LeastSquares(split, none))
@@ -64,7 +64,7 @@ def test_a_program_is_parted_into_prior_wide_and_few() -> None:
 
 def test_values_that_are_given_do_not_move() -> None:
     scene = SCENE
-    hard = shelf.load("eq10_hard_boundary", scene).compile()
+    hard = load("eq10_hard_boundary", scene).compile()
     split = Split.of(hard, FEW)
     np.testing.assert_array_equal(split.moving, scene.laplace.free)
     np.testing.assert_allclose(split.given[~scene.laplace.free], hard.dirichlet.lower)

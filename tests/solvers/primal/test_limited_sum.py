@@ -15,7 +15,7 @@ from tests.solvers.dual.test_subproblem import (
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -35,7 +35,7 @@ def made(
     own: type[Term], hard: bool, prior: str = "eq10"
 ) -> tuple[Program, LimitedSum]:
     scene = contested(1, (6, 9, 5), n_poses=5)
-    declared = shelf.load(prior, scene, force_weight=1.0, torque_weight=1.0)
+    declared = load(prior, scene, force_weight=1.0, torque_weight=1.0)
     limits = random_limits(scene, 1, hard)
     program = (declared + own(scene, 3.0)).with_constraints(*limits).compile()
     split = Split.of(program, FEW)

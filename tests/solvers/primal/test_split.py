@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.primal.split import Split, wide_terms
@@ -24,7 +24,7 @@ CASES = ["eq10", "free_surface", "coulomb_global"]
 
 def made(name: str, prior: float = 2.5) -> Program:
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
-    whole = shelf.load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
+    whole = load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
     program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
     first = laplace_prior(program)
     assert first is not None

@@ -19,7 +19,7 @@ from ttus_opt.benchmark.summary import seconds
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import load
 from ttus_opt.report.document import Block, Heading, Text
 from ttus_opt.solvers.base import Request
 
@@ -110,7 +110,7 @@ def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
         outer=case.outer,
         sampling=case.sampling,
     )
-    declared = shelf.load("eq10", made, **WEIGHTS)
+    declared = load("eq10", made, **WEIGHTS)
     request = Request(TOLERANCE, time_limit)
     solution = Fitter(declared, solver="structured", request=request).solve()
     if solution.verified_field is None:

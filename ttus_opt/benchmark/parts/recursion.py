@@ -23,8 +23,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.fitting.recursion.recursive import RecursiveFit
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.solvers.base import Request
 
 #: Number of updates, and of those after which the field is compared with a batch fit
@@ -188,7 +187,7 @@ def _typical(name: str, taken: Sequence[float]) -> Row:
 def _eq10(scene: Scene, count: int) -> Formulation:
     """Eq. 10 on the first measurements."""
     part = scene.trajectory.select(np.arange(count))
-    return shelf.load("eq10", with_measurements(scene, part), **WEIGHTS)
+    return load("eq10", with_measurements(scene, part), **WEIGHTS)
 
 
 def _batch(

@@ -28,7 +28,7 @@ from ttus_opt.benchmark.solver_run import FIELDS, label, measured
 from ttus_opt.benchmark.summary import row_table
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.report.document import Block, Table
@@ -100,7 +100,7 @@ class SolversPart(Part):
                 continue
             group = (spec.case_name, spec.options["formulation"])
             if group not in programs:
-                declared = shelf.load(
+                declared = load(
                     group[1], _small_scene(spec.scene_case), **spec.options["options"]
                 )
                 programs[group] = reduce(declared.compile()).program
@@ -192,7 +192,7 @@ def check(settings: Settings) -> None:
 
 def _formulations(settings: Settings) -> list[str]:
     """Names and paths, each once; `ALL` stands for every formulation."""
-    shelf_names = [info.name for info in shelf.available()]
+    shelf_names = [info.name for info in available()]
     given = [
         name
         for each in settings.formulations
@@ -226,7 +226,7 @@ def _small_scene(case: CaseSpec) -> Scene:
 
 def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, Any]:
     """Options of a formulation: its weights, and those given by the user."""
-    known = {info.name: info.options for info in shelf.available()}
+    known = {info.name: info.options for info in available()}
     weights: Mapping[str, float] = dict.fromkeys(
         ("force_weight", "torque_weight"), settings.weight
     )
@@ -234,11 +234,11 @@ def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, A
         weights = {k: v for k, v in weights.items() if k in known[formulation]}
     else:
         try:
-            shelf.load(formulation, small, **weights)
+            load(formulation, small, **weights)
         except InputError:  # a user's file with other options
             weights = {}
     accepted = {**weights, **settings.options}
-    shelf.load(formulation, small, **accepted)
+    load(formulation, small, **accepted)
     return accepted
 
 

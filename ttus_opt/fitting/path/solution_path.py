@@ -23,8 +23,7 @@ from ttus_opt.fitting.path.path_points import Point, in_turn, several_at_a_time
 from ttus_opt.fitting.path.path_solvers import PointSolver, point_solver
 from ttus_opt.fitting.path.weight_grid import Index, WeightGrid, Weights
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.solvers.base import Request, Solver
 
 if TYPE_CHECKING:
@@ -176,7 +175,7 @@ def _declared(
         if not isinstance(formulation, Formulation):
             raise InputError("solution_path needs a scene with a formulation's name")
         scene = formulation.scene
-    declared = shelf.load(formulation, scene, **options)
+    declared = load(formulation, scene, **options)
     if declared.scene is not scene:
         raise InputError(
             "the formulation belongs to another scene: build it for this one"

@@ -41,8 +41,7 @@ from ttus_opt.fitting.weights.tuning_result import (
 )
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
 from ttus_opt.fitting.weights.weight_criteria import Criteria
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import Formulation, load, option_names
 
 #: Formulations compared by default: drag first, whose rows include those without it
 CANDIDATES = ("coulomb_global", "eq10")
@@ -298,20 +297,20 @@ def _candidate(
         InputError: It cannot be tuned.
     """
     if isinstance(formulation, Formulation):
-        shelf.load(formulation, scene, **options)  # it takes none
+        load(formulation, scene, **options)  # it takes none
         if formulation.scene is not scene:
             raise InputError(
                 "the formulation belongs to another scene: build it for this one"
             )
         return _tuned(None, formulation, formulation)
-    known = shelf.option_names(formulation)
+    known = option_names(formulation)
     given = {k: v for k, v in options.items() if known is None or k in known}
     if vary is None:
         vary = VARIED.get(str(formulation), {})
 
     def tuned(given: Mapping[str, Any], alone: bool) -> _Candidate:
         def build(place: Scene) -> Formulation:
-            return shelf.load(formulation, place, **given)
+            return load(formulation, place, **given)
 
         whole = build(scene)
         small = build(coarser(scene)) if TuningRows.of(whole).is_laplace else whole

@@ -25,8 +25,7 @@ from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.uncertainty.presses import pressed_places, presses
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
-from ttus_opt.problem import formulation as shelf
-from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import UnusableForcesError
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
@@ -127,7 +126,7 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
     """
     if isinstance(formulation, Formulation):
         return False
-    usual = (shelf.option_defaults(formulation) or {}).items()
+    usual = (option_defaults(formulation) or {}).items()
     values = [value for name, value in usual if is_weight(name)]
     return bool(values) and None not in values
 
@@ -220,11 +219,11 @@ def choice_of(
     options = options or {}
     word_for(word, formulation, options)
     if word == OWN:
-        usual = shelf.DEFAULT if formulation is None else formulation
-        return WeightChoice(scene, shelf.load(usual, scene, **options))
+        usual = DEFAULT if formulation is None else formulation
+        return WeightChoice(scene, load(usual, scene, **options))
     if formulation is None:
         return default_model(scene, options, sampling, progress=progress)
-    own = shelf.load(formulation, scene, **options)
+    own = load(formulation, scene, **options)
     if any(isinstance(term, DepthMapTerm) for term in own.terms):
         return WeightChoice(scene, own, reasons=described(own))
     reason = too_little(scene)
@@ -273,9 +272,9 @@ def default_model(
             progress(f"{name}, {each} sampling")
         try:
             with one_blas_thread():  # for matrices of a few hundred rows
-                declared = shelf.load(name, place, **given)
+                declared = load(name, place, **given)
         except UnusableForcesError as error:
-            return _own(scene, shelf.load(shelf.DEFAULT, scene), str(error))
+            return _own(scene, load(DEFAULT, scene), str(error))
         tried.append((depth_map_of(declared).log_evidence or 0.0, place, declared))
     _, place, declared = max(tried, key=lambda one: one[0])
     evidence = ", ".join(f"{p.sampling} {e:.1f}" for e, p, _ in tried)

@@ -37,7 +37,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
-import weakref
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
@@ -164,21 +163,14 @@ def kkt_residuals(
     if not all(np.isfinite(values).all() for values in given):
         return NOT_FINITE
     point = _digest(program, x, duals, tolerance)
-    kept = _last.get(id(program))
-    if kept is None or kept[0] != point:
+    # a solver's own check is not repeated by the verdict
+    found: KKT | None = program.judged.get(point)
+    if found is None:
         with np.errstate(over="ignore", invalid="ignore"):
             found = _residuals(program, x, duals, tolerance)
-        if id(program) not in _last:
-            weakref.finalize(program, _last.pop, id(program), None)
-        _last[id(program)] = kept = point, found
-    found = kept[1]
+        program.judged.clear()
+        program.judged[point] = found
     return found if np.isfinite(found.worst_relative) else NOT_FINITE
-
-
-#: The last point of every program, by identity, and its residuals, so that a solver's
-#: own check is not repeated by the verdict; dropped with the program. Its arrays are
-#: compared too, as they may be views of a recording or of a matrix that is edited.
-_last: dict[int, tuple[bytes, KKT]] = {}
 
 
 @functools.lru_cache(maxsize=1)
@@ -190,6 +182,7 @@ def _probe(n: int) -> Array:
 def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes:
     """Hash of a point, its multipliers, the tolerance, and the program's arrays.
 
+    The arrays may be views of a recording or of a matrix that is edited.
     For a matrix a product stands, which takes a fifth of the time of hashing it.
     """
     found = hashlib.sha256(repr(tolerance).encode())
