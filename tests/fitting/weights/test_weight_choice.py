@@ -171,7 +171,7 @@ def test_drag_is_looked_for_once_and_where_it_acts_stays(
 ) -> None:
     """The motion tells it, whatever the sampling; given options come first."""
     looked, asked = [], []
-    estimate, load = weight_choice.estimate_drag, weight_choice.shelf.load
+    estimate, load = weight_choice.estimate_drag, weight_choice.load
 
     def noted(name: str, scene: Scene, **options: Any) -> Formulation:
         asked.append((name, scene.sampling, options))
@@ -182,7 +182,7 @@ def test_drag_is_looked_for_once_and_where_it_acts_stays(
         "estimate_drag",
         lambda scene: looked.append(scene) or estimate(scene),
     )
-    monkeypatch.setattr(weight_choice.shelf, "load", noted)
+    monkeypatch.setattr(weight_choice, "load", noted)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)
         weight_choice.default_model(dragged_scene("contact"))
