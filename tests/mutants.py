@@ -180,6 +180,7 @@ TARGETS = (
         ),
     ),
     Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
+    Target("solvers/conjugate_gradients.py", ("solvers/test_conjugate_gradients.py",)),
     Target(
         "solvers/dual/soft_values.py",
         ("solvers/dual/test_soft_values.py", "solvers/dual/test_preconditioner.py"),
@@ -187,7 +188,6 @@ TARGETS = (
     *(
         Target(f"solvers/dual/{stem}.py", (f"solvers/dual/test_{stem}.py",))
         for stem in (
-            "conjugate_gradients",
             "limits",
             "linear_parameters",
             "pair_subproblem",

@@ -25,10 +25,10 @@ from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.conjugate_gradients import Map, to_residual
 from ttus_opt.solvers.dual.data import laplace_prior
-from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
 from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
-from ttus_opt.solvers.proximal.field_preconditioner import WithFewRows
+from ttus_opt.solvers.proximal.field_preconditioner import with_few_rows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.sizes import Sizes
 from ttus_opt.solvers.verified import Verified
@@ -113,7 +113,7 @@ class _Loaded(Verified):
         inverse = self._network(short, moving) or self._sparse(short, few, moving)
         if inverse is None:
             return
-        apply: Map = WithFewRows(inverse.apply, few) if few.nnz else inverse.apply
+        apply: Map = with_few_rows(inverse.apply, few) if few.nnz else inverse.apply
 
         def precondition(v: Array) -> Array:
             z = np.zeros_like(v)
@@ -195,10 +195,8 @@ class _Loaded(Verified):
             before = size
             rtol = max(0.5 * eps * largest / size, ROUND)
             product = partial(self._product, self._problem.fixed)
-            found = flexible_conjugate_gradients(
-                product, side, self._made[1], rtol, STEPS, deadline
-            )
-            x, steps = x + found.d, steps + found.steps
+            found = to_residual(product, side, self._made[1], rtol, STEPS, deadline)
+            x, steps = x + found.y, steps + found.steps
         self._x = self._last = x
         parts = self._parts(x)
         duals = self._problem.duals(

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.absorption import CLOSE_ENOUGH
 from ttus_opt.problem.verify.kkt import STRICTER, Duals, kkt_residuals
@@ -34,9 +35,9 @@ from ttus_opt.solvers.dual.refusals import (
     refusal_of_terms,
     refusal_of_unknowns,
 )
-from ttus_opt.solvers.primal.conjugate_gradients import Goal, Minimum, Pair, minimise
 from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
+from ttus_opt.solvers.primal.minimise import Goal, Minimum, minimise
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split, wide_terms
@@ -103,7 +104,7 @@ class NormalEquations(Solver):
 
 
 class _Loaded(Prepared):
-    _last: Pair | None = None
+    _last: Array | None = None
     _preconditioner: ConstraintPreconditioner
 
     def __init__(
@@ -134,7 +135,7 @@ class _Loaded(Prepared):
             goal = self._goal(share, scale, accuracy)
             found = self._minimum(at, goal)
             steps += found.steps
-            p = found.at.p
+            p = function.field(found.at)
             x = np.concatenate([p, function.coefficients(p)])
             duals = duals_without_limits(self._program, x)
             kkt = kkt_residuals(self._program, x, duals, tolerance=tolerance)
@@ -160,7 +161,7 @@ class _Loaded(Prepared):
             accuracy,
         )
 
-    def _minimum(self, at: Pair, goal: Goal) -> Minimum:
+    def _minimum(self, at: Array, goal: Goal) -> Minimum:
         """Minimise until the verdict's bound of the gap is small as well.
 
         That bound starts from the Laplace term alone (docs/method, section 9.3) and
@@ -175,7 +176,7 @@ class _Loaded(Prepared):
             steps, at = steps + found.steps, found.at
             if not found.reached:
                 break
-            value, bound = function.value(at.p), function.gap_bound(at)
+            value, bound = function.value(at), function.gap_bound(at)
             if bound <= 0.5 * enough * value:
                 break
             goal = goal.times(0.1 * enough * value / bound)
@@ -225,9 +226,8 @@ class _Scale:
     @classmethod
     def of(cls, function: LeastSquares) -> _Scale:
         start = function.start()
-        nothing = Pair(np.zeros_like(start.p), start.y)
-        slope = function.gradient(function.residual(nothing))
-        return cls(function.value(start.p), float(np.linalg.norm(slope)))
+        slope = function.gradient(function.residual(np.zeros_like(start)))
+        return cls(function.value(start), float(np.linalg.norm(slope)))
 
 
 SOLVERS = [NormalEquations()]

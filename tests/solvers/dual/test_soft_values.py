@@ -11,6 +11,7 @@ from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
+from ttus_opt.solvers.conjugate_gradients import Run
 from ttus_opt.solvers.dual import soft_values
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
@@ -110,12 +111,12 @@ def test_it_is_told_what_soft_values_would_be_without_limits(
 
 @pytest.fixture
 def goals(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """What is asked of every run of conjugate gradients."""
+    """Size of what every run of conjugate gradients has to solve."""
     asked: list[float] = []
     plain = soft_values.conjugate_gradients
 
-    def noted(*given: Any) -> tuple[Array, int]:
-        asked.append(given[2])
+    def noted(*given: Any) -> Run:
+        asked.append(float(np.linalg.norm(given[1])))
         return plain(*given)
 
     monkeypatch.setattr(soft_values, "conjugate_gradients", noted)

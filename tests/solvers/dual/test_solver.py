@@ -10,7 +10,7 @@ import pytest
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.solvers.dual import solver as solver_module
+from ttus_opt.solvers.conjugate_gradients import Run
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
@@ -49,14 +49,14 @@ def test_refinement_makes_up_for_inexact_products() -> None:
 def taken(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Steps of every run of conjugate gradients."""
     counts: list[int] = []
-    plain = solver_module.conjugate_gradients
+    plain = Complement.solve
 
-    def counted(*given: Any) -> tuple[Array, int]:
+    def counted(*given: Any) -> Run:
         found = plain(*given)
-        counts.append(found[1])
+        counts.append(found.steps)
         return found
 
-    monkeypatch.setattr(solver_module, "conjugate_gradients", counted)
+    monkeypatch.setattr(Complement, "solve", counted)
     return counts
 
 

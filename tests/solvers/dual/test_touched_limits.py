@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.touched_limits import (
     TouchedLimits,
     complementary,
-    range_basis,
 )
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured
@@ -68,45 +66,6 @@ def test_response_is_nearly_the_inverse_of_the_second_derivative(
     size = np.linalg.eigvals(np.linalg.solve(exact, made.response)).real
     assert size.min() > 0.998
     assert size.max() < 1.03
-
-
-@pytest.mark.parametrize("weight", [1e-4, 1e-3])
-def test_many_measurements_and_few_that_tell_anything_make_one_response(
-    weight: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    of = pair(weight, 1.0, 0.3, False)
-    monkeypatch.setattr(touched_limits, "BLOCK", 4)
-    monkeypatch.setattr(touched_limits, "FEW", 1)
-    found = []
-    of_range = touched_limits.range_basis
-
-    def noted(*arguments: Any) -> Array | None:
-        found.append(of_range(*arguments))
-        return found[-1]
-
-    monkeypatch.setattr(touched_limits, "range_basis", noted)
-    few = model(of).response
-    monkeypatch.setattr(touched_limits, "range_basis", lambda *_: None)
-    all_rows = model(of).response
-    assert found[0] is not None
-    assert 0 < found[0].shape[1] < len(of.rows.t)
-    np.testing.assert_allclose(few, all_rows, atol=1e-3 * np.abs(all_rows).max())
-    assert np.linalg.eigvalsh(few).min() > 0.0
-
-
-def test_range_basis_misses_only_what_is_negligible() -> None:
-    rng = np.random.default_rng(0)
-    turn = np.linalg.qr(rng.normal(size=(200, 200)))[0]
-    size = np.zeros(200)
-    size[:90] = np.logspace(4, -5, 90)
-    matrix = (turn * size) @ turn.T
-    found = range_basis(lambda values: matrix @ values, 200, 200)
-    assert found is not None
-    assert found.shape[1] < 200
-    np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-12)
-    left = np.eye(200) - found @ found.T
-    assert np.linalg.norm(left @ matrix @ left, 2) < touched_limits.NEGLIGIBLE
-    assert range_basis(lambda values: matrix @ values, 200, 64) is None
 
 
 @pytest.mark.parametrize("at_upper", [False, True])

@@ -7,8 +7,7 @@ From top to bottom:
   `pair_subproblem`, `pair_laplace`); where possible a model predicts the next one
   (`soft_values`, `touched_limits`);
 - `solver` solves the dual of each, with unknowns beside the field
-  (`linear_parameters`), by conjugate gradients in a recycled subspace
-  (`conjugate_gradients`) on the Schur complement (`system`), with an approximate Schur
-  complement as preconditioner (`preconditioner`);
+  (`linear_parameters`), by conjugate gradients with kept directions on the Schur
+  complement (`system`), with an approximate one as preconditioner (`preconditioner`);
 - `data` extracts the dual from a program; `options` holds all numerical parameters.
 """

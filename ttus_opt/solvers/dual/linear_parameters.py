@@ -20,6 +20,12 @@ from functools import cached_property
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.solvers.conjugate_gradients import (
+    RecycledSubspace,
+    Run,
+    conjugate_gradients,
+    norm,
+)
 
 #: Relative threshold for a column that depends on others [–]
 DEPENDENT = 1e-12
@@ -105,6 +111,38 @@ class Complement:
         z, made = self._schur(residual), self._made
         inner = self._basis.T @ made
         return np.asarray(z - made @ np.linalg.solve(inner, self._basis.T @ z))
+
+    def solve(
+        self,
+        subspace: RecycledSubspace,
+        right_side: Array,
+        goal: Callable[[Array], float],
+        most: int,
+        rtol: Callable[[float], float] = lambda size: 0.0,
+        late: Callable[[], bool] = lambda: False,
+    ) -> Run:
+        """Solve S y = right_side on the complement by conjugate gradients.
+
+        Args:
+            subspace: Directions of S; extended.
+            right_side: In the complement, shape (m,).
+            goal: Norm of the residual's part in the complement at which to stop at y.
+            most: Most new directions [–].
+            rtol: Accuracy of a product at such a norm [–].
+            late: Whether to stop now.
+        """
+
+        def size(rest: Array) -> float:
+            return norm(self.part(rest))
+
+        return conjugate_gradients(
+            subspace,
+            right_side,
+            lambda rest: self.precondition(self.part(rest)),
+            lambda y, rest: size(rest) <= goal(y) or late(),
+            most,
+            lambda rest: rtol(size(rest)),
+        )
 
     @cached_property
     def _made(self) -> Array:

@@ -20,7 +20,11 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.conjugate_gradients import (
+    RecycledSubspace,
+    conjugate_gradients,
+    norm,
+)
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -151,24 +155,26 @@ class SchurPreconditioner:
         if self._factor is not None:
             return self._by_factor(residual, self._factor)
         subspace, options = self._subspace, self._options
-        goal = options.preconditioner_residual * float(np.linalg.norm(residual))
-        answer, rest = subspace.project(residual)
-        energy = float(answer @ residual)
-        recent = np.full(options.preconditioner_delay, np.inf)
-        while (
-            np.linalg.norm(rest) > goal
-            and recent.sum() > options.preconditioner_energy**2 * energy
-            and len(subspace) < options.max_directions
-        ):
-            if len(subspace) > self._enough:
-                self._factor = _factor(self._approximate)
-                return self._by_factor(residual, self._factor)
-            subspace.extend(rest, 0.0)
-            step, rest = subspace.step(rest)
-            answer = answer + step
-            recent = np.append(recent[1:], abs(float(step @ residual)))
-            energy += recent[-1]
-        return answer
+        goal = options.preconditioner_residual * norm(residual)
+        energies: list[float] = []
+        done = False
+
+        def enough(answer: Array, rest: Array) -> bool:
+            nonlocal done
+            energies.append(float(answer @ residual))
+            gained = np.inf
+            if len(energies) > options.preconditioner_delay:
+                gained = energies[-1] - energies[-1 - options.preconditioner_delay]
+            done = norm(rest) <= goal
+            done |= gained <= options.preconditioner_energy**2 * energies[-1]
+            return done
+
+        most = int(min(options.max_directions, self._enough + 1.0)) - len(subspace)
+        run = conjugate_gradients(subspace, residual, np.copy, enough, most)
+        if not done and len(subspace) > self._enough:
+            self._factor = _factor(self._approximate)
+            return self._by_factor(residual, self._factor)
+        return run.y
 
     def _by_factor(self, residual: Array, factor: Array) -> Array:
         at, answer = self._approximate.coupled, residual.copy()

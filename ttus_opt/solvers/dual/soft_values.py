@@ -14,17 +14,17 @@ the next minimiser is accurate again. Soft values outside that box keep their st
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.solvers.dual.conjugate_gradients import (
+from ttus_opt.solvers.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,
+    norm,
 )
-from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -51,7 +51,6 @@ class SoftValues:
     def __post_init__(self) -> None:
         """Set up the V-cycle around the contact."""
         self._whole = ApproximateSchur(self.system)
-        self._options = replace(self.options, max_directions=MOST_DIRECTIONS)
         self._failed = False
 
     @property
@@ -89,10 +88,12 @@ class SoftValues:
         self, left: ApproximateSchur, side: Array, precondition: SchurPreconditioner
     ) -> Array | None:
         """Approximate change of y in a working set, (m,); None if it is not found."""
-        space = Complement(np.zeros((len(side), 0)), precondition)
-        goal = RESIDUAL * float(np.linalg.norm(side))
-        subspace, options = RecycledSubspace(left), self._options
-        args = (subspace, side, goal, space, Accuracy(0.0), options)
-        change = conjugate_gradients(*args)[0]
-        rest = subspace.project(side)[1]
-        return change if np.linalg.norm(rest) <= goal else None
+        goal = RESIDUAL * norm(side)
+        run = conjugate_gradients(
+            RecycledSubspace(left),
+            side,
+            precondition,
+            lambda _, rest: norm(rest) <= goal,
+            MOST_DIRECTIONS,
+        )
+        return run.y if norm(run.rest) <= goal else None

@@ -14,14 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.solvers.dual.conjugate_gradients import (
-    RecycledSubspace,
-    conjugate_gradients,
-)
+from ttus_opt.laplace.system import RTOL
+from ttus_opt.solvers.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.dual.system import DualSystem
+
+#: Largest relative residual of a solve inside a product, over that of a rough dual [–]
+PRODUCT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -210,6 +211,7 @@ class DualSolver:
     ) -> tuple[_Point, Array]:
         """Multipliers refined from a point, and their residual, shape (m,)."""
         system, before = self.system, np.inf
+        loosest = max(self._options.loosest_product, PRODUCT * accuracy.rtol)
         y, p, steps = point.y, point.p, point.steps
         residual = target - system.measure(p) - y
         for _ in range(self._options.refinements):
@@ -218,13 +220,18 @@ class DualSolver:
             if size <= goal or size >= before:
                 break
             before = size
-            step, taken = conjugate_gradients(
-                self._subspace, rest, goal, complement, accuracy, self._options
+            run = complement.solve(
+                self._subspace,
+                rest,
+                lambda y: goal,
+                self._options.max_directions,
+                lambda size: min(max(0.1 * goal / size, RTOL), loosest),
+                lambda: accuracy.late,
             )
-            y, steps = y + step, steps + taken
+            y, steps = y + run.y, steps + run.steps
             # p is updated by the step: if measurements contradict each other y is
             # large, and its rounding error would dominate a p computed from all of it
-            p = p + system.response(step, accuracy.field_rtol)
+            p = p + system.response(run.y, accuracy.field_rtol)
             residual = target - system.measure(p) - y
             if accuracy.late:
                 break

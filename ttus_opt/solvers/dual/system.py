@@ -13,7 +13,9 @@ positive definite; a product with it takes one solve with Lᵀ and one with L.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,9 +25,63 @@ from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.laplace.square_system import RTOL, SquareSystem
 
 
+class SchurComplement:
+    """S = I + D P⁻¹Dᵀ of some rows D over a prior P.
+
+    Attributes:
+        rows: D₀, rows without weights, shape (m, V).
+        root_weights: w, D = w D₀, shape (m,) [–].
+    """
+
+    rows: sp.csr_array
+    root_weights: Array
+
+    def prior(self, r: Array, rtol: float = RTOL) -> Array:
+        """P⁻¹r, shape (V,)."""
+        raise NotImplementedError
+
+    @cached_property
+    def adjoint(self) -> sp.csr_array:
+        """D₀ᵀ."""
+        return sp.csr_array(self.rows.T)
+
+    def measure(self, p: Array) -> Array:
+        """D p of a field, shape (m,)."""
+        return np.asarray(self.root_weights * (self.rows @ p))
+
+    def load(self, y: Array) -> Array:
+        """Dᵀy of multipliers y, shape (V,)."""
+        return np.asarray(self.adjoint @ (self.root_weights * y))
+
+    def response(self, y: Array, rtol: float = RTOL) -> Array:
+        """The response field P⁻¹Dᵀy, shape (V,)."""
+        return self.prior(self.load(y), rtol)
+
+    def apply(self, y: Array, rtol: float = RTOL) -> Array:
+        """S y with solves to a relative residual, shape (m,)."""
+        return y + self.measure(self.response(y, rtol))
+
+
 @dataclass(frozen=True)
-class DualSystem:
-    """The Schur complement S of one problem.
+class OverPrior(SchurComplement):
+    """S of rows over a prior whose inverse is a given map.
+
+    Attributes:
+        inverse: P⁻¹, linear.
+    """
+
+    inverse: Callable[[Array], Array] = field(repr=False)
+    rows: sp.csr_array = field(repr=False)
+    root_weights: Array = field(repr=False)
+
+    def prior(self, r: Array, rtol: float = RTOL) -> Array:
+        """P⁻¹r, shape (V,)."""
+        return self.inverse(r)
+
+
+@dataclass(frozen=True)
+class DualSystem(SchurComplement):
+    """The Schur complement S of one problem, over P⁻¹ = L⁻¹ ω L⁻ᵀ.
 
     Attributes:
         laplace: Solves with L and Lᵀ.
@@ -41,29 +97,15 @@ class DualSystem:
     rows: sp.csr_array = field(repr=False)
     root_weights: Array = field(repr=False)
     n_measured: int | None = None
-    adjoint: sp.csr_array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Transpose the rows once."""
-        object.__setattr__(self, "adjoint", sp.csr_array(self.rows.T))
 
     @property
     def field_prior(self) -> LaplacePrior:
         """The prior of p."""
         return LaplacePrior(self.laplace, self.compliance)
 
-    def measure(self, p: Array) -> Array:
-        """Weighted measurements D p of a field, shape (m,)."""
-        return np.asarray(self.root_weights * (self.rows @ p))
-
-    def response(self, y: Array, rtol: float = RTOL) -> Array:
-        """The response field L⁻¹ ω L⁻ᵀ Dᵀ y of multipliers y, shape (V,)."""
-        load = self.adjoint @ (self.root_weights * y)
-        return replace(self.field_prior, rtol=rtol).times(load)
-
-    def apply(self, y: Array, rtol: float = RTOL) -> Array:
-        """S y with solves to a relative residual, shape (m,)."""
-        return y + self.measure(self.response(y, rtol))
+    def prior(self, r: Array, rtol: float = RTOL) -> Array:
+        """L⁻¹ ω L⁻ᵀ r, shape (V,)."""
+        return replace(self.field_prior, rtol=rtol).times(r)
 
     def same_rows(self, other: DualSystem) -> bool:
         """Whether two systems differ at most by the weights of their rows."""

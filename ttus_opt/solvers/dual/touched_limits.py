@@ -17,7 +17,6 @@ derivative. `optimality` checks all limits of all voxels independently of this m
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,15 +39,6 @@ FREE = 1e4
 
 #: Rounding error of the prior's part, in single precision, over its mean variance [–]
 ROUNDING = 1e-6
-
-#: Random combinations per block [–]
-BLOCK = 64
-
-#: Combinations are used only if fewer than 1/FEW of the number of voxels suffice [–]
-FEW = 3
-
-#: Largest neglected covariance of measurements over that of their noise [–]
-NEGLIGIBLE = 1e-2
 
 #: Exchanges of all wrong signs allowed without fewer wrong signs; exchanges at most
 TRIES, MOST_EXCHANGES = 10, 300
@@ -130,13 +120,8 @@ def _response(
 ) -> Array:
     """Γ: the posterior covariance of y and c, for measurement noise of variance 1.
 
-    With G' = G + m mᵀ, where G is zero for c, and Q the informative combinations of
-    measured rows,
-
-        Γ = G' - G'YᵀQ (I + Qᵀ(ρ X G Xᵀ + Y G'Yᵀ)Q)⁻¹ QᵀY G'.
-
-    If these are many, all rows are used: first the posterior covariance of the first
-    field is computed, then that of the second.
+    First the posterior covariance of the first field, then that of the second and c,
+    whose prior covariance is G + m mᵀ.
 
     Args:
         prior: G, prior covariance of the second field, shape (k, k).
@@ -147,59 +132,14 @@ def _response(
         y: Y, measured rows of the second and of c, shape (m, k + 1) or (m, k).
     """
     k = len(prior)
-
-    def measured(ends: Array) -> tuple[Array, Array]:
-        """QᵀY G' and Qᵀ(ρ X G Xᵀ + Y G'Yᵀ) of some combinations Q."""
-        own = np.asarray(ends.T @ y)
-        moved = np.outer(own @ mean, mean)
-        moved[:, :k] += own[:, :k] @ prior
-        first = ratio * np.asarray(ends.T @ x) @ prior
-        return moved, np.asarray(x @ first.T + y @ moved.T).T
-
     whole = np.outer(mean, mean)
     whole[:k, :k] += prior
-    most = k // FEW
-    basis = range_basis(lambda ends: measured(ends)[1].T, x.shape[0], most)
-    if basis is None:
-        of_x, of_y, of_both = (
-            (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
-        )
-        follows = _posterior(ratio * prior, of_x)
-        left = of_y - of_both.T @ follows @ of_both
-        return _posterior(whole, (left + left.T) / 2.0)
-    moved, kernel = measured(basis)
-    inner = np.eye(basis.shape[1]) + kernel @ basis
-    factor = scipy.linalg.cholesky(
-        (inner + inner.T) / 2.0, lower=True, check_finite=False
+    of_x, of_y, of_both = (
+        (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
     )
-    half = scipy.linalg.solve_triangular(factor, moved, lower=True, check_finite=False)
-    return np.asarray(whole - half.T @ half)
-
-
-def range_basis(operator: Callable[[Array], Array], n: int, most: int) -> Array | None:
-    """Orthonormal basis, (n, r), of the numerical range of an operator.
-
-    A randomised range finder (Halko, Martinsson, Tropp, SIAM Rev. 53, 2011), block by
-    block: a new block estimates what the previous ones have missed.
-
-    Args:
-        operator: Symmetric positive semidefinite, (n, k) to (n, k).
-        n: Its size.
-        most: Most columns; the result is None if these do not suffice.
-    """
-    rng = np.random.default_rng(0)
-    found = np.zeros((n, 0))
-    while True:
-        block = operator(rng.standard_normal((n, BLOCK)))
-        for _ in range(2):
-            block -= found @ (found.T @ block)
-        if np.linalg.norm(block) <= NEGLIGIBLE * np.sqrt(BLOCK):
-            return found
-        if found.shape[1] + BLOCK > min(n, most):
-            return None
-        block = np.linalg.qr(block)[0]
-        block -= found @ (found.T @ block)  # normalisation has enlarged the rounding
-        found = np.hstack([found, np.linalg.qr(block)[0]])
+    follows = _posterior(ratio * prior, of_x)
+    left = of_y - of_both.T @ follows @ of_both
+    return _posterior(whole, (left + left.T) / 2.0)
 
 
 def _posterior(covariance: Array, information: Array) -> Array:

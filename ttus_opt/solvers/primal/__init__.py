@@ -3,7 +3,7 @@
 From top to bottom:
 
 - `limited_sum` solves the working sets of `dual.primal_dual_active_set`;
-- `conjugate_gradients` minimises a function of the field (`least_squares`);
+- `minimise` minimises a function of the field (`least_squares`);
 - `preconditioner` eliminates the few rows through their dual; `approximate_system` is
   one V-cycle each way and includes a root of the wide terms (`matching`);
 - `split` sorts the terms; `options` has the parameters.

@@ -130,8 +130,8 @@ class ApproximateSystem(DualSystem):
         rows = exact.rows, exact.root_weights, exact.n_measured
         return cls(approximate, compliance, *rows, fixed, unseen)
 
-    def prior(self, r: Array) -> Array:
-        """P⁻¹r, shape (V,)."""
+    def prior(self, r: Array, rtol: float = RTOL) -> Array:
+        """P⁻¹r by one V-cycle each way, shape (V,)."""
         if self.unseen is not None:
             return self.unseen.beside(self._of_laplace, r)
         return self._of_laplace(r)
@@ -142,7 +142,3 @@ class ApproximateSystem(DualSystem):
         if self.fixed is not None:
             middle[self.fixed.at] = self.fixed.solve(slope[self.fixed.at])
         return self.laplace.solve(middle)
-
-    def response(self, y: Array, rtol: float = RTOL) -> Array:
-        """The field P⁻¹Dᵀy, shape (V,)."""
-        return self.prior(self.adjoint @ (self.root_weights * y))

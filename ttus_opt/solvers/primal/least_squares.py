@@ -13,13 +13,14 @@ import numpy as np
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.solvers.conjugate_gradients import inner_product
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateLaplace,
     ApproximateSystem,
 )
-from ttus_opt.solvers.primal.conjugate_gradients import Pair
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
@@ -45,6 +46,10 @@ class LeastSquares:
         """D p across the columns of c, shape (m,)."""
         return self.complement.part(self.split.few.system.measure(p))
 
+    def field(self, at: Array) -> Array:
+        """The field of a point (p, y), shape (V,)."""
+        return at[: len(self.split.few.b)]
+
     def misfit(self, p: Array) -> Array:
         """T - D p, shape (m,)."""
         return self.split.few.t - self.split.few.system.measure(p)
@@ -53,38 +58,48 @@ class LeastSquares:
         """The best c beside p, shape (k,)."""
         return self.complement.coefficients(self.misfit(p))
 
-    def start(self) -> Pair:
+    def start(self) -> Array:
         """The given values, zero elsewhere, and zero multipliers."""
-        return Pair(self.split.given, np.zeros_like(self.split.few.t))
+        return np.concatenate([self.split.given, np.zeros_like(self.split.few.t)])
 
-    def residual(self, at: Pair) -> Pair:
+    def residual(self, at: Array) -> Array:
         """Residuals (r, s) of both equations; r is zero at given values."""
-        r = self._of_rows(at.y)
+        p, y = self._halves(at)
+        r = self.split.few.system.load(y)
         for term in self._terms:
-            r -= term.weight * (term.matrix.T @ term.residual(at.p))
-        s = self.complement.part(self.misfit(at.p)) - at.y
-        return Pair(np.where(self.split.moving, r, 0.0), s)
+            r -= term.weight * (term.matrix.T @ term.residual(p))
+        s = self.complement.part(self.misfit(p)) - y
+        return np.concatenate([np.where(self.split.moving, r, 0.0), s])
 
-    def image(self, along: Pair) -> tuple[Pair, Array]:
-        """Decrease of both residuals along a direction, and D times its field."""
-        r = -self._of_rows(along.y)
+    def image(self, along: Array) -> Array:
+        """Decrease of both residuals along a direction."""
+        p, y = self._halves(along)
+        r = -self.split.few.system.load(y)
         for term in self._terms:
-            r += term.weight * (term.matrix.T @ (term.matrix @ along.p))
-        measured = self.measure(along.p)
-        return Pair(np.where(self.split.moving, r, 0.0), measured + along.y), measured
+            r += term.weight * (term.matrix.T @ (term.matrix @ p))
+        return np.concatenate(
+            [np.where(self.split.moving, r, 0.0), self.measure(p) + y]
+        )
 
-    def gradient(self, rest: Pair) -> Array:
+    def pairing(self, rest: Array, along: Array) -> float:
+        """As in `Quadratic`."""
+        (r, s), (z, _) = self._halves(rest), self._halves(along)
+        return inner_product(r, z) + float(s @ self.measure(z))
+
+    def gradient(self, rest: Array) -> Array:
         """Minus half the gradient, shape (V,); zero at given values."""
-        return np.where(self.split.moving, rest.p + self._of_rows(rest.y), 0.0)
+        r, s = self._halves(rest)
+        return np.where(self.split.moving, r + self.split.few.system.load(s), 0.0)
 
-    def value(self, p: Array) -> float:
+    def value(self, at: Array) -> float:
         """F(p)."""
+        p = self.field(at)
         total = float(np.sum(self.complement.part(self.misfit(p)) ** 2))
         for term in self._terms:
             total += term.cost(p)
         return total
 
-    def gap_bound(self, at: Pair) -> float:
+    def gap_bound(self, at: Array) -> float:
         """Bound of F(p) - F(p*), up to the solve's error: rᵀA⁻¹r, A of the prior."""
         system = self.split.few.system
         r = self.gradient(self.residual(at))
@@ -95,10 +110,10 @@ class LeastSquares:
     def _terms(self) -> tuple[ProgramTerm, ...]:
         return (self.split.prior, *self.split.wide)
 
-    def _of_rows(self, y: Array) -> Array:
-        """Dᵀy, shape (V,)."""
-        system = self.split.few.system
-        return np.asarray(system.adjoint @ (system.root_weights * y))
+    def _halves(self, both: Array) -> tuple[Array, Array]:
+        """The field's part, (V,), and the rows', (m,)."""
+        V = len(self.split.few.b)
+        return both[:V], both[V:]
 
 
 def preconditioner(
@@ -122,6 +137,7 @@ def preconditioner(
     cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
     approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
     system = ApproximateSystem.of(split.few.system, approximate, split.wide, unseen)
+    schur = schur_preconditioner(system, dual) if system.adjoint.nnz else np.copy
     return ConstraintPreconditioner(
-        system, split.few.columns[:, free], options.inner, dual
+        system, split.few.columns[:, free], options.inner, schur
     )

@@ -16,9 +16,11 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.program import Program
+from ttus_opt.solvers.conjugate_gradients import Map
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.subproblem import ReducedLaplace, Subproblem, reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -26,9 +28,9 @@ from ttus_opt.solvers.primal.approximate_system import (
     ApproximateLaplace,
     ApproximateSystem,
 )
-from ttus_opt.solvers.primal.conjugate_gradients import Goal, Pair, minimise
 from ttus_opt.solvers.primal.least_squares import LeastSquares
 from ttus_opt.solvers.primal.matching import Root
+from ttus_opt.solvers.primal.minimise import Goal, minimise
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
@@ -110,10 +112,11 @@ class LimitedSum:
         approximate = ApproximateLaplace.of(laplace, cycle, more)
         approximate_system = ApproximateSystem.of(system, approximate, split.wide)
         columns = np.zeros((len(left.t), 0))
+        schur: Map = np.copy
+        if approximate_system.adjoint.nnz:
+            schur = schur_preconditioner(approximate_system, self.options)
         inner = self.primal.inner
-        return ConstraintPreconditioner(
-            approximate_system, columns, inner, self.options
-        )
+        return ConstraintPreconditioner(approximate_system, columns, inner, schur)
 
 
 @dataclass(frozen=True)
@@ -137,10 +140,10 @@ class LimitedSubproblem:
         function, options = self.function, self.options
         at = function.start()
         scale = float(np.linalg.norm(function.gradient(function.residual(at))))
-        value = function.value(at.p)
+        value = function.value(at)
         if last is not None:
-            p = np.where(function.split.moving, last, at.p)
-            at = Pair(p, function.misfit(p))
+            p = np.where(function.split.moving, last, function.field(at))
+            at = np.concatenate([p, function.misfit(p)])
         goal = Goal(
             GAP * accuracy.rtol,
             (GAP * accuracy.rtol) ** 2 * value,
@@ -150,7 +153,7 @@ class LimitedSubproblem:
         )
         rounds = options.rounds, options.round_gain
         found = minimise(function, self.preconditioner, at, goal, *rounds)
-        p = self.left.expansion @ found.at.p + self.left.offset
+        p = self.left.expansion @ function.field(found.at) + self.left.offset
         return DualAnswer(p, np.zeros(0), found.steps, accuracy.late)
 
 

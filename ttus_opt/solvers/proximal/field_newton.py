@@ -17,12 +17,12 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.penalties.base import Slope
-from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
+from ttus_opt.solvers.conjugate_gradients import Map, to_residual
 from ttus_opt.solvers.primal.normal_product import add_normal_product
 from ttus_opt.solvers.proximal.field_preconditioner import (
-    WithFewRows,
     by_differences,
     by_laplace,
+    with_few_rows,
 )
 from ttus_opt.solvers.proximal.penalised_rows import (
     Between,
@@ -88,12 +88,10 @@ class FieldNewton:
             return self._product(v, slopes)
 
         precondition = self._preconditioner(slopes)
-        run = flexible_conjugate_gradients(
-            product, side, precondition, rtol, MOST_STEPS, deadline
-        )
+        run = to_residual(product, side, precondition, rtol, MOST_STEPS, deadline)
         if run.steps > MANY:  # the diagonal is too weak, or too many slopes changed
             self._by_multigrid, self._made = True, None
-        return run.d, run.steps
+        return run.y, run.steps
 
     def taken(self, length: float) -> None:
         """No state depends on the step length."""
@@ -151,7 +149,7 @@ class FieldNewton:
         if not few:
             return prior
         free = sp.diags_array((~self._fixed).astype(float))
-        return WithFewRows(prior, sp.csr_array(sp.vstack(few) @ free))
+        return with_few_rows(prior, sp.csr_array(sp.vstack(few) @ free))
 
     def _of_field(
         self,

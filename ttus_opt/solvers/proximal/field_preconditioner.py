@@ -17,7 +17,6 @@ conjugate directions are kept while P and the weights stay the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,13 +26,14 @@ from ttus_opt.laplace.multigrid.coarsening import Added
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.conjugate_gradients import Map
+from ttus_opt.solvers.dual.system import OverPrior
 from ttus_opt.solvers.primal.approximate_system import ApproximateLaplace
-from ttus_opt.solvers.primal.flexible import Map
 from ttus_opt.solvers.primal.matching import matched_root
+from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 
-#: Relative residual of S's system [–], and most directions
-LEFT, MOST = 0.3, 400
+#: Residual of S's system over the energy norm of its solution [–]
+LEFT = 0.03
 
 
 def by_differences(
@@ -85,47 +85,13 @@ def by_laplace(
     return apply
 
 
-@dataclass(frozen=True)
-class _Schur:
-    """S = I + D P⁻¹Dᵀ, as `RecycledSubspace` takes it."""
+def with_few_rows(prior: Map, rows: sp.csr_array) -> Map:
+    """(P + DᵀD)⁻¹ from P⁻¹, approximately.
 
-    rows: sp.csr_array
-    adjoint: sp.csr_array
-    prior: Map
-
-    @property
-    def root_weights(self) -> Array:
-        return np.ones(self.rows.shape[0])
-
-    def apply(self, y: Array, rtol: float) -> Array:
-        return np.asarray(y + self.rows @ self.prior(self.adjoint @ y))
-
-
-class WithFewRows:
-    """(P + DᵀD)⁻¹ from P⁻¹, approximately, by Woodbury's formula."""
-
-    def __init__(self, prior: Map, rows: sp.csr_array) -> None:
-        """Start without directions.
-
-        Args:
-            prior: P⁻¹, linear.
-            rows: D, times the roots of its slopes, shape (m, n).
-        """
-        self._prior, self._rows = prior, rows
-        self._adjoint = sp.csr_array(rows.T)
-        self._subspace = RecycledSubspace(_Schur(rows, self._adjoint, prior))
-
-    def __call__(self, v: Array) -> Array:
-        """(P + DᵀD)⁻¹ v."""
-        z = self._prior(v)
-        y, rest = self._subspace.project(self._rows @ z)
-        goal = LEFT * float(np.linalg.norm(y)) if len(self._subspace) else 0.0
-        while (
-            float(np.linalg.norm(rest)) > goal
-            and len(self._subspace) < MOST
-            and self._subspace.extend(rest, 0.0)
-        ):
-            step, rest = self._subspace.project(rest)
-            y = y + step
-            goal = LEFT * float(np.linalg.norm(y))
-        return z - self._prior(self._adjoint @ y)
+    Args:
+        prior: P⁻¹, linear.
+        rows: D, times the roots of its slopes, shape (m, n).
+    """
+    m = rows.shape[0]
+    system = OverPrior(prior, rows, np.ones(m))
+    return ConstraintPreconditioner(system, np.zeros((m, 0)), LEFT).field

@@ -15,7 +15,6 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,7 +26,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.primal.conjugate_gradients import inner_product
+from ttus_opt.solvers.conjugate_gradients import inner_product, norm
 from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
@@ -259,8 +258,8 @@ class MethodOfMultipliers:
     def _small(self, state: _State) -> bool:
         """Whether the gradient is far below its summands."""
         free = ~self._problem.fixed
-        size = _length(state.gradient[free])
-        largest = max(_length(part[free]) for part in state.parts)
+        size = norm(state.gradient[free])
+        largest = max(norm(part[free]) for part in state.parts)
         return size <= 0.1 * self._request.tolerance * largest
 
     def _slope(self, state: _State, changes: list[Array], length: float) -> float:
@@ -297,8 +296,3 @@ class MethodOfMultipliers:
                 b.sigma *= growth
         # recomputed: sums of steps collect rounding errors
         state.residuals = [b.residual(state.x) for b in self._blocks]
-
-
-def _length(vector: Array) -> float:
-    """Euclidean norm."""
-    return math.sqrt(inner_product(vector, vector))

@@ -1,19 +1,27 @@
-"""Conjugate gradients with full reorthogonalisation in a recycled subspace.
+"""Conjugate gradients, the one loop of all solvers here.
 
-The dual is small (a few thousand rows), while each product costs two solves over all
-voxels. All directions are therefore stored, and each new one is made conjugate to all
-of them. Without this, conjugacy is lost to rounding when the Schur complement has
-eigenvalues of 1e5 and more, and 75 steps become 150 and more. The stored subspace also
-serves other right-hand sides and other weights without a solve (recycling: Parks et
-al., SIAM J. Sci. Comput. 28, 2006).
+For H y = t, with H symmetric and positive definite, it repeats
 
-Products are computed only as accurately as the residual requires, because an error in a
-late, short step does little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl. 26,
-2005).
+    z ≈ H⁻¹r,   d = z conjugate to earlier directions,   y ← y + α d,   r = t - H y.
+
+Preconditioners vary slightly from step to step, so that conjugacy does not follow by
+itself: it is made with the images H d that are kept (flexible conjugate gradients:
+Notay, SIAM J. Sci. Comput. 22, 2000).
+
+- `LastDirection` keeps one, for vectors over all voxels.
+- `RecycledSubspace` keeps all, for duals of a few thousand rows whose products cost two
+  solves over all voxels. Without this, conjugacy is lost to rounding when S has
+  eigenvalues of 1e5 and more, and 75 steps become 150 and more. The subspace also
+  serves other right-hand sides and other weights without a product (recycling: Parks et
+  al., SIAM J. Sci. Comput. 28, 2006).
 """
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,9 +29,8 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+
+Map = Callable[[Array], Array]
 
 #: Directions may be stored in single precision; sums are in double
 Kept = NDArray[np.floating[Any]]
@@ -31,8 +38,149 @@ Kept = NDArray[np.floating[Any]]
 #: Relative threshold below which a direction is dropped as dependent [–]
 DEPENDENT = 1e-12
 
-#: Relative residual of a solve inside a product over that of a rough dual [–]
-PRODUCT = 1e-2
+#: If a residual has grown by this factor, the preconditioner has failed: growth by the
+#: square root of the condition number, 1e5 at weights of 1e6, is normal [–]
+DIVERGENCE = 1e6
+
+
+class Directions(Protocol):
+    """Conjugate directions and their images."""
+
+    def project(self, right_side: Array) -> tuple[Array, Array]:
+        """The best y along the directions, and its residual."""
+
+    def extend(self, direction: Array, rtol: float) -> bool:
+        """Make a direction conjugate and keep it; False if nothing is left of it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """End of a run; the caller decides whether it is enough.
+
+    Attributes:
+        y: Shape (n,).
+        rest: Its residual, shape (n,).
+        steps: New directions [–].
+    """
+
+    y: Array = field(repr=False)
+    rest: Array = field(repr=False)
+    steps: int
+
+
+def conjugate_gradients(
+    directions: Directions,
+    right_side: Array,
+    precondition: Callable[[Array], Array | None],
+    enough: Callable[[Array, Array], bool],
+    most: int,
+    rtol: Callable[[Array], float] = lambda rest: 0.0,
+) -> Run:
+    """Solve H y = right_side.
+
+    Args:
+        directions: Directions of H; extended.
+        right_side: Shape (n,).
+        precondition: r ↦ about H⁻¹ r in a new array; None to stop.
+        enough: Whether to stop at y and its residual.
+        most: Most steps [–].
+        rtol: Relative accuracy of the next product at a residual: an error in a late,
+            short step does little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl.
+            26, 2005).
+    """
+    y, rest = directions.project(right_side)
+    steps, best, least = 0, (np.zeros_like(y), right_side), norm(right_side)
+    while not enough(y, rest) and steps < most:
+        size = norm(rest)
+        if size < least:
+            best, least = (y, rest), size
+        direction = precondition(rest)
+        if direction is None:
+            break
+        if not size <= DIVERGENCE * least or not directions.extend(
+            direction, rtol(rest)
+        ):
+            return Run(*best, steps)
+        step, rest = directions.project(rest)
+        y, steps = y + step, steps + 1
+    return Run(y, rest, steps)
+
+
+def inner_product(a: Array, b: Array) -> float:
+    """Σ a b on one core; a threaded BLAS is slower while the cores are busy."""
+    return float(np.einsum("i,i", a, b))
+
+
+def norm(a: Array) -> float:
+    """Euclidean norm, on one core."""
+    return math.sqrt(inner_product(a, a))
+
+
+class LastDirection:
+    """The last direction alone (Polak and Ribière's rule)."""
+
+    def __init__(
+        self,
+        product: Map,
+        pairing: Callable[[Array, Array], float] = inner_product,
+    ) -> None:
+        """Start without one.
+
+        Args:
+            product: d ↦ H d, in a new array.
+            pairing: Inner product of a residual and a direction.
+        """
+        self._product, self._pairing = product, pairing
+        self._kept: tuple[Array, Array, float] | None = None
+
+    def project(self, right_side: Array) -> tuple[Array, Array]:
+        """The best multiple of the direction, and its residual."""
+        if self._kept is None:
+            return np.zeros_like(right_side), right_side
+        direction, image, curvature = self._kept
+        part = self._pairing(right_side, direction) / curvature
+        return part * direction, right_side - part * image
+
+    def extend(self, direction: Array, rtol: float) -> bool:
+        """Replace it by a new one, conjugate to it where that adds a part of it."""
+        if self._kept is not None:
+            last, image, curvature = self._kept
+            part = -self._pairing(image, direction) / curvature
+            direction = direction + max(part, 0.0) * last
+        image = self._product(direction)
+        curvature = self._pairing(image, direction)
+        if not (np.isfinite(curvature) and curvature > 0.0):
+            return False
+        self._kept = direction, image, curvature
+        return True
+
+
+def to_residual(
+    product: Map,
+    right_side: Array,
+    precondition: Map,
+    rtol: float,
+    most: int,
+    deadline: float | None,
+) -> Run:
+    """Solve H y = right_side over long vectors, to a relative residual.
+
+    Args:
+        product: d ↦ H d, in a new array.
+        right_side: Shape (n,).
+        precondition: r ↦ about H⁻¹ r, in a new array.
+        rtol: Relative residual to reach [–].
+        most: Most steps [–].
+        deadline: `time.perf_counter` at which to stop; None for never [s].
+    """
+    goal = rtol * norm(right_side)
+
+    def enough(y: Array, rest: Array) -> bool:
+        late = deadline is not None and time.perf_counter() > deadline
+        return late or norm(rest) <= goal
+
+    directions = LastDirection(product)
+    return conjugate_gradients(directions, right_side, precondition, enough, most)
 
 
 # Products with all directions run on one core: on vectors this short, a threaded BLAS
@@ -159,14 +307,6 @@ class RecycledSubspace:
         parts = _products(d, right_side)
         return _combination(parts, d), right_side - _combination(parts, images)
 
-    def step(self, right_side: Array) -> tuple[Array, Array]:
-        """`project` onto the last direction only, if there is one."""
-        if not self._count:
-            return np.zeros_like(right_side), right_side
-        d, image = (rows[-1].astype(float) for rows in self._kept)
-        part = float(d @ right_side)
-        return part * d, right_side - part * image
-
     def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate to the others, normalise and store it.
 
@@ -194,45 +334,3 @@ class RecycledSubspace:
         self._store[:, self._count] = direction / root, image / root
         self._count += 1
         return True
-
-
-def conjugate_gradients(
-    subspace: RecycledSubspace,
-    right_side: Array,
-    goal: float,
-    space: Complement,
-    accuracy: Accuracy,
-    options: DualOptions,
-) -> tuple[Array, int]:
-    """Solve S y = right_side in a complement until ‖part of the residual‖ ≤ goal.
-
-    Args:
-        subspace: Known directions; extended by this solve.
-        right_side: Shape (m,).
-        goal: Norm of the residual at which to stop.
-        space: The complement that contains y and in which the residual counts.
-        accuracy: Accuracy of the dual, and the deadline.
-        options: Options of the solver.
-
-    Returns:
-        y, shape (m,), and the number of new directions. The caller verifies whether the
-        goal was reached.
-    """
-    y, residual = subspace.project(right_side)
-    loosest = max(options.loosest_product, PRODUCT * accuracy.rtol)
-    steps = 0
-    best, least = np.zeros_like(y), float(np.linalg.norm(right_side))
-    while True:
-        residual = space.part(residual)
-        size = float(np.linalg.norm(residual))
-        if size <= goal or steps == options.max_directions or accuracy.late:
-            return y, steps
-        if size < least:
-            best, least = y, size
-        rtol = min(max(0.1 * goal / size, RTOL), loosest)
-        diverged = not size <= options.divergence * least
-        if diverged or not subspace.extend(space.precondition(residual), rtol):
-            return best, steps
-        # onto all directions, since inexact images leave a rest on each of them
-        step, residual = subspace.project(residual)
-        y, steps = y + step, steps + 1

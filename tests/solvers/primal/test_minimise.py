@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.solvers.conjugate_gradients import inner_product
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.primal.conjugate_gradients import (
-    Goal,
-    Minimum,
-    Pair,
-    inner_product,
-    minimise,
-)
+from ttus_opt.solvers.primal.minimise import Goal, Minimum, minimise
 
 V, FEW = 20, 3
 
@@ -37,22 +32,24 @@ class Dense:
         d = np.sqrt(weight) * rng.normal(size=FEW)
         return cls(M, rng.normal(size=V), D, d)
 
-    def measure(self, p: Array) -> Array:
-        return self.D @ p
+    def residual(self, at: Array) -> Array:
+        p, y = at[:V], at[V:]
+        r = self.M.T @ (self.t - self.M @ p) + self.D.T @ y
+        return np.concatenate([r, self.d - self.D @ p - y])
 
-    def residual(self, at: Pair) -> Pair:
-        r = self.M.T @ (self.t - self.M @ at.p) + self.D.T @ at.y
-        return Pair(r, self.d - self.D @ at.p - at.y)
+    def image(self, along: Array) -> Array:
+        p, y = along[:V], along[V:]
+        r = self.M.T @ (self.M @ p) - self.D.T @ y
+        return np.concatenate([r, self.D @ p + y])
 
-    def image(self, along: Pair) -> tuple[Pair, Array]:
-        measured = self.D @ along.p
-        r = self.M.T @ (self.M @ along.p) - self.D.T @ along.y
-        return Pair(r, measured + along.y), measured
+    def pairing(self, rest: Array, along: Array) -> float:
+        return float(self.gradient(rest) @ along[:V])
 
-    def gradient(self, rest: Pair) -> Array:
-        return np.asarray(rest.p + self.D.T @ rest.y)
+    def gradient(self, rest: Array) -> Array:
+        return np.asarray(rest[:V] + self.D.T @ rest[V:])
 
-    def value(self, p: Array) -> float:
+    def value(self, at: Array) -> float:
+        p = at[:V]
         return float(
             np.sum((self.M @ p - self.t) ** 2) + np.sum((self.D @ p - self.d) ** 2)
         )
@@ -70,11 +67,11 @@ class WithRows:
     function: Dense
     P: Array
 
-    def apply(self, rest: Pair) -> Pair:
+    def __call__(self, rest: Array) -> Array:
         D = self.function.D
-        z, columns = np.linalg.solve(self.P, rest.p), np.linalg.solve(self.P, D.T)
-        y = np.linalg.solve(np.eye(FEW) + D @ columns, rest.y - D @ z)
-        return Pair(z + columns @ y, y)
+        z, columns = np.linalg.solve(self.P, rest[:V]), np.linalg.solve(self.P, D.T)
+        y = np.linalg.solve(np.eye(FEW) + D @ columns, rest[V:] - D @ z)
+        return np.concatenate([z + columns @ y, y])
 
 
 def preconditioner(function: Dense, exact: bool) -> WithRows:
@@ -83,7 +80,7 @@ def preconditioner(function: Dense, exact: bool) -> WithRows:
 
 
 def run(function: Dense, exact: bool, max_steps: int = 200) -> Minimum:
-    start = Pair(np.zeros(V), np.zeros(FEW))
+    start = np.zeros(V + FEW)
     largest = np.linalg.norm(function.gradient(function.residual(start)))
     goal = Goal(1e-20, 0.0, 1e-11 * float(largest), max_steps, Accuracy(0.0))
     return minimise(function, preconditioner(function, exact), start, goal, 8, 0.5)
@@ -94,10 +91,12 @@ def test_equals_least_squares_at_any_weight_of_the_rows(weight: float) -> None:
     function = Dense.of(weight)
     found, expected = run(function, exact=False), function.minimiser
     assert found.reached
-    np.testing.assert_allclose(found.at.p, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        found.at[:V], expected, atol=1e-9 * np.abs(expected).max()
+    )
     # multipliers are what the rows leave
-    left = function.d - function.D @ found.at.p
-    np.testing.assert_allclose(found.at.y, left, atol=1e-6 * np.abs(left).max())
+    left = function.d - function.D @ found.at[:V]
+    np.testing.assert_allclose(found.at[V:], left, atol=1e-6 * np.abs(left).max())
 
 
 def test_the_exact_inverse_needs_one_step() -> None:
@@ -113,14 +112,14 @@ class Fickle(WithRows):
     given: list[Array]
     taken: list[Array]
 
-    def apply(self, rest: Pair) -> Pair:
+    def __call__(self, rest: Array) -> Array:
         other = np.exp(1.5 * self.rng.normal(size=V))
-        step = WithRows(self.function, self.P * other).apply(rest)
-        self.given.append(step.p)
+        step = WithRows(self.function, self.P * other)(rest)
+        self.given.append(step[:V])
         return step
 
-    def image(self, along: Pair) -> tuple[Pair, Array]:
-        self.taken.append(along.p)
+    def image(self, along: Array) -> Array:
+        self.taken.append(along[:V])
         return self.function.image(along)
 
 
@@ -133,7 +132,7 @@ def test_directions_are_conjugate_whatever_the_preconditioner_does(
     fickle = Fickle(function, P, rng, [], [])
     watched = replace(function)
     monkeypatch.setattr(watched, "image", fickle.image)
-    start = Pair(np.zeros(V), np.zeros(FEW))
+    start = np.zeros(V + FEW)
     goal = Goal(0.0, 0.0, 0.0, 30, Accuracy(0.0))
     minimise(watched, fickle, start, goal, 1, 0.5)
     H, signs = function.M.T @ function.M + function.D.T @ function.D, []
@@ -152,17 +151,17 @@ def test_without_enough_steps_it_says_so() -> None:
     found = run(function, exact=False, max_steps=4)
     assert not found.reached
     assert found.steps <= 5
-    start = function.value(np.zeros(V))
-    assert function.value(function.minimiser) < function.value(found.at.p) < start
+    start = function.value(np.zeros(V + FEW))
+    assert function.value(function.minimiser) < function.value(found.at) < start
 
 
 def test_nothing_is_done_past_the_deadline() -> None:
     function = Dense.of(1.0)
     late = Goal(1e-22, 0.0, 1e-7, 200, Accuracy(0.0, deadline=0.0))
-    start = Pair(np.ones(V), np.zeros(FEW))
+    start = np.r_[np.ones(V), np.zeros(FEW)]
     found = minimise(function, preconditioner(function, False), start, late, 8, 0.5)
     assert (found.reached, found.steps) == (False, 0)
-    np.testing.assert_array_equal(found.at.p, start.p)
+    np.testing.assert_array_equal(found.at, start)
 
 
 def test_a_goal_needs_a_small_gap_and_a_small_gradient() -> None:

@@ -1,4 +1,4 @@
-"""A recycled subspace of a dense operator: conjugate, exact, kept by new weights."""
+"""Conjugate gradients on dense systems: with all directions kept, and with the last."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.solvers.dual.conjugate_gradients import (
+from ttus_opt.solvers.conjugate_gradients import (
+    Map,
     RecycledSubspace,
+    Run,
     conjugate_gradients,
+    norm,
+    to_residual,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 
 M = 12
 
@@ -38,12 +40,14 @@ def everything(columns: Array | None = None) -> Complement:
 
 
 def solved(
-    subspace: RecycledSubspace, t: Array, space: Complement | None = None, **o: float
+    subspace: RecycledSubspace,
+    t: Array,
+    space: Complement | None = None,
+    most: int = 200,
 ) -> tuple[Array, int]:
-    options = DualOptions(**o)  # type: ignore[arg-type]
     goal = 1e-10 * float(np.linalg.norm(t))
-    space = space or everything()
-    return conjugate_gradients(subspace, t, goal, space, Accuracy(1e-10), options)
+    run = (space or everything()).solve(subspace, t, lambda y: goal, most)
+    return run.y, run.steps
 
 
 def test_solves_and_keeps_conjugate_directions() -> None:
@@ -87,28 +91,10 @@ def test_across_columns_only_the_rest_counts() -> None:
 
 def test_directions_are_limited_and_nonsense_is_not_kept() -> None:
     subspace = RecycledSubspace(Dense(np.ones(M)))
-    _, steps = solved(subspace, np.ones(M), max_directions=3)
+    _, steps = solved(subspace, np.ones(M), most=3)
     assert steps == len(subspace) == 3
     assert not subspace.extend(np.full(M, np.nan), 0.0)
     assert len(subspace) == 3
-
-
-@pytest.mark.parametrize("kept_as", [np.float64, np.float32])
-def test_a_step_is_the_projection_onto_the_last(kept_as: type) -> None:
-    subspace = RecycledSubspace(Dense(np.ones(M)), kept_as)
-    rng = np.random.default_rng(5)
-    subspace.extend(rng.normal(size=M), 0.0)
-    r = rng.normal(size=M)
-    for found, expected in zip(subspace.step(r), subspace.project(r), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-5)
-
-
-def test_the_last_of_no_directions_leaves_all() -> None:
-    subspace = RecycledSubspace(Dense(np.ones(M)))
-    t = np.random.default_rng(4).normal(size=M)
-    y, rest = subspace.step(t)
-    assert not y.any()
-    np.testing.assert_array_equal(rest, t)
 
 
 def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
@@ -181,22 +167,55 @@ class Asked(Diagonal):
         return super().apply(y, rtol)
 
 
-def test_products_may_be_rougher_the_smaller_the_residual() -> None:
-    """A tenth of the goal over the residual, between two limits; residuals anew."""
+def test_each_product_is_as_accurate_as_its_residual_asks() -> None:
+    """Residuals anew, by runs of fewer steps."""
     system, t = Asked(), np.random.default_rng(11).normal(size=50)
-    goal = 2e-12 * float(np.linalg.norm(t))
-    given = everything(np.zeros((50, 0))), Accuracy(1e-10)
-    options = DualOptions(loosest_product=1e-5)
-    conjugate_gradients(RecycledSubspace(system), t, goal, *given, options)
-    left = [np.linalg.norm(t)]
-    for k in range(1, len(system.rtol)):
-        few = DualOptions(loosest_product=1e-5, max_directions=k)
-        y, _ = conjugate_gradients(RecycledSubspace(Diagonal()), t, goal, *given, few)
-        left.append(np.linalg.norm(t - Diagonal.S @ y))
-    expected = np.clip(0.1 * goal / np.array(left), RTOL, 1e-5)
-    np.testing.assert_allclose(system.rtol, expected, rtol=0.01)
-    assert (expected == RTOL).any() and (expected == 1e-5).any()
-    assert ((expected > 2 * RTOL) & (expected < 5e-6)).sum() > 3
+
+    def run(operator: Diagonal, most: int) -> Run:
+        return conjugate_gradients(
+            RecycledSubspace(operator),
+            t,
+            np.copy,
+            lambda _, rest: norm(rest) <= 1e-9,
+            most,
+            lambda rest: 1e-3 / norm(rest),
+        )
+
+    steps = run(system, 200).steps
+    left = [np.linalg.norm(t - Diagonal.S @ run(Diagonal(), k).y) for k in range(steps)]
+    np.testing.assert_allclose(system.rtol, 1e-3 / np.array(left), rtol=0.01)
+
+
+def test_the_best_so_far_is_the_answer_where_no_direction_is_left() -> None:
+    """The third direction makes things worse, the fourth is nonsense."""
+    system, t = Diagonal(), np.random.default_rng(12).normal(size=50)
+    given: list[Array] = []
+
+    class Wild(RecycledSubspace):
+        def project(self, right_side: Array) -> tuple[Array, Array]:
+            step, rest = super().project(right_side)
+            return (1e3 * step, 1e3 * rest) if len(given) == 3 else (step, rest)
+
+    def precondition(rest: Array) -> Array:
+        given.append(rest)
+        return rest if len(given) < 4 else np.full(50, np.nan)
+
+    run = conjugate_gradients(Wild(system), t, precondition, lambda _, rest: False, 200)
+    assert run.steps == 3
+    np.testing.assert_array_equal(run.rest, given[2])
+    np.testing.assert_allclose(t - system.S @ run.y, run.rest, atol=1e-12)
+
+
+def test_it_ends_where_residuals_explode() -> None:
+    system, t = Diagonal(), np.ones(50)
+
+    class Wild(RecycledSubspace):
+        def project(self, right_side: Array) -> tuple[Array, Array]:
+            step, rest = super().project(right_side)
+            return step, rest if not len(self) else 1e7 * rest
+
+    run = conjugate_gradients(Wild(system), t, np.copy, lambda _, rest: False, 200)
+    assert run.steps == 1 and not run.y.any()
 
 
 @pytest.mark.parametrize("kept_as", [np.float64, np.float32])
@@ -230,3 +249,90 @@ def test_dependent_directions_are_dropped_with_other_weights() -> None:
     assert len(subspace) == 3
     gram = subspace.directions @ second.S @ subspace.directions.T
     np.testing.assert_allclose(gram, np.eye(3), atol=1e-8)
+
+
+N = 40
+
+
+def matrix(seed: int = 0, condition: float = 1e4) -> Array:
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(N, N)))
+    return np.asarray((turn * np.geomspace(1.0, condition, N)) @ turn.T)
+
+
+def reached(
+    H: Array, side: Array, precondition: Map, rtol: float = 1e-10, most: int = 500
+) -> Run:
+    return to_residual(lambda v: H @ v, side, precondition, rtol, most, None)
+
+
+def wavering(H: Array) -> Map:
+    """About H⁻¹, another at every call and not quite linear."""
+    inverse, rng = np.linalg.inv(H), np.random.default_rng(9)
+
+    def apply(v: Array) -> Array:
+        z = inverse @ v
+        return np.asarray(z * (1.0 + 0.1 * rng.uniform(-1.0, 1.0, N)))
+
+    return apply
+
+
+@pytest.mark.parametrize("how", ["none", "diagonal", "wavering"])
+def test_it_solves_to_the_residual_asked_for(how: str) -> None:
+    H, side = matrix(), np.random.default_rng(1).normal(size=N)
+    own: Map = {
+        "none": lambda v: v.copy(),
+        "diagonal": lambda v: v / np.diag(H),
+        "wavering": wavering(H),
+    }[how]
+    found = reached(H, side, own)
+    assert np.linalg.norm(H @ found.y - side) <= 1.1e-10 * np.linalg.norm(side)
+    np.testing.assert_allclose(found.y, np.linalg.solve(H, side), rtol=1e-6, atol=1e-9)
+
+
+def test_a_wavering_preconditioner_costs_few_steps() -> None:
+    """Fletcher and Reeves' rule, which asks for a fixed one, needs far more."""
+    H, side = matrix(), np.random.default_rng(1).normal(size=N)
+    found = reached(H, side, wavering(H))
+    precondition = wavering(H)
+    d, rest = np.zeros(N), side.copy()
+    z = precondition(rest)
+    direction, energy, steps = z.copy(), rest @ z, 0
+    while np.linalg.norm(rest) > 1e-10 * np.linalg.norm(side) and steps < 500:
+        alpha = energy / (direction @ H @ direction)
+        d, rest = d + alpha * direction, rest - alpha * (H @ direction)
+        z = precondition(rest)
+        beta, energy = rest @ z / energy, rest @ z
+        direction, steps = z + beta * direction, steps + 1
+    assert found.steps < 0.6 * steps
+
+
+def test_with_a_fixed_one_errors_fall_as_those_of_conjugate_gradients() -> None:
+    """k steps minimise the energy over the Krylov space."""
+    H, side = matrix(condition=50.0), np.random.default_rng(2).normal(size=N)
+    exact = np.linalg.solve(H, side)
+    krylov = [side]
+    for k in range(1, 6):
+        found = reached(H, side, lambda v: v.copy(), 0.0, k)
+        basis, _ = np.linalg.qr(np.array(krylov).T)
+        best = basis @ np.linalg.solve(basis.T @ H @ basis, basis.T @ side)
+        assert found.steps == k
+        np.testing.assert_allclose(found.y, best, atol=1e-8 * np.abs(exact).max())
+        krylov.append(H @ krylov[-1])
+
+
+def test_it_stops_where_it_is_told_to() -> None:
+    H, side = matrix(), np.random.default_rng(3).normal(size=N)
+    assert reached(H, side, lambda v: v, most=0).steps == 0
+    late = to_residual(lambda v: H @ v, side, lambda v: v.copy(), 1e-10, 99, 0.0)
+    assert late.steps == 0 and not late.y.any()
+    none = reached(H, np.zeros(N), lambda v: v.copy())
+    assert none.steps == 0 and not none.y.any()
+
+
+def test_a_direction_without_curvature_ends_it() -> None:
+    """A semidefinite H: what its rows determine is found, the rest stays at zero."""
+    H = np.diag([1.0, 2.0, 0.0])
+    found = reached(H, np.array([1.0, 1.0, 0.0]), lambda v: v.copy(), 1e-12, 50)
+    np.testing.assert_allclose(found.y, [1.0, 0.5, 0.0], atol=1e-12)
+    flat = reached(np.zeros((3, 3)), np.ones(3), lambda v: v.copy())
+    assert flat.steps == 0 and not flat.y.any()
