@@ -1,7 +1,7 @@
 """The default model with one part off or changed, for `truth.py --ablate`.
 
 It is assembled here from the package's parts: drag where it is shown, hyperparameters
-by evidence, errors by parts, the likelier sampling. "as it is" has all of them.
+by evidence, errors by parts, the likeliest sampling. "as it is" has all of them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.blas_threads import one_blas_thread
-from ttus_opt.fitting.weights.weight_choice import SAMPLINGS, resampled
+from ttus_opt.fitting.weights.weight_choice import likely_sampling, resampled
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
@@ -42,7 +42,7 @@ class Model:
         turn: Error of a force's direction [rad].
         beside: Factor on errors of tangential forces and torques [–].
         torque: Whether torques are fitted.
-        samplings: Candidates.
+        sampling: None for the likeliest.
         drag: Whether drag is looked for; None for drag that is taken unasked.
         acts_at: Where drag acts.
         searched: Whether μ is the best of many fits, not the first estimate.
@@ -54,22 +54,20 @@ class Model:
     turn: float = TURN
     beside: float = 1.0
     torque: bool = True
-    samplings: tuple[str, ...] = SAMPLINGS
+    sampling: str | None = None
     drag: bool | None = True
     acts_at: str = "auto"
     searched: bool = True
 
     def choice(self, scene: Scene) -> tuple[Scene, Formulation]:
-        """The likelier sampling, and what is to be fitted in it."""
-        found = []
-        for sampling in self.samplings:
-            own = scene if scene.sampling == sampling else resampled(scene, sampling)
-            found.append((own, *self.built(own)))
-        scene, formulation, _ = max(found, key=lambda one: one[2])
-        return scene, formulation
+        """The likeliest sampling, and what is to be fitted in it."""
+        with one_blas_thread():
+            sampling = self.sampling or likely_sampling(scene)
+        own = scene if scene.sampling == sampling else resampled(scene, sampling)
+        return own, self.built(own)
 
-    def built(self, scene: Scene) -> tuple[Formulation, float]:
-        """The formulation in one sampling, and its log evidence."""
+    def built(self, scene: Scene) -> Formulation:
+        """The formulation in one sampling."""
         shown = self.drag is None or (self.drag and estimate_drag(scene).is_shown)
         guess = estimate_drag(scene, self.acts_at)
         mu = min(guess.friction_coefficient, 1.0) if shown else 0.0
@@ -91,7 +89,7 @@ class Model:
         if shown and self.searched:
             search = Search("friction_coefficient", 0.0, 1.0, given)
             formulation = formulation.with_search(search)
-        return formulation, found.log_evidence
+        return formulation
 
     def estimate(self, scene: Scene, rows: sp.csr_array) -> DepthMapEstimate:
         """The hyperparameters, some of them held."""
@@ -137,8 +135,8 @@ MODELS = {
     "tangential, torque × 10": Model(turn=0.0, beside=10.0),
     "neither tangential nor torque": Model(beside=1e4),
     "no torque": Model(torque=False),
-    "trilinear": Model(samplings=("trilinear",)),
-    "contact-size": Model(samplings=("contact-size",)),
+    "trilinear": Model(sampling="trilinear"),
+    "contact-size": Model(sampling="contact-size"),
     "no drag": Model(drag=False),
     "drag unasked": Model(drag=None),
     "drag at points": Model(acts_at="points"),

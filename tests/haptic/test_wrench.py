@@ -70,7 +70,7 @@ def test_a_limit_shortens_the_wrench_as_a_whole_and_the_smaller_one_counts():
         np.testing.assert_allclose(cut.torque, share * whole.torque, rtol=1e-12)
 
 
-@pytest.mark.parametrize("sampling", ["trilinear", "contact-size"])
+@pytest.mark.parametrize("sampling", ["trilinear", "contact-size", "contact-size:0.02"])
 @pytest.mark.parametrize("end", [0.0, 0.2])
 def test_forces_fade_over_the_last_voxel(end, sampling):
     """4 cm deep, across an end: continuous, with drag and without, and named."""

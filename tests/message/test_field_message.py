@@ -22,7 +22,7 @@ from ttus_opt.voxmap.field import PotentialField
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
-@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
+@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean", "contact-size:0.02"])
 def test_there_and_back(sampling):
     field = fitted(sampling)
     surface, message = sent(sampling)

@@ -115,7 +115,7 @@ DAMAGES = {
     ),
     "no such sampling": (
         lambda d: d.assign_attrs(sampling="nearest"),
-        "sampling must be one of voxel-mean, trilinear, contact-size, got 'nearest'",
+        "contact-size, contact-size:LENGTH in m, got 'nearest'",
     ),
     "region of two by two": (
         lambda d: d.assign(

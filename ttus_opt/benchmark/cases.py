@@ -20,7 +20,7 @@ from ttus_opt.core.io import existing_file
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import FIELD_UNIT
+from ttus_opt.voxmap.sampling import check_sampling
 from ttus_opt.voxmap.voxmap import checked_boundary
 
 #: Voxels in r, θ, z and number of poses
@@ -149,10 +149,7 @@ class CaseSpec:
         Raises:
             InputError: An unknown sampling.
         """
-        if sampling not in FIELD_UNIT:
-            raise InputError(
-                f"unknown sampling {sampling!r}: choose {' or '.join(FIELD_UNIT)}"
-            )
+        check_sampling(sampling)
         if sampling == self.sampling:
             return self
         name = f"{self.name}-{sampling}"

@@ -15,6 +15,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import least_length
 from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 
 
@@ -38,9 +39,9 @@ def numpy_frame(
     weight = (shares * field.values.reshape(-1)[voxels]).sum(axis=1)
     if by_area:
         weight *= shell.areas[inside] / REFERENCE_AREA
-    if field.sampling == "contact-size":
+    if least := least_length(field.sampling):
         pose = rotation[None], position[None]
-        weight *= size_factors(field.voxmap, shell, *pose)[0]
+        weight *= size_factors(field.voxmap, shell, *pose, least)[0]
     normals = shell.normals[inside] @ rotation.T
     moments = np.cross((shell.points[inside] - shell.reference) @ rotation.T, normals)
     return np.concatenate([weight @ normals, weight @ moments])

@@ -68,8 +68,9 @@ class SceneOptions:
         outer: Negative of the outer layer's potential; with --inner fit, negative of
             its ratio to the inner one.
         sampling: How contact samples the field: trilinear (the default with a
-            formulation), voxel-mean, or contact-size (trilinear times 10 mm over the
-            length of the contact patch; the default without one).
+            formulation), voxel-mean, or contact-size:LENGTH (trilinear times 10 mm over
+            the length of the contact patch, at least LENGTH in m; the default without
+            one, by the recordings).
         boundary: Where p = 0 lies: subvoxel (the default), at the true radius, or
             staircase, on the nearest voxels.
     """

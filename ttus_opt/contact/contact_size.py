@@ -8,8 +8,9 @@ c = Σ w_m x_m / Σ w_m, the patch has the length
 
 which is 2a for the round patch below a ball, or the length of a strip. A point has no
 weight when it comes into contact, so ℓ is continuous in the pose; ℓ₀ keeps it positive
-at first touch. The sampling ``contact-size`` is the trilinear one times 10 mm/ℓ: it is
-linear in p, and with p ∝ d a ball's force grows like d^{3/2}, as in Hertz contact. See
+at first touch, and patches that are shorter count as on a thin layer. The sampling
+``contact-size`` is the trilinear one times 10 mm/ℓ: it is linear in p, and with p ∝ d
+and a small ℓ₀ a ball's force grows like d^{3/2}, as in Hertz contact. See
 docs/method/contact.md, Contact size.
 """
 
@@ -33,13 +34,11 @@ from ttus_opt.probe.cylindrical import turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.grid import GridLimits, depth_at
+from ttus_opt.voxmap.sampling import LEAST_LENGTH
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Length of a patch at which `contact-size` equals `trilinear` [m]
 REFERENCE_LENGTH = 0.01
-
-#: ℓ₀, half the reference length, so that the factor is at most 2 [m]
-LEAST_LENGTH = 0.005
 
 
 class Patches(NamedTuple):
@@ -80,14 +79,27 @@ def patches_of(
 
 
 def size_factors(
-    voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
+    voxmap: Voxmap,
+    shell: PointShell,
+    rotation: Array,
+    position: Array,
+    least: float = LEAST_LENGTH,
 ) -> Array:
-    """10 mm/ℓ of every pose, shape (T,) [–]; 2 without contact.
+    """10 mm/ℓ of every pose, shape (T,) [–]; 10 mm/ℓ₀ without contact.
 
-    Arguments as of `patches_of`.
+    Args:
+        voxmap: Grid and surface.
+        shell: The probe.
+        rotation: As of `patches_of`.
+        position: As of `patches_of`.
+        least: ℓ₀ [m].
     """
-    spread = patches_of(voxmap, shell, rotation, position).spread
-    return np.asarray(REFERENCE_LENGTH / np.sqrt(LEAST_LENGTH**2 + 12.0 * spread))
+    return patch_factors(patches_of(voxmap, shell, rotation, position).spread, least)
+
+
+def patch_factors(spread: Array, least: float) -> Array:
+    """10 mm/ℓ of patches of a spread [m²], with ℓ₀ [m] [–]."""
+    return np.asarray(REFERENCE_LENGTH / np.sqrt(least**2 + 12.0 * spread))
 
 
 @compiled()

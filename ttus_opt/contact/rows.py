@@ -7,8 +7,8 @@ ways, all linear in p (docs/method/contact.md, Contact rows):
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
   points too close to the surface to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
-- ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the contact patch
-  (`ttus_opt.contact.contact_size`).
+- ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the contact patch, at least
+  ℓ₀ (`ttus_opt.contact.contact_size`, `ttus_opt.voxmap.sampling`).
 
 The rows here and the frames of `ttus_opt.haptic.renderer` sample by the same functions
 (`ttus_opt.voxmap.depth_sampling`), so ``render(pose) == N(pose) p``. Beyond the inner
@@ -19,7 +19,7 @@ beyond the grid's ends in z or θ, sample nothing; depths fade over the last vox
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -44,6 +44,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import turn_angle as turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import rotations
+from ttus_opt.voxmap.sampling import check_sampling, least_length
 from ttus_opt.voxmap.voxmap import Voxmap
 
 Sampling = Literal["voxel-mean", "trilinear", "contact-size"]
@@ -75,19 +76,6 @@ class ContactRows:
             f"ContactRows({len(self.in_grid)} poses, {touching} in contact, "
             f"{self.N.shape[1]:,} voxels)"
         )
-
-
-def checked_sampling(sampling: str) -> Sampling:
-    """Check the name of a sampling and return it.
-
-    Raises:
-        InputError: There is no such sampling.
-    """
-    if sampling not in get_args(Sampling):
-        raise InputError(
-            f"sampling must be one of {', '.join(get_args(Sampling))}, got {sampling!r}"
-        )
-    return sampling  # type: ignore[return-value]
 
 
 def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
@@ -133,22 +121,23 @@ def contact_rows(
     Raises:
         InputError: Unknown sampling or unusable poses.
     """
+    check_sampling(sampling)
     rotation, position = checked_poses(rotation, position)
     arrays, shape = VoxmapArrays.of(voxmap), (3 * len(position), voxmap.grid.n_voxels)
     scratch = Scratch.of(shape[1], len(shell.points))
     rows = Rows.empty(len(position), 1024)
     poses = Poses(rotation, position, Slip.none() if slip is None else slip)
     given, done = (poses, shell_arrays(shell), arrays), 0
-    trilinear = checked_sampling(sampling) != "voxel-mean"
+    trilinear, least = sampling != "voxel-mean", least_length(sampling)
     while True:
         done = pose_rows(done, trilinear, *given, rows, scratch)
         if done == len(position):
             break
         rows = rows.grown(3 * done, len(position) / (done + 1))
     used = rows.row_ptr[-1]
-    if sampling == "contact-size":
-        factor = np.repeat(size_factors(voxmap, shell, rotation, position), 3)
-        entries = np.repeat(factor, np.diff(rows.row_ptr))
+    if least:
+        factor = size_factors(voxmap, shell, rotation, position, least)
+        entries = np.repeat(np.repeat(factor, 3), np.diff(rows.row_ptr))
         for data in (rows.force, rows.torque):
             data[:used] *= entries
     matrices = []

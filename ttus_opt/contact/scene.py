@@ -20,7 +20,7 @@ from ttus_opt.contact.boundary_scale import Identified, identified_scale
 from ttus_opt.contact.contact_size import Patches, patches_of
 from ttus_opt.contact.cut_off import cut_off
 from ttus_opt.contact.places import touched_places
-from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
+from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import Stopwatch
@@ -32,6 +32,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.sampling import check_sampling
 from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -120,7 +121,7 @@ class Scene:
                 f"a scene takes one trajectory, got {type(trajectory).__name__}: join "
                 "several with Trajectory.concatenate"
             )
-        checked_sampling(sampling)
+        check_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
         for name, value in (("inner", inner), ("outer", outer)):

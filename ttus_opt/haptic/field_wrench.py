@@ -39,6 +39,7 @@ from ttus_opt.haptic.presliding import add_presliding, bend, strength_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import least_length
 
 #: Largest force [N] and torque [N·m] of a renderer by default: 40 N at the end of a
 #: lever of 10 cm, which a hand holds; a scan takes up to about 25 N
@@ -201,7 +202,7 @@ def _add_point_drags(
         potential.voxmap,
         shell,
         trilinear=sampling != "voxel-mean",
-        by_size=sampling == "contact-size",
+        length=least_length(sampling),
     )
     values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
     R, at, wrench = np.empty((3, 3)), np.empty(3), np.empty(6)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact.contact_size import LEAST_LENGTH
 from ttus_opt.contact.rows import shell_arrays
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
 from ttus_opt.core.arrays import Array, IntArray
@@ -96,9 +95,9 @@ class FrameData(NamedTuple):
         shell: PointShell,
         *,
         trilinear: bool,
-        by_size: bool = False,
+        length: float = 0.0,
     ) -> FrameData:
-        """Prepare a probe and a voxmap; ``by_size`` is trilinear times 10 mm/ℓ."""
+        """Prepare a probe and a voxmap; ``length`` is ℓ₀ of `voxmap.sampling`."""
         blocks = ShellBlocks.of(shell)
         above = SurfaceCeiling.of(voxmap.surface, float(blocks.reach.max()))
         points, normals, weights, reference = shell_arrays(shell)
@@ -113,7 +112,7 @@ class FrameData(NamedTuple):
             reference,
             blocks.start,
             np.ascontiguousarray(np.column_stack([blocks.centre, blocks.reach]).T),
-            np.array([*voxmap.grid.kernel_limits, LEAST_LENGTH * by_size]),
+            np.array([*voxmap.grid.kernel_limits, length]),
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),

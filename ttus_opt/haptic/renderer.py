@@ -55,6 +55,7 @@ from ttus_opt.haptic.wrench import (
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import least_length
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class Renderer:
             field.voxmap,
             shell,
             trilinear=field.sampling != "voxel-mean",
-            by_size=field.sampling == "contact-size",
+            length=least_length(field.sampling),
         )
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
         numbers = (

@@ -23,7 +23,8 @@ from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.message.surface_message import check_base, check_bound
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.depth_sampling import spoke_table
-from ttus_opt.voxmap.field import FIELD_UNIT, PotentialField
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import FIELD_UNIT, SIZED, check_sampling
 from ttus_opt.voxmap.sector import Sector, checked_sector
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 
@@ -47,7 +48,8 @@ LARGEST_BOUNDARY = 1e9
 #: Most bytes of parameters
 PARAMETER_BYTES = 2**16
 
-SAMPLINGS, BOUNDARIES = tuple(FIELD_UNIT), get_args(Boundary)
+#: The last one is followed by its length
+SAMPLINGS, BOUNDARIES = (*FIELD_UNIT, f"{SIZED}:"), get_args(Boundary)
 
 
 class Grid(NamedTuple):
@@ -146,8 +148,11 @@ def encode_field(
     writer = Writer()
     writer.number("I", name)
     writer.number("3H2d", *grid[:5])
-    kinds = SAMPLINGS.index(field.sampling), BOUNDARIES.index(own.boundary)
+    base, colon, length = field.sampling.partition(":")
+    kinds = SAMPLINGS.index(base + colon), BOUNDARIES.index(own.boundary)
     writer.number("2B3d", *kinds, *scales, bound)
+    if colon:
+        writer.number("d", float(length))
     writer.number("B", grid.sector is not None)
     writer.number(f"{len(grid.sector or ())}d", *(grid.sector or ()))
     writer.packed(tables.encode())
@@ -185,6 +190,10 @@ def decode_field(
         raise InputError("the message has an unknown sampling: update ttus_opt")
     if where >= len(BOUNDARIES):
         raise InputError("the message has an unknown boundary: update ttus_opt")
+    sampling = SAMPLINGS[kind]
+    if sampling.endswith(":"):
+        sampling += f"{reader.number('d'):.3g}"
+    check_sampling(sampling)
     if not all(abs(value) <= LARGEST_BOUNDARY for value in (inner, outer)):
         raise InputError(
             "the message's boundary values are not usable: ask for it again"
@@ -205,7 +214,7 @@ def decode_field(
     return PotentialField(
         voxmap,
         values,
-        SAMPLINGS[kind],
+        sampling,
         parameters,
         {"message": f"decoded within {bound:g}"},
         errors,

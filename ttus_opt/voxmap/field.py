@@ -24,6 +24,7 @@ from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.sampling import check_sampling, field_unit
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -42,13 +43,6 @@ LARGEST = 1e4
 #: Variable with draws from the field's posterior, read on request only
 DRAWS = "uncertainty_draws"
 
-#: Unit of the field for each sampling (docs/method/contact.md, Unit of the field)
-FIELD_UNIT: dict[str, str] = {
-    "voxel-mean": "N",
-    "trilinear": "N cm-2",
-    "contact-size": "N cm-2",
-}
-
 
 @dataclass(frozen=True)
 class PotentialField:
@@ -58,7 +52,7 @@ class PotentialField:
         voxmap: Grid, surface and regions.
         values: p per voxel, shape ``grid.shape`` [N when voxel-mean, else N/cm²].
         sampling: How contact samples it: ``voxel-mean``, ``trilinear`` or
-            ``contact-size``.
+            ``contact-size`` (`voxmap.sampling`).
         parameters: Parameters identified with the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
         standard_errors: Standard errors of the parameters, by name, where known.
@@ -83,11 +77,7 @@ class PotentialField:
             )
         if not np.isfinite(self.values).all():
             raise InputError("field values contain NaN or infinity: the fit failed")
-        if self.sampling not in FIELD_UNIT:
-            raise InputError(
-                f"sampling must be one of {', '.join(FIELD_UNIT)}, got "
-                f"{self.sampling!r}"
-            )
+        check_sampling(self.sampling)
         for name, value in self.parameters.items():
             if not (isinstance(value, int | float) and math.isfinite(value)):
                 raise InputError(
@@ -97,7 +87,7 @@ class PotentialField:
     @property
     def unit(self) -> str:
         """Unit of the values."""
-        return FIELD_UNIT[self.sampling]
+        return field_unit(self.sampling)
 
     def __repr__(self) -> str:
         return f"PotentialField({', '.join(self._facts().values())})"
@@ -208,16 +198,12 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
             match the grid; also KeyError, TypeError or ValueError.
     """
     sampling = io.text_of(data.attrs, "sampling")
-    if sampling not in FIELD_UNIT:
-        raise InputError(
-            f"sampling must be one of {', '.join(FIELD_UNIT)}, got "
-            f"{io.shortened(sampling)}"
-        )
-    values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
+    check_sampling(sampling)
+    values = io.array_of(data, "potential", DIMS, field_unit(sampling))
     most = float(np.abs(values).max(initial=0.0))
     if most > LARGEST:
         raise InputError(
-            f"potential reaches {most:.3g} {FIELD_UNIT[sampling]}, tissue bears no "
+            f"potential reaches {most:.3g} {field_unit(sampling)}, tissue bears no "
             f"more than {LARGEST:g}: damaged, or in another unit"
         )
     r_inner, r_outer, z_min, z_max = json.loads(io.text_of(data.attrs, "grid_limits"))

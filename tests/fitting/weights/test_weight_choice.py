@@ -28,6 +28,7 @@ from ttus_opt.fitting.weights.weight_choice import (
 )
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.voxmap.sampling import least_length
 
 OWN = {"force": 1e-2, "torque": 1e-2}
 
@@ -140,18 +141,20 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 
 
-def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
+def test_the_default_is_a_depth_map_in_the_likeliest_sampling() -> None:
     """The same by name in that scene; with drag where the recordings show it."""
     choice = choice_of("auto", drawn())
     assert choice.formulation.name == "depth_map" and choice.tuning is None
     assert "by marginal likelihood" in choice.lines[0]
     assert choice.as_dict()["by"] == "marginal likelihood"
+    found = choice.scene.sampling
     likely = {
         each: estimate_depth_map(resampled(drawn(), each)).log_evidence
-        for each in ("contact-size", "trilinear")
+        for each in (found, "contact-size", "trilinear")
     }
-    assert choice.scene.sampling == max(likely, key=likely.__getitem__)
-    assert all(f"{each} {e:.1f}" in choice.lines[-1] for each, e in likely.items())
+    # forces of a field that is sampled by no size: nearly as likely, for ℓ₀'s prior
+    assert likely[found] > likely["trilinear"] - 2.0 > likely["contact-size"]
+    assert f"shorter than {1e3 * least_length(found):.1f} mm" in choice.lines[-1]
     named = choice_of("auto", choice.scene, "depth_map")
     assert str(named.formulation) == str(choice.formulation)
     assert (
@@ -166,10 +169,10 @@ def test_the_default_is_a_depth_map_in_the_likelier_sampling() -> None:
     assert dragged.formulation.name == "depth_map_coulomb"
 
 
-def test_drag_is_looked_for_once_and_where_it_acts_stays(
+def test_where_drag_acts_is_found_and_given_options_come_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The motion tells it, whatever the sampling; given options come first."""
+    """It is looked for in the sampling that is likely with a first estimate of it."""
     looked, asked = [], []
     estimate, load = weight_choice.estimate_drag, weight_choice.load
 
@@ -187,12 +190,12 @@ def test_drag_is_looked_for_once_and_where_it_acts_stays(
         warnings.simplefilter("ignore", TtusWarning)
         weight_choice.default_model(dragged_scene("contact"))
         weight_choice.default_model(dragged_scene("contact"), {"acts_at": "reference"})
-    assert len(looked) == 2
-    where = estimate(looked[0]).acts_at
+    assert [scene.sampling for scene in looked[::2]] == ["trilinear"] * 2
+    sampling = looked[1].sampling
+    assert sampling.startswith("contact-size:")
     assert asked == [
         ("depth_map_coulomb", sampling, {"acts_at": place})
-        for place in (where, "reference")
-        for sampling in ("contact-size", "trilinear")
+        for place in (estimate(looked[1]).acts_at, "reference")
     ]
 
 

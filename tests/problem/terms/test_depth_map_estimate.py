@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.fitting.weights.weight_choice import resampled
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -25,6 +26,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
 )
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import PartNoise, contact_directions
+from ttus_opt.voxmap.sampling import sized
 
 
 def with_forces(scene: Scene, force: np.ndarray) -> Scene:
@@ -151,7 +153,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
     expected = 0.7 * (np.array(found.exponents) == power)
     assert expected.any()
     np.testing.assert_allclose(found.coefficients, expected, atol=1e-6)
-    c, mean = _Problem.of(grown, grown.N).mean(power)
+    c, mean = _Problem.of(grown, grown.N).mean(_Chosen(power))
     assert c == pytest.approx(0.7)
     np.testing.assert_allclose(mean, _Problem.of(grown, grown.N).force, rtol=1e-9)
 
@@ -176,7 +178,7 @@ def test_the_posterior_has_the_priors_of_the_method(
     assert found.profile.exponents == (1.3,)
     assert found.surface_length == pytest.approx(medians[1])
     assert (found.deviation, found.depth_length) == pytest.approx((0.4, 0.01))
-    mean = _Problem.of(scene, scene.N).mean(1.3)[1]
+    mean = _Problem.of(scene, scene.N).mean(_Chosen(1.3))[1]
     noise = np.sqrt(np.mean(0.05**2 + 2.0 * (0.03 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
     (evidence, n), problem = asked[0], _Problem.of(scene, scene.N)
@@ -204,6 +206,38 @@ def test_what_is_given_is_not_estimated(name: str, value: float) -> None:
     assert getattr(estimate_depth_map(scene), name) != pytest.approx(value, rel=0.1)
     with pytest.raises(InputError, match=f"{name} must lie between .*, got -1.0"):
         estimate_depth_map(scene, **{name: -1.0})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sampling", ["trilinear", "contact-size", "contact-size:0.04"])
+def test_another_length_of_contacts_is_another_assembly(sampling: str) -> None:
+    """Whatever the rows, evidence and coefficient are those of rows with ℓ₀."""
+    scene, chosen = (
+        resampled(drawn(0, 40), sampling),
+        CHOSEN._replace(least_length=0.02),
+    )
+    other = resampled(scene, "contact-size:0.02")
+    problem = _Problem.of(scene, scene.N)
+    expected = _Problem.of(other, other.N)
+    assert problem.mean(chosen)[0] == pytest.approx(expected.mean(CHOSEN)[0])
+    assert problem.evidence(chosen) == pytest.approx(expected.evidence(CHOSEN))
+    assert problem.evidence(CHOSEN) != pytest.approx(expected.evidence(CHOSEN), abs=0.1)
+
+
+def test_it_finds_the_length_of_contacts_that_forces_have() -> None:
+    """Forces of a field sampled with ℓ₀ of 4 mm and 40 mm, about a probe of 20 mm."""
+    found = []
+    for least in ("0.004", "0.04"):
+        scene = resampled(drawn(3), f"contact-size:{least}")
+        depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+        noise = np.random.default_rng(1).normal(0.0, 0.02, len(scene.f))
+        pressed = with_forces(scene, scene.N @ (400.0 * depth) + noise)
+        found.append(estimate_depth_map(pressed, resampled=True))
+        again = resampled(pressed, sized(found[-1].least_length))
+        same = estimate_depth_map(again)
+        assert same.profile(0.01) == pytest.approx(found[-1].profile(0.01), rel=0.02)
+        assert same.least_length == 0.0
+    assert 0.002 < found[0].least_length < 0.008
+    assert 0.025 < found[1].least_length < 0.06
 
 
 def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
@@ -283,14 +317,14 @@ def test_noise_is_never_less_than_a_covariance_needs() -> None:
     problem = _Problem.of(scene, scene.N)
     silent = CHOSEN._replace(noise=1e-9, relative_noise=1e-9)
     rms = np.sqrt(np.mean(problem.force**2))
-    _, mean = problem.mean(1.2)
+    _, mean = problem.mean(_Chosen(1.2))
     np.testing.assert_allclose(np.sqrt(problem.variances(silent, mean)), 1e-4 * rms)
 
 
 def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     scene = drawn(3)
     found = estimate_depth_map(scene)
-    _, mean = _Problem.of(scene, scene.N).mean(found.profile.exponents[0])
+    _, mean = _Problem.of(scene, scene.N).mean(_Chosen(found.profile.exponents[0]))
     expected = np.hypot(0.1, 0.03 * np.sqrt(np.mean(mean**2)))
     assert found.noise == pytest.approx(expected, rel=0.3)
     depth = np.array([0.004])

@@ -19,7 +19,8 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.report.metrics import Errors, compare
-from ttus_opt.voxmap.field import DIMS, FIELD_UNIT, PotentialField
+from ttus_opt.voxmap.field import DIMS, PotentialField
+from ttus_opt.voxmap.sampling import field_unit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -190,7 +191,7 @@ class PathRecord:
 
         scene = self._declared.scene
         dims = tuple(axis.dimension for axis in self._grid.axes)
-        potential_unit = FIELD_UNIT[scene.sampling]
+        potential_unit = field_unit(scene.sampling)
         square = "N2" if scene.sampling == "voxel-mean" else "N2 cm-4"
         numbers = {
             "kkt_residual": ("1", "largest relative residual of the KKT conditions"),

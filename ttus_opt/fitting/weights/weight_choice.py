@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import scipy.sparse as sp
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.blas_threads import one_blas_thread
@@ -27,10 +28,15 @@ from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_estimate import UnusableForcesError
+from ttus_opt.problem.terms.depth_map_estimate import (
+    PRIOR,
+    UnusableForcesError,
+    estimate_depth_map,
+)
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.part_noise import TURN
+from ttus_opt.voxmap.sampling import least_length, sized
 
 Word = Literal["auto", "own"]
 
@@ -42,10 +48,8 @@ WORDS: tuple[Word, ...] = (AUTO, OWN)
 #: Fewest frames in contact for three or four hyperparameters [–]
 LEAST_FRAMES = 12
 
-#: The default model without and with drag, and its samplings: pressure on tissue that
-#: is deep relative to the probe depends on the probe's size, on a thin layer not
+#: The default model without and with drag
 DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
-SAMPLINGS = ("contact-size", "trilinear")
 
 
 @dataclass(frozen=True)
@@ -207,7 +211,7 @@ def choice_of(
         formulation: The formulation; None for the default model (`default_model`), or
             with own weights for the default formulation.
         options: Options of the formulation.
-        sampling: Of the default model; None for the more likely one.
+        sampling: Of the default model; None for the most likely one.
         strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
         progress: Called with a message for every step.
@@ -247,39 +251,57 @@ def default_model(
 ) -> WeightChoice:
     """The model of a fit with no choice of the user's: a depth map.
 
-    With drag where the recordings show it, in the more likely sampling. Where no depth
+    With drag where the recordings show it, in the most likely sampling. Where no depth
     map explains the forces, the default formulation with its own weights, and a warning
     with the reason.
 
     Args:
         scene: Patient, probe and measurements.
         options: Options of the depth map, without weights.
-        sampling: How contact samples the field; None for the more likely of
-            `SAMPLINGS`.
+        sampling: How contact samples the field; None for the most likely one.
         progress: Called with a message for every step.
 
     Raises:
         InputError: Options that the depth map does not have.
     """
-    tried, given, drag = [], dict(options or {}), None
-    for each in SAMPLINGS if sampling is None else (sampling,):
-        place = scene if scene.sampling == each else resampled(scene, each)
-        if drag is None:  # a question of the motion, not of the sampling
+    given, told = dict(options or {}), progress or (lambda step: None)
+    try:
+        with one_blas_thread():  # for matrices of a few hundred rows
+            if sampling is None:
+                told("sampling")
+                sampling = likely_sampling(scene, given)
+            place = scene if scene.sampling == sampling else resampled(scene, sampling)
             drag = estimate_drag(place)
             given = {"acts_at": drag.acts_at} | given if drag.is_shown else given
-        name = DEPTH_MAPS[drag.is_shown]
-        if progress is not None:
-            progress(f"{name}, {each} sampling")
-        try:
-            with one_blas_thread():  # for matrices of a few hundred rows
-                declared = load(name, place, **given)
-        except UnusableForcesError as error:
-            return _own(scene, load(DEFAULT, scene), str(error))
-        tried.append((depth_map_of(declared).log_evidence or 0.0, place, declared))
-    _, place, declared = max(tried, key=lambda one: one[0])
-    evidence = ", ".join(f"{p.sampling} {e:.1f}" for e, p, _ in tried)
-    reasons = *described(declared), f"log evidence by sampling: {evidence}"
-    return WeightChoice(place, declared, reasons=reasons)
+            name = DEPTH_MAPS[drag.is_shown]
+            told(f"{name}, {sampling} sampling")
+            declared = load(name, place, **given)
+    except UnusableForcesError as error:
+        return _own(scene, load(DEFAULT, scene), str(error))
+    return WeightChoice(place, declared, reasons=described(declared))
+
+
+def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> str:
+    """The most likely sampling of a depth map, `contact-size` with its length ℓ₀.
+
+    The stiffness per area of tissue that is deep relative to the probe decreases with
+    the length of the contact, that of a thin layer does not. ℓ₀ is estimated with the
+    other hyperparameters, and a first estimate of drag.
+
+    Args:
+        scene: Patient, probe and measurements.
+        options: Of the depth map; hyperparameters among them are not estimated.
+
+    Raises:
+        UnusableForcesError: No depth map explains the forces.
+    """
+    if scene.sampling == "voxel-mean":
+        scene = resampled(scene, "trilinear")
+    drag = estimate_drag(scene)
+    mu = min(drag.friction_coefficient, 1.0) if drag.is_shown else 0.0
+    rows = sp.csr_array(scene.N - mu * drag.drag.rows.force)
+    held = {name: (options or {}).get(name) for name in PRIOR}
+    return sized(estimate_depth_map(scene, rows, resampled=True, **held).least_length)
 
 
 def depth_map_of(model: Formulation) -> DepthMapTerm:
@@ -290,6 +312,7 @@ def depth_map_of(model: Formulation) -> DepthMapTerm:
 def described(model: Formulation) -> tuple[str, ...]:
     """A depth map and its errors, in words."""
     prior = depth_map_of(model)
+    least = least_length(prior.scene.sampling)
     force = next((t for t in model.terms if isinstance(t, ForceTerm) and t.noise), None)
     lines = [
         f"{model.name}, by marginal likelihood: φ = {prior.profile} N/cm², varies by "
@@ -301,6 +324,11 @@ def described(model: Formulation) -> tuple[str, ...]:
         lines.append(
             f"error of a normal force {force.noise.level:.2g} N, of its direction "
             f"{np.degrees(TURN):.0f}°"
+        )
+    if least:
+        lines.append(
+            f"stiffness per area is that of a thin layer for contacts shorter than "
+            f"{1e3 * least:.1f} mm"
         )
     return tuple(lines)
 

@@ -33,6 +33,7 @@ import scipy.optimize
 import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
+from ttus_opt.contact.contact_size import patch_factors
 from ttus_opt.contact.places import runs
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
@@ -58,12 +59,14 @@ from ttus_opt.problem.terms.part_noise import (
     normal_rows,
 )
 from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.sampling import least_length
 
 #: Median and logarithmic standard deviation of the priors. The length along the surface
 #: is in units of the probe's root-mean-square radius: what varies over less, a probe
-#: hardly tells, and who examines finer structures takes a finer probe. The relative
-#: noise is in addition to `RELATIVE`, which the model has wrong: forces without noise
-#: look as if it were exact, and would teach what they cannot
+#: hardly tells, and who examines finer structures takes a finer probe. So is the length
+#: ℓ₀ of `contact-size`, up to which a patch is as on a thin layer, which forces tell of
+#: well. The relative noise is in addition to `RELATIVE`, which the model has wrong:
+#: forces without noise look as if it were exact, and would teach what they cannot
 PRIOR = {
     "exponent": (1.3, 0.2),
     "surface_length": (2.6, 0.2),
@@ -74,7 +77,11 @@ PRIOR = {
     "length_ratio": (1.0, 0.5),
     "shared_error": (0.03, 0.7),
     "depth_error": (1e-4, 1.0),
+    "least_length": (0.5, 1.0),
 }
+
+#: Those in units of the probe's radius
+IN_RADII = {"surface_length", "least_length"}
 
 #: Most evaluations of the evidence
 CALLS = 400
@@ -123,6 +130,8 @@ class DepthMapEstimate:
         depth_error: δ, error of the depth of a pose, which lasts a second [m].
         length_ratio: Length around the patient over length along it, of which ℓ is the
             geometric mean [–].
+        least_length: ℓ₀ of `contact-size`, for which all of this is [m]; 0 as the scene
+            samples.
     """
 
     profile: DepthProfile
@@ -136,6 +145,7 @@ class DepthMapEstimate:
     length_ratio: float = 1.0
     shared_error: float = 0.0
     depth_error: float = 0.0
+    least_length: float = 0.0
 
     def part_noise(self, scene: Scene, turn: float = TURN) -> PartNoise:
         """Relative errors of the parts of a scene's wrenches, by the direction's."""
@@ -154,6 +164,7 @@ def estimate_depth_map(
     *,
     force: Array | None = None,
     errors: Callable[[IntArray], Array] | None = None,
+    resampled: bool = False,
     **given: float | None,
 ) -> DepthMapEstimate:
     """Estimate profile, deviation, lengths and noise.
@@ -164,6 +175,7 @@ def estimate_depth_map(
         force: Forces to take instead of the scene's, shape (3T,) [N].
         errors: Covariance of the forces' errors by wrong poses for k frames, given
             their numbers, (3k, 3k) [N²]; by default none.
+        resampled: Whether ℓ₀ is estimated, instead of as the scene samples.
         given: Values that are not estimated, lengths in m, by their names in `PRIOR`;
             None where there is none.
 
@@ -175,6 +187,8 @@ def estimate_depth_map(
     rows = scene.N if rows is None else rows
     problem = _Problem.of(scene, rows, force, errors)
     held = {name: value for name, value in given.items() if value is not None}
+    if not resampled:
+        held["least_length"] = 0.0
     names = [name for name in PRIOR if name not in held]
     medians = np.log([PRIOR[name][0] for name in names])
     widths = np.array([PRIOR[name][1] for name in names])
@@ -183,8 +197,8 @@ def estimate_depth_map(
 
     def chosen(steps: Array) -> _Chosen:
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
-        if "surface_length" in values:
-            values["surface_length"] *= scene.shell.rms_radius
+        for name in IN_RADII & values.keys():
+            values[name] *= scene.shell.rms_radius
         if "relative_noise" in values:
             values["relative_noise"] = np.hypot(RELATIVE, values["relative_noise"])
         for name in limits.keys() & values.keys():
@@ -195,7 +209,7 @@ def estimate_depth_map(
         lambda steps: problem.evidence(chosen(steps)), len(names), CALLS
     )
     found = chosen(mode.steps)
-    c, mean = problem.mean(found.exponent)
+    c, mean = problem.mean(found)
     return DepthMapEstimate(
         DepthProfile((found.exponent,), (c,)),
         found.deviation,
@@ -208,6 +222,7 @@ def estimate_depth_map(
         found.length_ratio,
         found.shared_error,
         found.depth_error,
+        found.least_length,
     )
 
 
@@ -267,14 +282,15 @@ class _Chosen(NamedTuple):
     """Hyperparameters, in the order of `PRIOR`."""
 
     exponent: float
-    surface_length: float
-    deviation: float
-    depth_length: float
-    noise: float
-    relative_noise: float
+    surface_length: float = 0.03
+    deviation: float = 0.4
+    depth_length: float = 0.01
+    noise: float = SENSOR
+    relative_noise: float = RELATIVE
     length_ratio: float = 1.0
     shared_error: float = 0.03
     depth_error: float = 0.0
+    least_length: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -284,6 +300,8 @@ class _Problem:
     Attributes:
         rows: Rows of normal forces over the touched voxels, shape (m, n).
         force: Measured normal forces, shape (m,) [N].
+        spread: Of the patches, shape (m,) [m²].
+        sampled: Factors of the patches in the rows, shape (m,) [–].
         depth: Depths of the touched voxels, shape (n,) [m].
         spoke: Index of every voxel's spoke among the k touched ones, shape (n,).
         nodes: Interpolation on these spokes from fewer nodes, shape (k, nodes).
@@ -296,6 +314,8 @@ class _Problem:
 
     rows: sp.csr_array = field(repr=False)
     force: Array = field(repr=False)
+    spread: Array = field(repr=False)
+    sampled: Array = field(repr=False)
     depth: Array = field(repr=False)
     spoke: IntArray = field(repr=False)
     nodes: sp.csr_array = field(repr=False)
@@ -341,9 +361,13 @@ class _Problem:
         further = np.zeros(())
         if errors is not None:
             further = np.asarray(normal @ (normal @ errors(frames)).T)
+        spread, least = scene.patches.spread[frames], least_length(scene.sampling)
+        sampled = patch_factors(spread, least) if least else np.ones(len(frames))
         problem = cls(
             sp.csr_array(own[:, touched]),
             normal @ force[chosen],
+            spread,
+            sampled,
             np.maximum(voxel_depths(scene.voxmap)[touched], 0.0),
             spoke,
             weights,
@@ -353,13 +377,20 @@ class _Problem:
             late,
             further,
         )
-        if problem.mean(PRIOR["exponent"][0])[0] <= 0.0:
+        if problem.mean(_Chosen(PRIOR["exponent"][0]))[0] <= 0.0:
             raise UnusableForcesError(PULLING)
         return problem
 
-    def mean(self, exponent: float) -> tuple[float, Array]:
+    def size(self, chosen: _Chosen) -> Array:
+        """What ℓ₀ changes of every row, shape (m,) [–]."""
+        if not chosen.least_length:
+            return np.ones(len(self.force))
+        return patch_factors(self.spread, chosen.least_length) / self.sampled
+
+    def mean(self, chosen: _Chosen) -> tuple[float, Array]:
         """Its coefficient c by least squares, and its forces c G, shape (m,)."""
-        G = self.rows @ powers_of(self.depth, (exponent,))[:, 0]
+        G = self.rows @ powers_of(self.depth, (chosen.exponent,))[:, 0]
+        G *= self.size(chosen)
         c = float(G @ self.force) / float(G @ G)
         return c, c * G
 
@@ -371,11 +402,16 @@ class _Problem:
 
     def covariance(self, chosen: _Chosen) -> Array:
         """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
-        return self._covariance(
-            chosen.exponent,
-            chosen.depth_length,
-            chosen.surface_length,
-            chosen.length_ratio,
+        size = self.size(chosen)
+        return (
+            size[:, None]
+            * size
+            * self._covariance(
+                chosen.exponent,
+                chosen.depth_length,
+                chosen.surface_length,
+                chosen.length_ratio,
+            )
         )
 
     @cached_property
@@ -411,10 +447,11 @@ class _Problem:
 
     def evidence(self, chosen: _Chosen) -> float:
         """Log density of the normal forces, up to a constant."""
-        c, mean = self.mean(chosen.exponent)
+        c, mean = self.mean(chosen)
         cov = (c * chosen.deviation) ** 2 * self.covariance(chosen) + self.further
         cov += chosen.shared_error**2 * self.alike * mean[:, None] * mean
         slope = c * (self.rows @ slopes_of(self.depth, (chosen.exponent,))[:, 0])
+        slope *= self.size(chosen)
         cov += chosen.depth_error**2 * self.late * slope[:, None] * slope
         cov[np.diag_indices_from(cov)] += self.variances(chosen, mean)
         return ByCovariance.of(cov, self.force - mean).log_density

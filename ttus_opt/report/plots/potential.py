@@ -17,7 +17,8 @@ from ttus_opt.voxmap.field import PotentialField
 #: Blue to red through white; the line style of the contours also shows the sign
 _COLOURS = "RdBu_r"
 
-_UNITS = {"voxel-mean": "N", "trilinear": "N/cm²", "contact-size": "N/cm²"}
+#: Units of the potential, as of the file
+_UNITS = {"N": "N", "N cm-2": "N/cm²"}
 
 #: The colour scale covers values within this distance of the skin [m]
 _SKIN_DEPTH = 0.025
@@ -77,7 +78,7 @@ def potential_slices(
                 figure, (9.6 * left - 0.18, 0.42, 9.6 * width + 0.36, 0.14)
             )
             bar = figure.colorbar(mesh, cax=place, orientation="horizontal")
-            bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.sampling]}]")
+            bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.unit]}]")
             bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
         for ax in axes[:, 0]:
             ax.set_ylabel("y [cm]")
@@ -121,7 +122,7 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
         axes.set_title(f"Potential at z = {100 * grid.z[k]:.1f} cm")
         axes.set(xlabel="x [cm]", ylabel="y [cm]")
         bar = figure.colorbar(mesh, ax=axes)
-        bar.set_label(f"p [{_UNITS[field.sampling]}]")
+        bar.set_label(f"p [{_UNITS[field.unit]}]")
         bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
     return figure
 
