@@ -13,7 +13,6 @@ tell how much of it is the field's part.
 from __future__ import annotations
 
 import argparse
-import json
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,6 +23,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.saved_results import append_line, read_lines
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, Patient, patients
@@ -242,9 +242,7 @@ class Repetition:
         return {"digest": digest, "draw": draw, **fitted}
 
     def _kept(self, key: dict[str, Any]) -> list[Row]:
-        if self.keep is None or not self.keep.exists():
-            return []
-        found = map(json.loads, self.keep.read_text(encoding="utf-8").splitlines())
+        found = [] if self.keep is None else read_lines(self.keep)
         return [
             Row(**row) for each in found if each["key"] == key for row in each["rows"]
         ]
@@ -252,8 +250,7 @@ class Repetition:
     def _save(self, key: dict[str, Any], rows: Sequence[Row]) -> None:
         if self.keep is not None:
             content = {"key": key, "rows": [asdict(row) for row in rows]}
-            with self.keep.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(content) + "\n")
+            append_line(self.keep, content)
 
 
 def setting_of(formulation: str, sampling: str, weights: str) -> Setting:

@@ -8,16 +8,13 @@ from typing import Any
 
 import pytest
 
+from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import recordings, rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import patients
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import LAPLACE, Setting
-
-
-def whole(told: dict[str, Any]) -> dict[str, Any]:
-    return told
 
 
 class BegunError(Exception):
@@ -26,24 +23,6 @@ class BegunError(Exception):
 
 def begin(*_: object, **__: object) -> None:
     raise BegunError
-
-
-def test_a_result_of_the_same_making_is_taken(tmp_path: Path) -> None:
-    file = tmp_path / "eq10.json"
-    assert read_kept(file, {}, whole) is None
-    write_kept(file, {"weight": 1.0, "shape": (8, 16, 8), "error": float("nan")})
-    found = read_kept(file, {"weight": 1.0, "shape": (8, 16, 8)}, whole)
-    assert found == {"weight": 1.0, "shape": [8, 16, 8], "error": None}
-    assert read_kept(file, {"weight": 2.0}, whole) is None
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"{", b"null", b"[1]", b"\xff\xfe\x00", 100_000 * b"["]
-)
-def test_a_damaged_result_is_made_anew(tmp_path: Path, content: bytes) -> None:
-    file = tmp_path / "eq10.json"
-    file.write_bytes(content)
-    assert read_kept(file, {"weight": 1.0}, whole) is None
 
 
 @pytest.fixture
@@ -66,7 +45,7 @@ def test_a_result_of_another_shape_or_without_its_field_is_made_anew(
 ) -> None:
     told = {"digest": "digest", "shape": [8, 16, 8], "setting": LAPLACE.as_dict()}
     kept = {**told, "facts": {}, "rows": rows}
-    write_kept(tmp_path / "laplace_scaled.json", kept)
+    write_json(tmp_path / "laplace_scaled.json", kept)
     if rows == {}:  # a fit that failed has no rows, and is not tried again
         assert judge.fitted(LAPLACE).field is None
         return
@@ -80,11 +59,11 @@ def test_boundary_values_and_comparators_of_another_shape_are_made_anew(
     factors = [10.0**k for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
     told = {"digest": "digest", "weight": 1.0, "factors": factors}
     file = tmp_path / "boundary.json"
-    write_kept(file, {**told, "rows": [{"patient": "lean"}]})
+    write_json(file, {**told, "rows": [{"patient": "lean"}]})
     with pytest.raises(BegunError):
         boundary_errors(judge, 1.0, file, "digest")
     kept = {"digest": "digest", "rival": "kelvin_voigt", "rows": [{}], "facts": {}}
-    write_kept(tmp_path / "rival-kelvin_voigt.json", kept)
+    write_json(tmp_path / "rival-kelvin_voigt.json", kept)
     monkeypatch.setattr(rivals, "_judged", begin)
     with pytest.raises(BegunError):
         rivals.rival(judge, "kelvin_voigt", tmp_path, "digest")
@@ -98,7 +77,7 @@ def test_an_edited_file_of_ones_own_is_fitted_again(
     setting = Setting("mine", str(own))
     told = {"digest": "digest", "shape": [8, 16, 8], "setting": setting.as_dict()}
     kept = {**told, **setting.source, "facts": {}, "rows": []}
-    write_kept(tmp_path / "mine.json", kept)
+    write_json(tmp_path / "mine.json", kept)
     assert judge.fitted(setting).rows == ()
     own.write_text("one = 2\n")
     with pytest.raises(BegunError):

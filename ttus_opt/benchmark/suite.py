@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.core import optional
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.saved_results import append_line, read_lines
 
 #: Fraction of the available memory that one run may take
 MEMORY_PART = 0.8
@@ -88,15 +88,10 @@ class Suite:
 
     def done(self) -> dict[str, list[Row]]:
         """Rows of an earlier run in the same folder, by key."""
-        if not self.rows_file.exists():
-            return {}
         found = {}
-        for line in self.rows_file.read_text("utf-8").splitlines():
-            try:
-                rows = json.loads(line)
+        for rows in read_lines(self.rows_file):
+            with contextlib.suppress(LookupError, TypeError):  # of another version
                 found[rows[0]["key"]] = rows
-            except (json.JSONDecodeError, LookupError, TypeError):
-                continue  # truncated by an interruption, or of another version
         return found
 
     def run(
@@ -123,9 +118,7 @@ class Suite:
         missing = [spec for spec in self.plan if spec.key not in rows]
         for spec, found in self._results(missing, watching):
             rows[spec.key] = found
-            self.output.mkdir(parents=True, exist_ok=True)
-            with self.rows_file.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(found) + "\n")
+            append_line(self.rows_file, found)
             if reported is not None:
                 reported(spec, found)
         return {

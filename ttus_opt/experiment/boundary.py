@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.core.saved_results import computed_once
+from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.settings import LAPLACE
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.solution import Status
@@ -59,23 +60,21 @@ class BoundaryError:
 def boundary_errors(
     fits: PatientFits, weight: float, file: Path, digest: str
 ) -> tuple[BoundaryError, ...]:
-    """Errors over a decade of boundary values, computed or from the cache.
+    """Errors over a decade of boundary values, computed or from their file.
 
     Args:
         fits: Fits of the patient.
         weight: λ_f = λ_τ of eq. 10.
-        file: The cache.
+        file: Their file.
         digest: Checksum of their input.
     """
-    key = {"digest": digest, "weight": weight, "factors": list(FACTORS)}
-    kept = read_kept(
-        file, key, lambda found: tuple(map(BoundaryError.from_dict, found["rows"]))
+    return computed_once(
+        file,
+        {"digest": digest, "weight": weight, "factors": list(FACTORS)},
+        lambda: tuple(_at(fits, weight, factor) for factor in FACTORS),
+        save=lambda rows: {"rows": [row.as_dict() for row in rows]},
+        load=lambda content: tuple(map(BoundaryError.from_dict, content["rows"])),
     )
-    if kept is not None:
-        return kept
-    rows = [_at(fits, weight, factor) for factor in FACTORS]
-    write_kept(file, {**key, "rows": [row.as_dict() for row in rows]})
-    return tuple(rows)
 
 
 def spread(values: Sequence[float]) -> float:

@@ -1,20 +1,18 @@
-"""Fits of one patient: a field per setting, evaluated on all recordings, and cached."""
+"""Fits of one patient: a field per setting, evaluated on all recordings, and saved."""
 
 from __future__ import annotations
 
-import json
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core import io
 from ttus_opt.core.errors import NumericalError, TtusWarning, warn
-from ttus_opt.core.json_values import plain
+from ttus_opt.core.saved_results import computed_once
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
@@ -33,8 +31,6 @@ FITTED = ("press_fit", "sweep_fit")
 
 #: The wrenches with which a rendering is compared
 AGAINST = ("measured", "true")
-
-Kept = TypeVar("Kept")
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ class PatientFits:
 
     Args:
         examination: The patient's recordings.
-        folder: Folder for cached fields and errors.
+        folder: Folder for fields and errors.
         shape: Voxels in r, θ and z [–].
         digest: Checksum of the input of the recordings.
 
@@ -114,17 +110,25 @@ class PatientFits:
             return self._recorded
 
     def fitted(self, setting: Setting) -> Fitted:
-        """Fit a setting, or read the cached result."""
-        file = self._folder / f"{setting.name}.json"
-        key = {
+        """Fit a setting, or read the saved result."""
+        inputs = {
             "digest": self._digest,
             "shape": list(self._shape),
             "setting": setting.as_dict(),
             **setting.source,
         }
-        kept = read_kept(file, key, lambda found: self._kept(setting, found))
-        if kept is not None:
-            return kept
+        return computed_once(
+            self._folder / f"{setting.name}.json",
+            inputs,
+            lambda: self._fitted(setting),
+            save=lambda done: {
+                "facts": done.facts,
+                "rows": [row.as_dict() for row in done.rows],
+            },
+            load=lambda content: self._loaded(setting, content),
+        )
+
+    def _fitted(self, setting: Setting) -> Fitted:
         begin = time.process_time()
         solution, _, weights = self.solved(setting)
         facts: dict[str, Any] = {
@@ -136,16 +140,11 @@ class PatientFits:
             "not_identified": dict(solution.not_identified),
             **weights,
         }
-        found = None
-        rows: tuple[Row, ...] = ()
-        if solution.status is Status.SOLVED:
-            found = solution.field
-            found.save(self._folder / f"{setting.name}.nc")
-            rows = self.judged(setting.name, found)
-        write_kept(
-            file, {**key, "facts": facts, "rows": [row.as_dict() for row in rows]}
-        )
-        return Fitted(setting.name, rows, facts, found)
+        if solution.status is not Status.SOLVED:
+            return Fitted(setting.name, (), facts, None)
+        solution.field.save(self._folder / f"{setting.name}.nc")
+        rows = self.judged(setting.name, solution.field)
+        return Fitted(setting.name, rows, facts, solution.field)
 
     def solved(self, setting: Setting) -> tuple[Solution, Scene, dict[str, Any]]:
         """Fit a setting: the solution, its scene, and how weights were chosen."""
@@ -184,35 +183,9 @@ class PatientFits:
             patient, recording, recording in FITTED, name, against, Score.of(errors)
         )
 
-    def _kept(self, setting: Setting, content: Mapping[str, Any]) -> Fitted:
-        """A cached result with its field, which exists where there are rows."""
+    def _loaded(self, setting: Setting, content: Mapping[str, Any]) -> Fitted:
+        """A saved result with its field, which exists where there are rows."""
         rows = tuple(Row.from_dict(row) for row in content["rows"])
         file = self._folder / f"{setting.name}.nc"
         found = PotentialField.load(file) if rows else None
         return Fitted(setting.name, rows, content["facts"], found)
-
-
-def read_kept(
-    file: Path, key: Mapping[str, Any], read: Callable[[dict[str, Any]], Kept]
-) -> Kept | None:
-    """A cached result; None if it is missing, damaged or has another key.
-
-    Args:
-        file: The cache.
-        key: The input of the result.
-        read: Makes the result from the file's content; a `FileError` means that
-            another file of it is missing or damaged.
-    """
-    try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        same = all(kept.get(name) == plain(value) for name, value in key.items())
-        return read(kept) if same else None
-    except (OSError, ValueError, RecursionError):
-        return None
-    except (AttributeError, KeyError, TypeError):  # JSON of another shape
-        return None
-
-
-def write_kept(file: Path, content: Mapping[str, Any]) -> None:
-    """Write a result, replacing the file only on success."""
-    io.write_text(file, json.dumps(plain(content), indent=1, allow_nan=False))

@@ -11,9 +11,10 @@ import numpy as np
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.fits import PatientFits, write_kept
+from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import Patient, names, patients
 from ttus_opt.experiment.recordings import examine
 from ttus_opt.experiment.result import (
@@ -82,7 +83,7 @@ def run(
     )
     result = ExperimentResult(todo, results)
     begin("figures and reports")
-    write_kept(out / "results.json", result.as_dict())
+    write_json(out / "results.json", result.as_dict())
     write_reports(out, result)
     return result
 

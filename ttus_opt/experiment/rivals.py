@@ -15,13 +15,8 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.core.errors import InputError, TtusError
-from ttus_opt.experiment.fits import (
-    AGAINST,
-    FITTED,
-    PatientFits,
-    read_kept,
-    write_kept,
-)
+from ttus_opt.core.saved_results import computed_once
+from ttus_opt.experiment.fits import AGAINST, FITTED, PatientFits
 from ttus_opt.experiment.scores import Row
 from ttus_opt.report.metrics import as_rendered, compare
 
@@ -65,19 +60,19 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
-    """Fit and evaluate one comparator, or read the cached result."""
-    file, key = folder / f"rival-{name}.json", {"digest": digest, "rival": name}
-
-    def read(content: Mapping[str, Any]) -> Rival:
-        return Rival(name, tuple(map(Row.from_dict, content["rows"])), content["facts"])
-
-    kept = read_kept(file, key, read)
-    if kept is not None:
-        return kept
-    found = _judged(fits, name)
-    rows = [row.as_dict() for row in found.rows]
-    write_kept(file, {**key, "facts": found.facts, "rows": rows})
-    return found
+    """Fit and evaluate one comparator, or read the saved result."""
+    return computed_once(
+        folder / f"rival-{name}.json",
+        {"digest": digest, "rival": name},
+        lambda: _judged(fits, name),
+        save=lambda done: {
+            "facts": done.facts,
+            "rows": [row.as_dict() for row in done.rows],
+        },
+        load=lambda content: Rival(
+            name, tuple(map(Row.from_dict, content["rows"])), content["facts"]
+        ),
+    )
 
 
 def _judged(fits: PatientFits, name: str) -> Rival:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.saved_results import computed_once
 from ttus_opt.experiment.boundary import UNSEEN
-from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.settings import Setting
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
@@ -49,22 +50,21 @@ class StatedUncertainty:
 def stated_uncertainty(
     fits: PatientFits, setting: Setting, folder: Path, digest: str
 ) -> StatedUncertainty:
-    """Uncertainty of a setting and its check, computed or from the cache.
+    """Uncertainty of a setting and its check, computed or from its file.
 
     Args:
         fits: Fits of the patient.
         setting: The setting.
-        folder: Folder for the cache.
+        folder: Its folder.
         digest: Checksum of their input.
     """
-    file = folder / f"uncertainty-{setting.name}.json"
-    key = {"digest": digest, "setting": setting.as_dict(), **setting.source}
-    kept = read_kept(file, key, lambda found: _read(setting.name, found))
-    if kept is not None:
-        return kept
-    found = _checked(fits, setting)
-    write_kept(file, {**key, **found.as_dict()})
-    return found
+    return computed_once(
+        folder / f"uncertainty-{setting.name}.json",
+        {"digest": digest, "setting": setting.as_dict(), **setting.source},
+        lambda: _checked(fits, setting),
+        save=StatedUncertainty.as_dict,
+        load=lambda content: _read(setting.name, content),
+    )
 
 
 def _checked(fits: PatientFits, setting: Setting) -> StatedUncertainty:

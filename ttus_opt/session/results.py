@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.core.json_values import plain
+from ttus_opt.core.saved_results import read_json, write_json
 
 #: Complete steps and their figures
 SUMMARY = "session.json"
@@ -137,9 +137,7 @@ class Results:
 
     def _write_summary(self) -> None:
         self._clear()
-        file = self.folder / SUMMARY
-        text = json.dumps(self._told, indent=2, ensure_ascii=False, allow_nan=False)
-        io.write_text(file, text + "\n")
+        write_json(self.folder / SUMMARY, self._told, indent=2)
 
 
 def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
@@ -149,9 +147,6 @@ def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
 
 def _read(folder: str | os.PathLike[str]) -> dict[str, list[str]]:
     """The lists of a summary; none without such a file."""
-    try:
-        summary = json.loads((Path(folder) / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
+    summary = read_json(Path(folder) / SUMMARY)
     lists = summary.items() if isinstance(summary, dict) else ()
     return {name: value for name, value in lists if isinstance(value, list)}
