@@ -28,7 +28,7 @@ PROGRAM = load("eq10", SCENE).compile()
 @pytest.fixture
 def ours(monkeypatch: pytest.MonkeyPatch) -> None:
     """`Brittle` counts as the package's own, not as a user's."""
-    monkeypatch.setattr("ttus_opt.core.user_code._is_users", lambda _: False)
+    monkeypatch.setattr("ttus_opt.core.plugins._is_users", lambda _: False)
 
 
 class Brittle(Solver, Prepared):

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import small_scene
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.formulation_files import formulation_module
+from ttus_opt.core.plugins import formulation_module
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm

@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from ttus_opt.comparators.base import Comparator
-from ttus_opt.core import shelf
+from ttus_opt.core import plugins
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
@@ -18,7 +18,7 @@ from ttus_opt.scan.surface import Surface
 @functools.cache
 def _kinds() -> dict[str, type[Comparator]]:
     """Classes by the name they are made by."""
-    found = shelf.members(sys.modules["ttus_opt.comparators"]).values()
+    found = plugins.classes_of(sys.modules["ttus_opt.comparators"]).values()
     kinds = [kind for kind in found if issubclass(kind, Comparator) and kind.name]
     return {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)}
 

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ttus_opt.core.user_code import user_errors
+from ttus_opt.core.plugins import user_errors
 from ttus_opt.problem.locked import locked
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver

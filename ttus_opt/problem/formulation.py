@@ -20,8 +20,13 @@ import numpy as np
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.formulation_files import formulation_module, shelf
-from ttus_opt.core.user_code import module_of_file, unknown_name, user_errors
+from ttus_opt.core.plugins import (
+    formulation_module,
+    formulations,
+    module_of_file,
+    unknown_name,
+    user_errors,
+)
 from ttus_opt.problem.declaration import Formulation as Formulation
 from ttus_opt.problem.declaration import Search as Search
 
@@ -165,7 +170,7 @@ def _says_number(annotation: Any) -> bool:
 def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
     path = Path(formulation)
     if path.suffix == ".py":
-        shelf()  # it may import one of ours
+        formulations()  # it may import one of ours
         return _build_function(module_of_file(path, "formulation")), path.stem
     name, known = str(formulation), [*_names(), *_elsewhere()]
     if name not in known:
@@ -183,7 +188,7 @@ def _build_of(name: str) -> Callable[..., Formulation]:
 
 
 def _names() -> list[str]:
-    return sorted(m.name for m in pkgutil.iter_modules(shelf().__path__))
+    return sorted(m.name for m in pkgutil.iter_modules(formulations().__path__))
 
 
 def _elsewhere() -> dict[str, importlib.metadata.EntryPoint]:

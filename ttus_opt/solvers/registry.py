@@ -19,7 +19,7 @@ from typing import Any
 import ttus_opt.solvers
 import ttus_opt.solvers.packages
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.user_code import module_of_file, unknown_name, user_errors
+from ttus_opt.core.plugins import module_of_file, unknown_name, user_errors
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Solver
 

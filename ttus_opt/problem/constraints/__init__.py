@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import sys
 
-from ttus_opt.core import shelf
+from ttus_opt.core import plugins
 
 
 def __getattr__(name: str) -> type:
     """Find a class in the files of this folder."""
-    return shelf.member(sys.modules[__name__], name)
+    return plugins.class_of(sys.modules[__name__], name)
 
 
 def __dir__() -> list[str]:
     """The classes there are."""
-    return sorted(shelf.members(sys.modules[__name__]))
+    return sorted(plugins.classes_of(sys.modules[__name__]))

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.user_code import defined_at, user_errors
+from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.declared_rows import uniform_blocks, uniform_vector
 from ttus_opt.problem.terms.limits import ConeRows, LinearRows
 from ttus_opt.problem.terms.member import Member

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.user_code import user_errors
+from ttus_opt.core.plugins import user_errors
 from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.limits import ConeRows, LinearRows
 from ttus_opt.problem.terms.penalties.linear import Linear

@@ -1,11 +1,21 @@
-"""Load a user's own code and report its exceptions in one line with file and line."""
+"""Plug-ins found by name or path: classes of a package, formulations, a user's files.
+
+In a checkout the formulations are in ``formulations/`` beside the package, in an
+installed wheel in ``ttus_opt/formulations/``. Both are imported as
+``ttus_opt.formulations``, and also as ``formulations`` unless a user's own file or
+folder has that name. What a user's code raises is told in one line with file and line.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
+import importlib
 import importlib.util
 import inspect
+import pkgutil
+import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Collection, Iterator
@@ -13,10 +23,75 @@ from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any
 
-from ttus_opt.core.errors import InputError, TtusError
-from ttus_opt.core.formulation_files import shelf
+from ttus_opt.core.errors import FileError, InputError, TtusError
 
-_OWN = str(Path(__file__).resolve().parents[1])
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+NAME, SHORT = "ttus_opt.formulations", "formulations"
+
+
+def classes_of(package: ModuleType) -> dict[str, type]:
+    """The public classes of a package's files by name; imports all files."""
+    return {kind.__name__: kind for kind in _classes(package)}
+
+
+def class_of(package: ModuleType, name: str) -> type:
+    """The class of a given name, for a package's ``__getattr__``.
+
+    Raises:
+        AttributeError: There is no class of that name.
+    """
+    if name[:1].isupper():  # classes only: Python itself finds submodules
+        for kind in _classes(package):
+            if kind.__name__ == name:
+                return kind
+    raise AttributeError(f"module {package.__name__!r} has no attribute {name!r}")
+
+
+def _classes(package: ModuleType) -> Iterator[type]:
+    for info in pkgutil.iter_modules(package.__path__):
+        if info.ispkg:
+            continue
+        module = importlib.import_module(f"{package.__name__}.{info.name}")
+        for kind in vars(module).values():
+            own = inspect.isclass(kind) and kind.__module__ == module.__name__
+            if own and not kind.__name__.startswith("_"):
+                yield kind
+
+
+@functools.cache
+def formulations() -> ModuleType:
+    """The package that contains the formulations.
+
+    Raises:
+        FileError: It is in neither place.
+    """
+    if NAME in sys.modules:
+        return sys.modules[NAME]
+    for folder in (_PACKAGE / SHORT, _PACKAGE.parent / SHORT):
+        first = folder / "__init__.py"
+        if not first.is_file():
+            continue
+        spec = importlib.util.spec_from_file_location(
+            NAME, first, submodule_search_locations=[str(folder)]
+        )
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[NAME] = module
+        spec.loader.exec_module(module)
+        if importlib.util.find_spec(SHORT) is None:
+            sys.modules[SHORT] = module
+        return module
+    raise FileError(
+        f"the formulations are not next to {_PACKAGE}: install ttus-opt again, or run "
+        "from a whole checkout"
+    )
+
+
+def formulation_module(name: str) -> ModuleType:
+    """Import a formulation by the name of its file, without the suffix."""
+    return importlib.import_module(f"{formulations().__name__}.{name}")
 
 
 @contextlib.contextmanager
@@ -106,7 +181,7 @@ def _is_users(filename: str) -> bool:
         return filename == "<stdin>"
     paths = sysconfig.get_paths()
     packages = [paths[key] for key in ("stdlib", "platstdlib", "purelib", "platlib")]
-    shelves = (str(Path(folder).resolve()) for folder in shelf().__path__)
-    roots = [_OWN, *packages, *shelves]
+    bundled = (str(Path(folder).resolve()) for folder in formulations().__path__)
+    roots = [str(_PACKAGE), *packages, *bundled]
     path = Path(filename).resolve()
     return not any(path.is_relative_to(root) for root in roots)

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.user_code import defined_at, user_errors
+from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.force import ForceTerm
 
 

@@ -6,18 +6,18 @@ import pytest
 
 import ttus_opt.problem.constraints
 import ttus_opt.problem.terms
-from ttus_opt.core import shelf
+from ttus_opt.core import plugins
 
 
 def test_public_classes_by_the_file_they_stand_in() -> None:
-    found = shelf.members(ttus_opt.problem.constraints)
+    found = plugins.classes_of(ttus_opt.problem.constraints)
     assert found["Sign"].__module__ == "ttus_opt.problem.constraints.sign"
     assert "Bounds" not in found  # imported there, defined elsewhere
     assert not any(name.startswith("_") for name in found)
-    assert shelf.member(ttus_opt.problem.constraints, "Sign") is found["Sign"]
+    assert plugins.class_of(ttus_opt.problem.constraints, "Sign") is found["Sign"]
 
 
 @pytest.mark.parametrize("name", ["Sine", "sign", "_Sign"])
 def test_other_names_are_refused(name: str) -> None:
     with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
-        shelf.member(ttus_opt.problem.terms, name)
+        plugins.class_of(ttus_opt.problem.terms, name)
