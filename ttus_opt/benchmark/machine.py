@@ -21,14 +21,11 @@ PACKAGES = (
 
 def describe() -> dict[str, str]:
     """Processor, memory, system and versions, by name."""
-    available = available_bytes()
     facts = {
         "processor": _processor(),
         "cores": str(usable_cores()),
         "load at the start": f"{os.getloadavg()[0]:.1f}",
-        "memory available": "unknown"
-        if available is None
-        else f"{available / 2**30:.1f} GiB",
+        "memory available": f"{available_bytes() / 2**30:.1f} GiB",
         "system": f"{platform.system()} {platform.release()}",
         "Python": platform.python_version(),
     }

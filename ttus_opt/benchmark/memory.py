@@ -8,28 +8,36 @@ import resource
 import sys
 from pathlib import Path
 
+import psutil
+
 
 def peak_bytes() -> int:
     """Largest resident size since the start or the last `reset_peak` [byte]."""
     # preferred over ru_maxrss, which starts at the parent's size after a fork
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    unit = 1 if sys.platform == "darwin" else 1024
-    return _from_proc("self/status", "VmHWM") or largest * unit
+    return largest * (1 if sys.platform == "darwin" else 1024)
 
 
 def current_bytes() -> int:
-    """Resident size now; the peak if the system does not report it [byte]."""
-    return _from_proc("self/status", "VmRSS") or peak_bytes()
+    """Resident size now [byte]."""
+    return int(psutil.Process().memory_info().rss)
 
 
 def resident_bytes(pid: int) -> int:
     """Resident size of a process; 0 when it is gone or not reported [byte]."""
-    return _from_proc(f"{pid}/status", "VmRSS") or 0
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0
 
 
-def available_bytes() -> int | None:
-    """Memory available without swapping; None if it is not reported [byte]."""
-    return _from_proc("meminfo", "MemAvailable")
+def available_bytes() -> int:
+    """Memory available without swapping [byte]."""
+    return int(psutil.virtual_memory().available)
 
 
 def reset_peak() -> None:
@@ -51,13 +59,3 @@ def end_this_first() -> None:
     """Ask the system to end this process before others when memory runs out."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
-
-
-def _from_proc(file: str, key: str) -> int | None:
-    """A line ``key: number kB`` of a file in ``/proc`` [byte]; None without one."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc", file).read_text(encoding="ascii").splitlines():
-            name, _, rest = line.partition(":")
-            if name == key:
-                return int(rest.split()[0]) * 1024
-    return None

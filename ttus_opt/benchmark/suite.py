@@ -66,10 +66,7 @@ class Suite:
         """Current limit of one run's process; None for no limit [byte]."""
         if self.memory_limit is not None or self.dask:
             return self.memory_limit
-        available = available_bytes()
-        if available is None:
-            return None
-        return int(MEMORY_PART * available / max(self.jobs, 1))
+        return int(MEMORY_PART * available_bytes() / max(self.jobs, 1))
 
     @functools.cached_property
     def plan(self) -> list[RunSpec]:

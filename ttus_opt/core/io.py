@@ -220,23 +220,12 @@ def _machine() -> str:
 def _remove_abandoned(folder: Path, begin: str) -> None:
     """Remove temporary files of an output whose writers were killed on this machine."""
     for file in folder.glob(f"{glob.escape(begin)}*"):
+        import psutil  # only where there is one
+
         number = file.name.removeprefix(begin).partition("-")[0]
-        with contextlib.suppress(OSError):
-            if number.isdecimal() and not _runs(int(number)):
+        with contextlib.suppress(OSError, OverflowError):
+            if number.isdecimal() and not psutil.pid_exists(int(number)):
                 file.unlink()
-
-
-def _runs(process: int) -> bool:
-    """Whether a process may still run."""
-    if os.name != "posix":
-        return True  # there, asking would end it
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True  # another user's
-    return True
 
 
 def whole_file(path: str | os.PathLike[str], what: str) -> Path:
