@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from ttus_opt.scan.frame import Axis as Axis
     from ttus_opt.scan.surface import Surface as Surface
     from ttus_opt.session.pipeline import run_session as run_session
+    from ttus_opt.viewer.viewer import view as view
     from ttus_opt.voxmap.field import PotentialField as PotentialField
     from ttus_opt.voxmap.voxmap import Voxmap as Voxmap
 
@@ -91,6 +92,7 @@ _HOME = {
     "run_session": "session.pipeline",
     "solution_path": "fitting.path.solution_path",
     "tune": "fitting.weights.tuning",
+    "view": "viewer.viewer",
     "write_solution_path": "fitting.path.path_dataset",
 }
 

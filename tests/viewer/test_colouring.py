@@ -28,7 +28,8 @@ def test_stiffness_is_the_force_of_a_press_there() -> None:
     renderer = tt.Renderer(field(), probe())
     found = colouring.stiffness(field(), renderer, probe(), USUAL, SKIN)
     assert found.unit == "N"
-    for node in (0, 17, len(SKIN.theta) // 2):
+    assert np.isnan(found.values[SKIN.z == SKIN.z.min()]).all()  # the model ends
+    for node in np.flatnonzero(np.isfinite(found.values))[::29]:
         place = SKIN.theta[node : node + 1], SKIN.z[node : node + 1]
         R, x = standing(torso(), probe(), USUAL, *place, colouring.LIGHT)
         assert depth_of(torso(), probe(), R, x)[0] == pytest.approx(0.005, abs=1e-6)
@@ -36,8 +37,10 @@ def test_stiffness_is_the_force_of_a_press_there() -> None:
         assert force == pytest.approx(found.values[node], abs=1e-5)
     front = np.abs(SKIN.theta - np.pi / 2) < 0.3
     back = np.abs(SKIN.theta - 3 * np.pi / 2) < 0.3
-    assert np.median(found.values[front]) > 2.0 * np.median(found.values[back])
-    assert 0.0 < found.span[1] <= found.values.max()
+    ratio = np.nanmedian(found.values[front]) / np.nanmedian(found.values[back])
+    assert ratio > 2.0
+    low, high = found.span
+    assert np.nanmin(found.values) <= low < high <= np.nanmax(found.values)
 
 
 def test_uncertainty_is_that_of_the_map() -> None:

@@ -35,6 +35,7 @@ from ttus_opt.cli.session_command import session
 from ttus_opt.cli.surface_command import surface
 from ttus_opt.cli.synchronise_command import synchronise
 from ttus_opt.cli.tune_command import tune
+from ttus_opt.cli.view_command import view
 from ttus_opt.cli.warm_up_command import warm_up
 from ttus_opt.core.errors import MistakeWarning, NumericalError, TtusError
 from ttus_opt.core.interrupts import INTERRUPTED, STOPPED
@@ -50,15 +51,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 #: Commands that warn of likely mistakes
-JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render)
+JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render, view)
 
 #: Default time limits: of commands that solve many times, and of others [s]
 LONG, USUAL = 3600.0, 600.0
 MANY_SOLVES = (refine_poses, tune, path, session, experiment)
 
-#: A benchmark limits every solve, a recording lasts as long as is asked for, and the
-#: others are over in a moment
-UNLIMITED = (benchmark, record, solvers, formulations, warm_up)
+#: A benchmark limits every solve, a recording lasts as long as is asked for, a page is
+#: open until it is closed, and the others are over in a moment
+UNLIMITED = (benchmark, record, view, solvers, formulations, warm_up)
 
 # in the order in which help lists them
 for function in (
@@ -81,6 +82,7 @@ for function in (
         session,
         experiment,
         render,
+        view,
         encode,
         decode,
         benchmark,

@@ -59,7 +59,10 @@ class Colouring:
         known = self.values[np.isfinite(self.values)]
         if self.classes:
             return 0.0, float(len(self.classes) - 1)
-        return 0.0, float(np.quantile(known, COVERED)) if len(known) else 1.0
+        if not len(known):
+            return 0.0, 1.0
+        low, high = np.quantile(known, [1.0 - COVERED, COVERED])
+        return float(low), float(high)
 
 
 def stiffness(
@@ -69,7 +72,7 @@ def stiffness(
     hold: Array,
     skin: SkinMesh,
 ) -> Colouring:
-    """Force of a light reference press at every node; none beyond the model.
+    """Force of a light reference press at every node; none where the model ends.
 
     Args:
         field: What is rendered.
@@ -83,7 +86,7 @@ def stiffness(
     force = np.full(len(skin.theta), np.nan)
     for i, (rotation, position) in enumerate(zip(*poses, strict=True)):
         wrench = renderer.render(rotation, position, rest)
-        if wrench.contact_points > 0:
+        if wrench.contact_points > 0 and wrench.limited_by != "end":
             force[i] = float(np.linalg.norm(wrench.force))
     title = f"force of a press {1e3 * LIGHT:g} mm deep"
     return Colouring("Stiffness", title, "N", force)

@@ -18,8 +18,8 @@ Direction = Literal["axial", "along"]
 #: Distance between samples [m]
 PIXEL = 0.0008
 
-#: The scale covers values down to this depth below the skin, as deep as one presses [m]
-DEPTH = 0.025
+#: The scale covers values down to this depth below the skin, deeper than a press [m]
+DEPTH = 0.04
 
 #: Isolines between zero and the end of the scale [–]
 LINES = 10
@@ -114,7 +114,7 @@ def section(potential: PotentialField, direction: Direction, at: float) -> Secti
 
 
 def sampled(potential: PotentialField, points: Array) -> Array:
-    """A field at points, linear between its voxels.
+    """A field at points, linear between its voxels; inside the inner layer as on it.
 
     Args:
         potential: The field.
@@ -132,7 +132,8 @@ def sampled(potential: PotentialField, points: Array) -> Array:
     else:  # up to its sides; the last spoke is the wall
         turn = (theta - grid.sector[0]) % TURN / grid.theta_step - 0.5
         turn = np.clip(turn, 0.0, grid.shape[1] - 2.0)
-    place = [(r - grid.r_inner) / grid.r_step, turn, (z - grid.z_min) / grid.z_step]
+    layer = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
+    place = [layer, turn, (z - grid.z_min) / grid.z_step]
     out = map_coordinates(values, place, order=1, cval=np.nan)
     out[~grid.in_sector(theta)] = np.nan
     return np.asarray(out)

@@ -124,6 +124,11 @@ class ViewState:
         return float(depth_of(self.surface, self.probe, *one)[0])
 
     @property
+    def outward(self) -> Array:
+        """Normal of the skin at the hand's place, shape (3,) [–]."""
+        return np.asarray(self._frame(*self.place)[:, 0])
+
+    @property
     def angles(self) -> Array:
         """Turn about the skin's normal, tilts around and along it, (3,) [deg]."""
         relative = self._frame(*self.place).T @ self.pose[0] @ self.hold.T

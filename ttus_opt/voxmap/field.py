@@ -31,6 +31,8 @@ from ttus_opt.voxmap.voxmap import Voxmap
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ttus_opt.viewer.viewer import Viewer
+
 
 KIND, VERSION = "field", 1
 
@@ -94,6 +96,15 @@ class PotentialField:
 
     def _repr_html_(self) -> str:
         return card("PotentialField", self._facts(), signed_map(self._section()))
+
+    def view(self, *shown: Any, **options: Any) -> Viewer:
+        """Open a page that shows the field; arguments as of `ttus_opt.view`.
+
+        In a notebook the page is the cell's output.
+        """
+        import ttus_opt
+
+        return ttus_opt.view(self, *shown, **options)
 
     def _section(self) -> Array:
         """P at mid-height seen along z, y upwards; zero outside the grid, (n, n)."""

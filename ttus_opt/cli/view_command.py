@@ -1,0 +1,180 @@
+"""``ttus-opt view``: a field in a page of the browser, with a probe to press it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.sources import warn_of_another_probe
+from ttus_opt.core.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.voxmap.field import PotentialField
+
+#: Grid of the example's fit, a coarse one: it is fitted while one waits
+EXAMPLE_SHAPE = (24, 72, 30)
+
+#: Recordings of the example
+EXAMPLE_FITTED, EXAMPLE_SHOWN = ("press_fit", "sweep_fit"), ("press_test",)
+
+
+@dataclass(frozen=True)
+class ShownRecordings(RecordingOptions):  # noqa: D101
+    __doc__ = RecordingOptions.__doc__  # the same options, none of them needed
+
+    trajectory: Annotated[list[Path], typer.Option(metavar="PATH")] = ()  # type: ignore[assignment]
+
+
+def view(
+    field: Annotated[Path | None, typer.Argument()] = None,
+    probe: str | None = None,
+    points: int = ProbeOptions.points,
+    probe_unit: str = ProbeOptions.probe_unit,
+    probe_surface: str = ProbeOptions.probe_surface,
+    compare: Path | None = None,
+    example: bool = False,
+    port: int = 8050,
+    no_browser: bool = False,
+    json: bool = False,
+    *,
+    recordings: ShownRecordings,
+) -> None:
+    """Show a field in the browser, and press it with the probe's mesh.
+
+    The page shows the skin, coloured by stiffness, uncertainty, what the scan saw or
+    where to press next; sections of the field; the recordings, felt against measured;
+    and force and torque of the probe that is dragged over it. Only this machine can
+    open it, by the link that is printed. Ctrl-C ends it.
+
+    Args:
+        field: Field file (.nc).
+        probe: ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, or a
+            mesh file (STL, PLY, OBJ). By default the one that the field was fitted
+            with, if that is none of the last.
+        points: Number of points of the probe's shell.
+        probe_unit: Unit of a mesh file: m, cm, mm, in.
+        probe_surface: Which part of a mesh to keep: outer, all, hull.
+        compare: Another field file of the same patient, beside the first.
+        example: Fit the bundled example and show it.
+        port: Where to serve on this machine; the next free one if it is taken.
+        no_browser: Print the link only.
+
+    Example:
+        ttus-opt view field.nc --trajectory press.csv
+    """
+    from ttus_opt.core.optional import load
+    from ttus_opt.viewer.viewer import view as opened
+
+    load("viser", "viewer")  # before anything that takes long
+    if (field is None) != example:
+        raise InputError("give either a field file or --example")
+    if example and compare is not None:
+        raise InputError("--compare needs a field file, not --example")
+    with Stages(3) as begin:
+        if field is None:
+            shown, options = _example(begin)
+        else:
+            tool = None
+            if probe is not None:
+                tool = ProbeOptions(probe, points, probe_unit, probe_surface)
+            begin("reading")
+            files = [field] if compare is None else [field, compare]
+            shown, options = _read(files, tool, recordings)
+        begin("opening the page")
+        viewer = opened(shown, port=port, **options)
+    tell(
+        {"url": viewer.url},
+        viewer.url,
+        "open this link on this machine; Ctrl-C ends it",
+        json=json,
+    )
+    sys.stdout.flush()
+    with viewer:
+        if not no_browser:
+            _open(viewer.url)
+        try:
+            viewer.wait()
+        except KeyboardInterrupt:
+            return
+
+
+def _read(
+    files: list[Path], tool: ProbeOptions | None, recordings: RecordingOptions
+) -> tuple[list[PotentialField], dict[str, Any]]:
+    """Fields, and what else is shown, from files.
+
+    Raises:
+        FileError: A file is not usable.
+        InputError: Recordings without a probe, or whatever is wrong with them.
+    """
+    from ttus_opt.probe.mesh import read_mesh
+    from ttus_opt.viewer.viewer import probe_of
+    from ttus_opt.voxmap.field import PotentialField
+
+    fields = [PotentialField.load(file) for file in files]
+    patient, mesh = fields[0].voxmap.surface, None
+    if tool is None:
+        shell = probe_of(fields[0])
+    else:
+        warn_of_another_probe(fields[0].provenance, tool, recordings)
+        shell = tool.read()
+        if ":" not in tool.probe:
+            mesh = read_mesh(tool.probe, unit=tool.probe_unit)
+    trajectory = None
+    if recordings.trajectory:
+        if shell is None:
+            raise InputError(
+                f"{files[0]} does not say which probe it was fitted with: give --probe"
+            )
+        trajectory = recordings.read(recordings.as_written(), shell, patient)
+    names = [file.stem for file in files]
+    return fields, {
+        "shell": shell,
+        "trajectory": trajectory,
+        "names": names,
+        "mesh": mesh,
+    }
+
+
+def _example(begin: Stages) -> tuple[list[PotentialField], dict[str, Any]]:
+    """The bundled example, fitted."""
+    from ttus_opt import example
+    from ttus_opt.contact.scene import Scene
+    from ttus_opt.fitting.batch import fit
+    from ttus_opt.fitting.weights.weight_choice import default_model
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.voxmap.voxmap import Voxmap
+
+    begin("fitting the example")
+    surface = Surface.load(example.path("surface.nc"))
+    shell = PointShell.from_spec(example.PROBE)
+    fitted, shown = (
+        Trajectory.concatenate(
+            [read_trajectory(example.path(f"{name}.csv")) for name in names]
+        )
+        for names in (EXAMPLE_FITTED, EXAMPLE_SHOWN)
+    )
+    voxmap = Voxmap.from_surface(surface, shape=EXAMPLE_SHAPE, r_inner=0.03)
+    model = default_model(Scene.assemble(voxmap, shell, fitted))
+    found = fit(model.scene, model.formulation).field
+    named = replace(found, provenance={**found.provenance, "probe": example.PROBE})
+    return [named], {"shell": shell, "trajectory": shown, "names": ["example"]}
+
+
+def _open(url: str) -> None:
+    """Open a link where there are windows, not in a terminal's browser."""
+    windows = sys.platform in ("win32", "darwin") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    if windows:
+        webbrowser.open(url)

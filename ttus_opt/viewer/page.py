@@ -1,0 +1,247 @@
+"""The page: patients in a scene, tabs beside it, drags and clicks into the state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ttus_opt.contact.standing import skin_points
+from ttus_opt.core.arrays import Array
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+from ttus_opt.probe.cylindrical import TURN
+from ttus_opt.probe.mesh import TriangleMesh
+from ttus_opt.probe.pose import from_quaternions, to_quaternions
+from ttus_opt.scan.surface import Surface
+from ttus_opt.viewer.colour_map import RENDERED
+from ttus_opt.viewer.jobs import Jobs
+from ttus_opt.viewer.patient_nodes import PatientNodes
+from ttus_opt.viewer.probe_tab import ProbeTab
+from ttus_opt.viewer.readout import readout
+from ttus_opt.viewer.recording_tab import RecordingTab
+from ttus_opt.viewer.section_tab import SectionTab
+from ttus_opt.viewer.skin import SkinMesh, place_on_ray
+from ttus_opt.viewer.skin_tab import SkinTab
+from ttus_opt.viewer.stage import Stage
+from ttus_opt.viewer.state import ViewState
+
+if TYPE_CHECKING:
+    import viser
+
+#: Distance between two patients, of a body's length [–]
+APART = 1.15
+
+#: Distance of the camera, of what is shown [–]
+AWAY = 2.7
+
+#: Intensity of the even light; π shows a surface in its own colour
+LIGHT = 2.1
+
+#: Width of the panel [px]
+WIDTH = 360
+
+#: How far a ray may pass the skin and still point at it [m]
+NEAR = 0.003
+
+
+class Page:
+    """Draws a state and listens to its visitors.
+
+    Args:
+        server: Serves the page.
+        state: What is shown.
+        names: Of the fields.
+        mesh: The probe's own mesh, probe frame; None to take its points' hull.
+        stated: Uncertainty of the first field's fit.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        state: ViewState,
+        names: Sequence[str],
+        mesh: TriangleMesh | None = None,
+        stated: Uncertainty | None = None,
+    ) -> None:
+        self._server, self.state = server, state
+        self.jobs = Jobs(self.tell)
+        towards = self._look()
+        skin, shell = SkinMesh.of(state.surface), state.shell
+        if shell is not None and mesh is None:
+            # a hull does not look at faces
+            mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
+        length = APART * float(state.surface.z[-1] - state.surface.z[0])
+        self._nodes = [
+            PatientNodes(
+                *(server.scene, f"patient{k}", skin, None if shell is None else mesh),
+                np.array([0.0, 0.0, k * length]),
+                towards,
+                RENDERED[k],
+            )
+            for k in range(len(state.fields))
+        ]
+        self.stage = Stage(
+            server, state, names, skin, self._nodes, self.jobs, self.tell
+        )
+        self._numbers = server.gui.add_html("")
+        legend = server.gui.add_html("")
+        tabs = server.gui.add_tab_group()
+        self.probe: ProbeTab | None = None
+        self.recording: RecordingTab | None = None
+        if shell is not None:
+            with tabs.add_tab("Probe"):
+                self.probe = ProbeTab(self.stage)
+            self._listen(self.probe)
+        with tabs.add_tab("Skin"):
+            self.skin = SkinTab(self.stage, legend, stated)
+        with tabs.add_tab("Section"):
+            self.section = SectionTab(self.stage)
+        if state.recording is not None:
+            with tabs.add_tab("Recording"):
+                self.recording = RecordingTab(self.stage, state.recording)
+        self.move()
+        self.write()
+
+    def tell(self, line: str) -> None:
+        """Show a line on every page, until somebody closes it."""
+        for client in self._server.get_clients().values():
+            client.add_notification(
+                "ttus-opt", line, auto_close_seconds=8.0, color="orange"
+            )
+
+    def move(self) -> None:
+        """Draw probe and forces as they are now; 30 times a second or more."""
+        with self._server.atomic():
+            for nodes, touch in zip(self._nodes, self.state.touches, strict=False):
+                nodes.show_touch(touch, self.state.measured)
+            if self.probe is not None and not self._grabbed:
+                rotation, position = self.state.pose
+                self._handle.wxyz = to_quaternions(rotation[None])[0]
+                self._handle.position = position
+
+    def write(self) -> None:
+        """Write numbers, fields and plots; a few times a second."""
+        state = self.state
+        self._numbers.content = readout(
+            state.touches, self.stage.names, state.measured, state.source
+        )
+        if self.probe is not None:
+            self.probe.show()
+            self.probe.draw()
+        if self.recording is not None:
+            self.recording.draw()
+
+    def _look(self) -> Array:
+        """Set camera, light and panel; the direction to the camera, shape (3,)."""
+        scene, gui, surface = self._server.scene, self._server.gui, self.state.surface
+        front = front_of(surface)
+        low, high = float(surface.z[0]), float(surface.z[-1])
+        high += APART * (high - low) * (len(self.state.fields) - 1)
+        middle = np.array([0.0, 0.0, 0.5 * (low + high)])
+        size = max(high - low, 2.0 * float(surface.radius.max()))
+        scene.set_up_direction(tuple(front.tolist()))
+        scene.world_axes.visible = False
+        _light(scene, front)
+        camera = self._server.initial_camera
+        along = np.array([0.0, 0.0, 1.0])
+        away = 0.85 * front + 0.5 * np.cross(along, front) + 0.2 * along
+        camera.position = tuple(middle + AWAY * size * away)
+        camera.look_at = tuple(middle)
+        camera.fov = float(np.radians(35.0))
+        gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="medium",
+            brand_color=(11, 79, 156),
+        )  # fmt: skip
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(WIDTH)
+        return away
+
+    def _listen(self, tab: ProbeTab) -> None:
+        """Take drags of the probe and clicks on the skin."""
+        rotation, position = self.state.pose
+        self._grabbed = False
+        self._handle = self._server.scene.add_transform_controls(
+            "/patient0/handle", scale=0.09, visible=False, depth_test=False,
+            wxyz=to_quaternions(rotation[None])[0], position=position,
+        )  # fmt: skip
+
+        async def turned(event: Any) -> None:
+            self._grabbed = event.phase != "end"
+            R = from_quaternions(np.asarray(self._handle.wxyz)[None], "wxyz")[0]
+            self.state.put(R, np.asarray(self._handle.position))
+
+        async def shown(event: Any) -> None:
+            self._handle.visible = event.target.value
+
+        self._handle.on_update(turned)
+        tab.free.on_update(shown)
+        for nodes in self._nodes:
+            self._listen_to(nodes)
+
+        @self._server.scene.on_click()
+        def clicked(event: Any) -> None:
+            for nodes in self._nodes:
+                origin = np.array(event.ray_origin) - nodes.offset
+                ray = np.array(event.ray_direction)
+                place = place_on_ray(self.state.surface, origin, ray)
+                if _hit(self.state.surface, origin, ray, place):
+                    self.state.slide(*place)
+                    return
+
+    def _listen_to(self, nodes: PatientNodes) -> None:
+        """Drags of one patient's probe: over the skin, with shift into it."""
+        grip: dict[str, Any] = {}
+
+        async def slid(event: Any) -> None:
+            eye = np.asarray(event.client.camera.position) - nodes.offset
+            end = np.array(event.end_position) - nodes.offset
+            place = np.array(place_on_ray(self.state.surface, eye, end - eye))
+            if event.phase == "start" or "place" not in grip:
+                grip.update(place=place, own=np.array(self.state.place))
+            step = place - grip["place"]
+            step[0] = (step[0] + 0.5 * TURN) % TURN - 0.5 * TURN
+            theta, z = grip["own"] + step
+            self.state.slide(float(theta), float(z))
+
+        async def pressed(event: Any) -> None:
+            end = np.array(event.end_position)
+            if event.phase == "start" or "end" not in grip:
+                grip.update(end=end, depth=self.state.depth)
+            outward = self.state.outward
+            self.state.press(grip["depth"] - float((end - grip["end"]) @ outward))
+
+        nodes.probe.on_drag("left")(slid)
+        nodes.probe.on_drag("left", modifier="shift")(pressed)
+
+
+def _light(scene: viser.SceneApi, front: Array) -> None:
+    """Mostly even light, so that colours are those of the legend."""
+    scene.configure_default_lights(False)
+    scene.configure_environment_map(None)
+    scene.add_light_ambient("/light/even", intensity=LIGHT)
+    for k, side in enumerate((0.7, -0.7)):
+        at = front + np.array([side, 0.0, -0.5])
+        scene.add_light_directional(
+            f"/light/from{k}", intensity=0.35 * LIGHT, position=tuple(at.tolist())
+        )
+
+
+def front_of(surface: Surface) -> Array:
+    """Direction from the axis to the middle of what the scan saw; +y if all was."""
+    weight = surface.observed.mean(axis=1)
+    towards = np.array(
+        [weight @ np.cos(surface.theta), weight @ np.sin(surface.theta), 0.0]
+    )
+    size = float(np.linalg.norm(towards)) / len(weight)
+    return towards / np.linalg.norm(towards) if size > 0.02 else np.array([0, 1.0, 0])
+
+
+def _hit(
+    surface: Surface, origin: Array, ray: Array, place: tuple[float, float]
+) -> bool:
+    """Whether a ray meets the skin at the place that it passes closest."""
+    theta, z = np.array(place)[:, None]
+    off = skin_points(surface, theta, z)[0] - origin
+    ray = ray / np.linalg.norm(ray)
+    return bool(np.linalg.norm(off - (off @ ray) * ray) < NEAR)

@@ -1,0 +1,192 @@
+"""One field's patient and probe as nodes of the page's scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import trimesh
+
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.probe.mesh import TriangleMesh
+from ttus_opt.probe.pose import to_quaternions
+from ttus_opt.viewer.colour_map import MEASURED, Pixels, section_pixels
+from ttus_opt.viewer.section import Section
+from ttus_opt.viewer.skin import SkinMesh
+from ttus_opt.viewer.touch import Touch
+
+if TYPE_CHECKING:
+    import viser
+
+#: Length of an arrow per force [m/N] and per torque [m/(N m)]
+PER_FORCE, PER_TORQUE = 0.008, 0.8
+
+#: Least force and torque that have an arrow [N], [N m]
+LEAST_FORCE, LEAST_TORQUE = 0.02, 2e-4
+
+#: Radius of an arrow's shaft and head, and length of the head [m]
+ARROW = {"shaft_radius": 0.0018, "head_radius": 0.0045, "head_length": 0.011}
+SMALL = {"shaft_radius": 0.0007, "head_radius": 0.0016, "head_length": 0.004}
+
+#: Colours of probe, torque, marks
+PROBE, TORQUE, MARK = (238, 240, 244), (28, 122, 92), (208, 49, 45)
+
+
+class PatientNodes:
+    """The nodes below ``/NAME``.
+
+    Args:
+        scene: The page's scene.
+        name: Of the nodes.
+        skin: Nodes of the skin.
+        mesh: The probe's own mesh, probe frame; None without a probe.
+        offset: Where the patient's origin is in the scene, shape (3,) [m].
+        towards: Direction to the first camera, which looks into a cut, shape (3,).
+        colour: Of the rendered force.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        skin: SkinMesh,
+        mesh: TriangleMesh | None,
+        offset: Array,
+        towards: Array,
+        colour: tuple[int, int, int],
+    ) -> None:
+        self._scene, self._name, self._skin = scene, name, skin
+        self._towards = towards
+        self.offset, self._colour = offset, colour
+        self._colours = np.full((len(skin.theta), 3), 196, dtype=np.uint8)
+        self._faces: IntArray = skin.faces
+        self._image: Any = None
+        self._marks: list[Any] = []
+        scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
+        self._mesh = scene.add_glb(f"/{name}/skin", self._glb(), cast_shadow=False)
+        self.probe: Any = None
+        if mesh is not None:
+            self.probe = scene.add_mesh_simple(
+                f"/{name}/probe",
+                mesh.vertices,
+                mesh.faces,
+                color=PROBE,
+                opacity=0.6,
+                flat_shading=False,
+                side="double",
+                cast_shadow=False,
+            )
+        none = np.zeros((1, 2, 3), dtype=np.float32)
+        self._force, self._torque, self._measured = (
+            scene.add_arrows(f"/{name}/{what}", none, tint, visible=False, **ARROW)
+            for what, tint in (
+                ("force", colour),
+                ("torque", TORQUE),
+                ("measured", MEASURED),
+            )
+        )
+
+    def colour(self, colours: Pixels, marks: Array) -> None:
+        """Colour the nodes, shape (n, 3), and number places, shape (k, 3) [m]."""
+        self._colours = colours
+        self._mesh.glb_data = self._glb()
+        for old in self._marks:
+            old.remove()
+        self._marks = []
+        for k, place in enumerate(marks):
+            one = f"/{self._name}/mark{k + 1}"
+            at = tuple(place.tolist())
+            self._marks += [
+                self._scene.add_icosphere(one, 0.004, color=MARK, position=at),
+                self._scene.add_label(f"{one}/number", str(k + 1)),
+            ]
+
+    def show_section(self, shown: Section | None) -> None:
+        """Draw a section and cut the skin open there; None closes it."""
+        faces = self._skin.faces
+        if shown is not None:
+            normal = shown.normal * (1.0 if shown.normal @ self._towards > 0 else -1.0)
+            faces = self._skin.cut(normal, float(shown.origin @ normal))
+        if len(faces) != len(self._faces) or (faces != self._faces).any():
+            self._faces = faces
+            self._mesh.glb_data = self._glb()
+        if shown is None:
+            if self._image is not None:
+                self._image.visible = False
+            return
+        # the picture's rows go down, its normal points at the one who looks
+        axes = np.stack([shown.across, -shown.up, -shown.normal], axis=1)
+        wxyz, at = to_quaternions(axes[None])[0], tuple(shown.origin)
+        pixels = section_pixels(shown)
+        if self._image is None:
+            self._image = self._scene.add_image(
+                f"/{self._name}/section", pixels, *shown.size, wxyz=wxyz, position=at,
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            return
+        self._image.image, self._image.visible = pixels, True
+        self._image.render_width, self._image.render_height = shown.size
+        self._image.wxyz, self._image.position = wxyz, at
+
+    def show_recording(self, starts: Array, measured: Array, rendered: Array) -> None:
+        """Draw recorded places with their forces.
+
+        Args:
+            starts: Where the arrows begin, shape (k, 3) [m].
+            measured: Forces, NaN where none were, shape (k, 3) [N].
+            rendered: Forces, shape (k, 3) [N].
+        """
+        for what, forces, colour in (
+            ("rendered", rendered, self._colour),
+            ("felt", measured, MEASURED),
+        ):
+            known = np.linalg.norm(forces, axis=1) > LEAST_FORCE
+            if known.any():
+                ends = starts + PER_FORCE * forces
+                points = np.stack([starts, ends], axis=1)[known]
+                name = f"/{self._name}/recording/{what}"
+                self._scene.add_arrows(name, points, colour, **SMALL)
+
+    def show_touch(self, touch: Touch, measured: Array | None) -> None:
+        """Move the probe and its arrows."""
+        self.probe.wxyz = to_quaternions(touch.rotation[None])[0]
+        self.probe.position = touch.position
+        wrench = touch.wrench
+        self._arrow(self._force, touch.centre, PER_FORCE * wrench.force, LEAST_FORCE)
+        torque = PER_TORQUE * wrench.torque
+        self._arrow(self._torque, touch.reference, torque, LEAST_TORQUE)
+        felt = np.zeros(3) if measured is None else PER_FORCE * measured
+        self._arrow(self._measured, touch.centre, felt, LEAST_FORCE)
+
+    @staticmethod
+    def _arrow(arrow: Any, start: Array, way: Array, least: float) -> None:
+        long = bool(np.linalg.norm(way) > least * PER_FORCE)
+        if arrow.visible != long:
+            arrow.visible = long
+        if long:
+            arrow.points = np.stack([start, start + way])[None].astype(np.float32)
+
+    def _glb(self) -> bytes:
+        """The skin with its colours, as glTF: a rough material, and linear colours."""
+        share = self._colours / 255.0
+        linear = np.where(
+            share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
+        )
+        rgba = np.full((len(linear), 4), 255, dtype=np.uint8)
+        rgba[:, :3] = np.rint(255.0 * linear)
+        mesh = trimesh.Trimesh(
+            self._skin.vertices, self._faces, vertex_colors=rgba, process=False
+        )
+        out = trimesh.exchange.gltf.export_glb(
+            mesh.scene(), include_normals=True, tree_postprocessor=_rough
+        )
+        return bytes(out)
+
+
+def _rough(tree: dict[str, Any]) -> None:
+    """Give a glTF tree a material that does not shine, seen from both sides."""
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.95}
+    tree["materials"] = [{"pbrMetallicRoughness": surface, "doubleSided": True}]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0

@@ -1,0 +1,141 @@
+"""The tab that moves the probe: by fields, buttons and keys, and a running plot."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.viewer.force_plot import add_plot, series
+from ttus_opt.viewer.stage import Stage, by_hand
+from ttus_opt.viewer.state import LEAST, MOST
+
+#: A step of the buttons and keys [m], [deg]
+STEP, TURN = 1e-3, 1.0
+
+#: What the running plot shows [s], and how often it takes a point [s]
+SHOWN, EVERY = 10.0, 0.05
+
+#: Ways of the buttons and keys: name, keys back and forth; around, along, deeper
+WAYS = {
+    "around": ("J", "L", (1, 0, 0)),
+    "along": ("K", "I", (0, 1, 0)),
+    "deeper": ("U", "O", (0, 0, 1)),
+}
+
+#: Turns, with shift: about the skin's normal, about the ways around and along the body
+TURNS = {
+    "tilt around": ("J", "L", (0, 0, -1)),
+    "tilt along": ("K", "I", (0, 1, 0)),
+    "turn": ("U", "O", (1, 0, 0)),
+}
+
+HELP = (
+    "Drag the probe over the skin, with *shift* into it, or click on the skin. "
+    "Keys: J L around, I K along, U O lift and press by 1 mm; with *shift* they tilt "
+    "and turn by 1°."
+)
+
+
+class ProbeTab:
+    """Inputs that move the hand's pose, and show where it is.
+
+    Args:
+        stage: The page.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage, gui = stage, stage.server.gui
+        self._times: deque[float] = deque(maxlen=round(SHOWN / EVERY))
+        self._sizes: deque[list[float]] = deque(maxlen=round(SHOWN / EVERY))
+        self._depth = gui.add_slider(
+            "depth [mm]", min=1e3 * LEAST, max=1e3 * MOST, step=0.1, initial_value=0.0
+        )
+        theta, z = stage.state.place
+        self._theta = gui.add_number("θ [°]", float(np.degrees(theta)), step=1.0)
+        self._z = gui.add_number("z [mm]", 1e3 * z, step=1.0)
+        self._angles = gui.add_vector3(
+            "turn, tilts [°]", (0.0, 0.0, 0.0), step=1.0,
+            hint="about the skin's normal, about the ways around and along the body",
+        )  # fmt: skip
+        with gui.add_folder("steps of 1 mm and 1°", expand_by_default=False):
+            for name, (back, forth, way) in (WAYS | TURNS).items():
+                self._add_step(name, (back, forth), way)
+        self.free = gui.add_checkbox(
+            "handle", False, hint="arrows and rings at the probe, for any pose"
+        )
+        self._plot = add_plot(gui, self._columns(), series(stage.names, measured=False))
+        gui.add_markdown(HELP)
+        self._listen()
+        self.show()
+
+    def show(self) -> None:
+        """Write the hand's pose into the fields."""
+        state = self._stage.state
+        theta, z = state.place
+        self._depth.value = round(1e3 * state.depth, 1)
+        self._theta.value = round(float(np.degrees(theta)), 2)
+        self._z.value = round(1e3 * z, 2)
+        self._angles.value = tuple(round(float(a), 1) + 0.0 for a in state.angles)
+
+    def add_point(self, time: float) -> None:
+        """Take what is felt now into the running plot, every `EVERY`."""
+        if self._times and time - self._times[-1] < EVERY:
+            return
+        sizes = [np.linalg.norm(t.wrench.force) for t in self._stage.state.touches]
+        self._times.append(time)
+        self._sizes.append([float(size) for size in sizes])
+
+    def draw(self) -> None:
+        """Draw the running plot."""
+        self._plot.data = self._columns()
+
+    def _columns(self) -> tuple[Any, ...]:
+        time, n = np.array(self._times), len(self._stage.names)
+        if len(time) < 2:
+            return tuple(np.zeros(2) for _ in range(n + 1))
+        return (time - time[-1], *np.array(self._sizes).T)
+
+    def _step(self, way: tuple[int, int, int], sign: int) -> None:
+        around, along, deeper = (STEP * sign * w for w in way)
+        self._stage.state.move(around=around, along=along, deeper=deeper)
+
+    def _turn(self, way: tuple[int, int, int], sign: int) -> None:
+        state = self._stage.state
+        state.tilt(state.angles + TURN * sign * np.array(way, dtype=np.float64))
+
+    def _add_step(
+        self, name: str, keys: tuple[str, str], way: tuple[int, int, int]
+    ) -> None:
+        """Two buttons and two keys for a way back and forth."""
+        gui: Any = self._stage.server.gui
+        act, unit = (self._step, "1 mm") if name in WAYS else (self._turn, "1°")
+        labels = f"− {unit}", f"+ {unit}"
+        group = gui.add_button_group(name, labels)
+
+        async def clicked(event: Any) -> None:
+            act(way, 1 if event.target.value == labels[1] else -1)
+
+        group.on_click(clicked)
+        modifier = None if name in WAYS else "shift"
+        for key, sign in zip(keys, (-1, 1), strict=True):
+            command = gui.add_command(
+                f"probe: {name} {'−+'[sign > 0]} {unit}", hotkey=key, modifier=modifier
+            )
+
+            async def pressed(_: Any, sign: int = sign) -> None:
+                act(way, sign)
+
+            command.on_trigger(pressed)
+
+    def _listen(self) -> None:
+        state, tell = self._stage.state, self._stage.tell
+
+        def slide(_: float) -> None:
+            state.slide(float(np.radians(self._theta.value)), 1e-3 * self._z.value)
+
+        by_hand(self._depth, lambda value: state.press(1e-3 * value), tell)
+        by_hand(self._theta, slide, tell)
+        by_hand(self._z, slide, tell)
+        by_hand(self._angles, lambda value: state.tilt(np.array(value)), tell)

@@ -1,0 +1,105 @@
+"""The tab that colours the skin, and its legend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+from ttus_opt.core.errors import InputError
+from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+from ttus_opt.viewer import colouring
+from ttus_opt.viewer.colour_map import node_colours, skin_legend
+from ttus_opt.viewer.colouring import Colouring
+from ttus_opt.viewer.stage import Stage, by_hand
+
+NEEDS_FIT = (
+    "where to press next follows from a fit and its recordings: pass "
+    "tt.view(..., uncertainty=tt.uncertainty(solution, scene))"
+)
+
+
+class SkinTab:
+    """Chooses what the skin shows; each colouring is computed once.
+
+    Args:
+        stage: The page.
+        legend: Holds the legend.
+        stated: Uncertainty of the first field's fit, for where to press next.
+    """
+
+    def __init__(self, stage: Stage, legend: Any, stated: Uncertainty | None) -> None:
+        self._stage, self._legend, self._stated = stage, legend, stated
+        self._known: dict[str, list[Colouring]] = {}
+        self._ways: dict[str, Callable[[], list[Colouring]]] = {
+            "Stiffness": self._stiffness,
+            "Uncertainty": self._uncertainty,
+            "Seen": self._seen,
+            "Next press": self._next,
+        }
+        if stage.state.shell is None:
+            del self._ways["Stiffness"], self._ways["Next press"]
+            self._ways = {"Seen": self._seen} | self._ways
+        gui = stage.server.gui
+        self.choice = gui.add_dropdown("colour", tuple(self._ways))
+        by_hand(self.choice, self.show, stage.tell)
+        self.show(self.choice.value)
+
+    def show(self, name: str) -> None:
+        """Colour the skin, soon."""
+        self._legend.content = _plain("computing …")
+        self._stage.jobs.post("colours", lambda: self._paint(name))
+
+    def forget(self) -> None:
+        """Colour anew: a field was replaced."""
+        self._known.clear()
+        self.show(self.choice.value)
+
+    def colourings(self, name: str) -> list[Colouring]:
+        """A colouring of every field.
+
+        Raises:
+            InputError: What it needs is not there.
+        """
+        if name not in self._known:
+            self._known[name] = self._ways[name]()
+        return self._known[name]
+
+    def _paint(self, name: str) -> None:
+        try:
+            found = self.colourings(name)
+        except InputError as error:
+            self._legend.content = _plain(str(error))
+            return
+        lows, highs = zip(*(one.span for one in found), strict=True)
+        span = min(lows), max(highs)
+        for nodes, one in zip(self._stage.nodes, found, strict=True):
+            nodes.colour(node_colours(one, span), one.marks)
+        self._legend.content = skin_legend(found[0], span)
+
+    def _stiffness(self) -> list[Colouring]:
+        state = self._stage.state
+        return [
+            colouring.stiffness(
+                field, renderer, state.probe, state.hold, self._stage.skin
+            )
+            for field, renderer in zip(state.fields, state.renderers(), strict=True)
+        ]
+
+    def _uncertainty(self) -> list[Colouring]:
+        skin = self._stage.skin
+        return [colouring.uncertainty(one, skin) for one in self._stage.state.fields]
+
+    def _seen(self) -> list[Colouring]:
+        skin = self._stage.skin
+        return [colouring.seen(one, skin) for one in self._stage.state.fields]
+
+    def _next(self) -> list[Colouring]:
+        if self._stated is None:
+            raise InputError(NEEDS_FIT)
+        found, _ = colouring.next_presses(self._stated, self._stage.skin)
+        return [found] * len(self._stage.nodes)
+
+
+def _plain(text: str) -> str:
+    return f'<div style="font-size:12px;padding:2px 12px 8px">{escape(text)}</div>'
