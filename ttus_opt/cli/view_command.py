@@ -124,8 +124,8 @@ def _read(
     if tool is None:
         shell = probe_of(fields[0])
     else:
-        warn_of_another_probe(fields[0].provenance, tool, recordings)
         shell = tool.read()
+        warn_of_another_probe(fields[0].provenance, tool, recordings)
         if ":" not in tool.probe:
             mesh = read_mesh(tool.probe, unit=tool.probe_unit)
     trajectory = None

@@ -1,0 +1,121 @@
+"""``ttus-opt view``: serves until Ctrl-C, and says what is wrong before it does."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.cli.conftest import PROBE, Run
+
+pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
+
+
+def test_it_serves_until_it_is_interrupted(field: Path, files: Path) -> None:
+    words = f"view {field} --probe {PROBE} --trajectory {files / 'press.csv'}".split()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ttus_opt", *words, "--port", "0", "--no-browser"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert process.stdout is not None
+    url = process.stdout.readline().strip()
+    told = process.stdout.readline()
+    try:
+        with urllib.request.urlopen(url, timeout=30) as page:
+            assert b"<html" in page.read()
+        with pytest.raises(HTTPError, match="403"):
+            urllib.request.urlopen(f"http://{urlsplit(url).netloc}/", timeout=30)
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert told == "open this link on this machine; Ctrl-C ends it\n"
+    assert "Traceback" not in err
+    with pytest.raises(OSError):  # nobody is there any more
+        HTTPConnection(urlsplit(url).netloc, timeout=5).request("GET", "/")
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Stands for somebody who looks and presses Ctrl-C."""
+    from ttus_opt.viewer.viewer import Viewer
+
+    looked: list[str] = []
+
+    def wait(viewer: Viewer) -> None:
+        state = viewer.state
+        looked.extend([*viewer.page.stage.names, str(state.shell)])
+        looked.append("recording" if state.recording else "none")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Viewer, "wait", wait)
+    return looked
+
+
+def test_two_fields_the_probe_and_a_recording_are_shown(
+    run: Run, field: Path, files: Path, served: list[str]
+) -> None:
+    press = files / "press.csv"
+    answer = run(
+        f"view {field} --compare {field} --probe {PROBE} --points 300 "
+        f"--trajectory {press} --port 0 --no-browser --json"
+    )
+    assert answer.status == 0, answer.err
+    assert json.loads(answer.out)["url"].startswith("http://127.0.0.1:")
+    assert served[:2] == [field.stem, field.stem]
+    assert "300 points" in served[2]
+    assert served[3] == "recording"
+
+
+def test_the_probe_is_the_one_of_the_fit(
+    run: Run, field: Path, served: list[str]
+) -> None:
+    answer = run(f"view {field} --port 0 --no-browser")
+    assert answer.status == 0, answer.err
+    assert "40 × 30 × 30 mm" in served[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("view --no-browser", "either a field file or --example"),
+        ("view {field} --example", "either a field file or --example"),
+        ("view --example --compare {field}", "needs a field file"),
+        ("view missing.nc", "missing.nc"),
+        ("view {broken}", "not"),
+        ("view {field} --probe missing.stl", "missing.stl"),
+        ("view {field} --port 99999", "0 to 65535"),
+        ("view {surface}", "surface"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(
+    run: Run, field: Path, files: Path, tmp_path: Path, words: str, why: str
+) -> None:
+    broken = tmp_path / "broken.nc"
+    broken.write_bytes(field.read_bytes()[:2000])
+    answer = run(words.format(field=field, broken=broken, surface=files / "surface.nc"))
+    assert answer.status == 2
+    assert len(answer.errors) == 1
+    assert why in answer.errors[0]
+
+
+def test_a_viser_that_is_missing_is_named(
+    run: Run, field: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    answer = run(f"view {field}")
+    assert answer.status == 2
+    assert 'pip install "ttus-opt[viewer]"' in answer.errors[0]

@@ -1,0 +1,282 @@
+"""The page in a real browser, drawn by software: `make browser`.
+
+What a visitor does with mouse and keys is compared with the state and the renderer;
+pictures are slow to draw here, so no test looks at a pixel.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from tests.viewer.conftest import field, probe, recorded
+from tests.viewer.test_viewer import until
+from ttus_opt.contact.standing import skin_points
+from ttus_opt.viewer.viewer import Viewer
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
+pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+if CHROMIUM is None:
+    pytest.skip("no chromium here", allow_module_level=True)
+
+#: What a visitor waits at most: software draws a frame in a second or more [s]
+PATIENCE = 120.0
+
+PHONE, DESK = {"width": 390, "height": 700}, {"width": 900, "height": 560}
+
+ARGUMENTS = (
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--disable-component-update",
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[sync_api.Browser]:
+    with sync_api.sync_playwright() as play:
+        opened = play.chromium.launch(
+            executable_path=CHROMIUM,
+            chromium_sandbox=os.geteuid() != 0,  # root has none
+            args=list(ARGUMENTS),
+        )
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[Viewer]:
+    with tt.view(field(), probe(), recorded(), port=0) as opened:
+        yield opened
+
+
+class Visit:
+    """A page and what went wrong in it."""
+
+    def __init__(
+        self, browser: sync_api.Browser, url: str, size: dict[str, int]
+    ) -> None:
+        self.page = browser.new_page(viewport=size)
+        self.page.set_default_timeout(1e3 * PATIENCE)
+        self.faults: list[str] = []
+        self.asked: list[str] = []
+        self.page.on(
+            "console", lambda m: m.type == "error" and self.faults.append(m.text)
+        )
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.on("websocket", lambda socket: self.asked.append(socket.url))
+        self.page.goto(url)
+        self.page.wait_for_selector("canvas")
+        self.page.get_by_text("force", exact=True).first.wait_for()
+
+    def until(self, true: Callable[[], bool]) -> None:
+        """Wait, while the browser works, for something to become true."""
+        end = time.monotonic() + PATIENCE
+        while not true():
+            assert time.monotonic() < end, "did not become true in time"
+            self.page.wait_for_timeout(100)
+
+    def tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name).click()
+
+    def field(self, label: str) -> sync_api.Locator:
+        """The input beside a label."""
+        row = self.page.get_by_text(label, exact=True).locator("xpath=../..")
+        return row.locator("input").last
+
+
+@pytest.fixture(scope="module")
+def visit(browser: sync_api.Browser, viewer: Viewer) -> Iterator[Visit]:
+    opened = Visit(browser, viewer.url, DESK)
+    opened.until(lambda: len(viewer._server.get_clients()) > 0)
+    yield opened
+    opened.page.close()
+
+
+def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the scene is on the only visitor's canvas [px]."""
+    (client,) = viewer._server.get_clients().values()
+    camera = client.camera
+    turn = Rotation.from_quat(camera.wxyz, scalar_first=True).as_matrix()
+    x, y, z = turn.T @ (point - camera.position)
+    focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
+    return (
+        float(0.5 * camera.image_width + focal * x / z),
+        float(0.5 * camera.image_height + focal * y / z),
+    )
+
+
+def centre(viewer: Viewer) -> np.ndarray:
+    """Middle of the probe."""
+    rotation, position = viewer.state.pose
+    return np.asarray(position + rotation @ probe().reference)
+
+
+def felt(viewer: Viewer) -> np.ndarray:
+    wrench = viewer.state.touches[0].wrench
+    return np.concatenate([wrench.force, wrench.torque])
+
+
+def rests(viewer: Viewer) -> None:
+    """Wait until what is felt is what the renderer gives where the hand is."""
+
+    def alike() -> bool:
+        wrench = tt.Renderer(field(), probe()).render(*viewer.state.pose)
+        expected = np.concatenate([wrench.force, wrench.torque])
+        return bool(np.allclose(felt(viewer), expected, atol=1e-9))
+
+    until(alike)
+
+
+def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
+    before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
+    theta, z = np.array([before[0] + 0.25]), np.array([before[1] - 0.02])
+    goal = skin_points(viewer.state.surface, theta, z)[0]
+    start = centre(viewer)
+    mouse = visit.page.mouse
+    mouse.move(*pixel(viewer, start))
+    visit.page.wait_for_timeout(1500)  # the probe shows that it can be grabbed
+    mouse.down()
+    own = skin_points(viewer.state.surface, *np.array(before)[:, None])[0]
+    for share in np.linspace(0.1, 1.0, 8):
+        mouse.move(*pixel(viewer, start + share * (goal - own)))
+        visit.page.wait_for_timeout(150)
+    mouse.up()
+    visit.until(lambda: np.hypot(*np.subtract(viewer.state.place, before)) > 0.05)
+    visit.page.wait_for_timeout(1000)
+    moved = np.subtract(viewer.state.place, before)
+    assert moved[0] > 0.05
+    assert moved[1] < -0.005
+    assert viewer.state.depth == pytest.approx(depth, abs=1e-5)
+    rests(viewer)
+    assert np.abs(felt(viewer) - force).max() > 0.01
+    size = np.linalg.norm(felt(viewer)[:3])
+    visit.page.get_by_text(f"{size:.2f}", exact=True).first.wait_for()
+
+
+def test_a_click_puts_the_probe_there(visit: Visit, viewer: Viewer) -> None:
+    theta, z = np.array([1.9]), np.array([0.13])
+    goal = skin_points(viewer.state.surface, theta, z)[0]
+    visit.page.mouse.click(*pixel(viewer, goal))
+    visit.until(lambda: np.allclose(viewer.state.place, (1.9, 0.13), atol=0.02))
+    rests(viewer)
+
+
+def test_keys_step_by_a_millimetre_and_a_degree(visit: Visit, viewer: Viewer) -> None:
+    depth, angles = viewer.state.depth, viewer.state.angles
+    visit.page.mouse.move(5, 5)
+    visit.page.keyboard.press("o")
+    visit.until(lambda: abs(viewer.state.depth - depth - 1e-3) < 1e-6)
+    visit.page.keyboard.press("Shift+O")
+    visit.until(lambda: abs(viewer.state.angles[0] - angles[0] - 1.0) < 0.1)
+    rests(viewer)
+
+
+def test_fields_and_buttons_move_the_probe(visit: Visit, viewer: Viewer) -> None:
+    visit.tab("Probe")
+    visit.field("depth [mm]").fill("8")
+    visit.until(lambda: abs(viewer.state.depth - 0.008) < 1e-6)
+    visit.page.get_by_text("steps of 1 mm and 1°").click()
+    visit.page.get_by_text("+ 1 mm", exact=True).last.click()
+    visit.until(lambda: abs(viewer.state.depth - 0.009) < 1e-6)
+    rests(viewer)
+
+
+def test_the_section_follows_its_slider(visit: Visit, viewer: Viewer) -> None:
+    visit.tab("Section")
+    choice = visit.page.locator("input[aria-haspopup=listbox]:visible")
+    choice.click()
+    visit.page.get_by_role("option", name="axial").click()
+    visit.until(
+        lambda: [one.direction for one in viewer.page.section.shown] == ["axial"]
+    )
+    visit.field("at z [mm]").fill("70")
+    visit.until(
+        lambda: (
+            bool(viewer.page.section.shown)
+            and abs(viewer.page.section.shown[0].at - 0.07) < 1e-9
+        )
+    )
+    choice.click()
+    visit.page.get_by_role("option", name="none").click()
+    visit.until(lambda: viewer.page.section.shown == [])
+
+
+def test_a_click_on_the_plot_goes_to_that_pose(visit: Visit, viewer: Viewer) -> None:
+    visit.tab("Recording")
+    plot = visit.page.locator(".u-over:visible")
+    visit.page.wait_for_timeout(1500)  # the plot hears clicks half a second later
+    box = plot.bounding_box()
+    assert box is not None
+    last = len(recorded()) - 1
+    visit.page.mouse.click(
+        box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    )
+    visit.until(lambda: viewer.state.source == "recording")
+    assert abs(viewer.state.frame - last / 2) <= 1
+    np.testing.assert_array_equal(
+        viewer.state.pose[1], recorded().position[viewer.state.frame]
+    )
+    visit.page.get_by_text("a recorded pose").wait_for()
+
+
+def test_two_pages_see_one_state(
+    browser: sync_api.Browser, visit: Visit, viewer: Viewer
+) -> None:
+    other = Visit(browser, viewer.url, DESK)
+    other.tab("Probe")
+    other.field("depth [mm]").fill("6.5")
+    for one in (other, visit):
+        one.page.get_by_text("6.5", exact=True).first.wait_for()
+    other.page.close()
+    viewer.state.press(0.0045)  # the first page lives on
+    visit.page.get_by_text("4.5", exact=True).first.wait_for()
+
+
+def test_a_phone_is_wide_enough(browser: sync_api.Browser, viewer: Viewer) -> None:
+    phone = Visit(browser, viewer.url, PHONE)
+    width = phone.page.evaluate("document.documentElement.scrollWidth")
+    assert width <= PHONE["width"]
+    phone.page.close()
+    assert phone.faults == []
+
+
+def test_nothing_else_is_asked_for_and_no_error_is_shown(visit: Visit) -> None:
+    hosts = {
+        urlsplit(url).hostname
+        for url in visit.asked
+        if not url.startswith(("data:", "blob:"))
+    }
+    assert hosts == {"127.0.0.1"}
+    assert visit.faults == []
+
+
+def test_another_host_cannot_be_asked(visit: Visit) -> None:
+    """The browser itself refuses, by the page's policy."""
+    answer = visit.page.evaluate(
+        "fetch('http://127.0.0.2:9/').then(() => 'sent', e => String(e))"
+    )
+    assert re.search("Failed to fetch", answer)
+    visit.until(lambda: any("Content Security Policy" in f for f in visit.faults))
+    visit.faults.clear()
+
+
+def test_a_page_whose_viewer_has_ended_says_so(browser: sync_api.Browser) -> None:
+    with tt.view(field(), probe(), port=0) as one:
+        left = Visit(browser, one.url, DESK)
+    left.page.get_by_text(re.compile("onnecting")).first.wait_for()
+    left.page.close()

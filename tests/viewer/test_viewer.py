@@ -1,0 +1,202 @@
+"""A served page without a browser: what it sends, and that it ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import ttus_opt as tt
+from tests.conftest import torso
+from tests.viewer.conftest import field, probe, recorded
+from ttus_opt.core.errors import InputError
+from ttus_opt.viewer.colour_map import node_colours
+from ttus_opt.viewer.page import front_of
+from ttus_opt.viewer.viewer import Viewer, probe_of
+
+pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
+
+
+def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait for something to become true."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "did not become true in time"
+        time.sleep(0.02)
+
+
+def vertex_colours(glb: bytes) -> np.ndarray:
+    """COLOR_0 of a binary glTF of one mesh, red, green and blue."""
+    (length,) = struct.unpack_from("<I", glb, 12)
+    tree = json.loads(glb[20 : 20 + length])
+    accessor = tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+    about = tree["accessors"][accessor]
+    start = 28 + length + tree["bufferViews"][about["bufferView"]]["byteOffset"]
+    data = np.frombuffer(glb, np.uint8, 4 * about["count"], start)
+    return data.reshape(-1, 4)[:, :3]
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[Viewer]:
+    both = [field(), field(2.0)]
+    with tt.view(both, probe(), recorded(), names=["one", "two"], port=0) as open_one:
+        assert open_one.page.jobs.wait(30.0)
+        yield open_one
+
+
+def test_the_colour_of_a_node_is_that_of_its_value(viewer: Viewer) -> None:
+    skin = viewer.page.skin
+    lows, highs = zip(*(one.span for one in skin.colourings("Stiffness")), strict=True)
+    span = min(lows), max(highs)  # one scale for both fields
+    for nodes, found in zip(
+        viewer.page.stage.nodes, skin.colourings("Stiffness"), strict=True
+    ):
+        mesh = trimesh.load_mesh(io.BytesIO(nodes._mesh.glb_data), "glb", process=False)
+        sent = vertex_colours(nodes._mesh.glb_data) / 255.0
+        shown = np.where(
+            sent < 0.0031308, 12.92 * sent, 1.055 * sent ** (1 / 2.4) - 0.055
+        )
+        expected = node_colours(found, span) / 255.0
+        np.testing.assert_allclose(shown, expected, atol=0.06)  # 8 bits, linear
+        np.testing.assert_allclose(
+            mesh.vertices, viewer.page.stage.skin.vertices, atol=1e-6
+        )
+
+
+def test_the_probe_goes_where_the_hand_is(viewer: Viewer) -> None:
+    viewer.state.slide(2.0, 0.08)
+    viewer.state.press(0.009)
+    until(
+        lambda: np.allclose(
+            viewer.page.stage.nodes[0].probe.position, viewer.state.pose[1], atol=1e-9
+        )
+    )
+    until(lambda: "9.0" in viewer.page._numbers.content)
+    for touch, name in zip(viewer.state.touches, ("one", "two"), strict=True):
+        size = np.linalg.norm(touch.wrench.force)
+        until(lambda size=size: f"<b>{size:.2f}</b>" in viewer.page._numbers.content)
+        assert name in viewer.page._numbers.content
+    assert viewer.page.probe is not None
+    until(lambda: viewer.page.probe._depth.value == 9.0)
+    arrow = viewer.page.stage.nodes[1]._force.points[0]
+    force = viewer.state.touches[1].wrench.force
+    np.testing.assert_allclose(arrow[1] - arrow[0], 0.008 * force, atol=1e-6)
+
+
+def test_sections_follow_and_cut_the_skin_open(viewer: Viewer) -> None:
+    tab, nodes = viewer.page.section, viewer.page.stage.nodes[0]
+    whole = len(nodes._faces)
+    tab.choice.value = "axial"
+    for height in (60.0, 120.0):
+        tab.height.value = height
+        tab.show()
+        assert viewer.page.jobs.wait(20.0)
+        assert tab.shown[0].at == pytest.approx(1e-3 * height)
+        assert nodes._image.position[2] == pytest.approx(1e-3 * height)
+    assert len(nodes._faces) < 0.8 * whole
+    tab.choice.value = "none"
+    tab.show()
+    assert viewer.page.jobs.wait(20.0)
+    assert len(nodes._faces) == whole
+    assert not nodes._image.visible
+
+
+def test_a_recording_plays_to_its_end(viewer: Viewer) -> None:
+    tab = viewer.page.recording
+    assert tab is not None
+    tab._go(0)
+    tab.playing.value = True
+    until(lambda: not tab.playing.value)
+    assert viewer.state.frame == len(recorded()) - 1
+    until(lambda: "a recorded pose" in viewer.page._numbers.content)
+    viewer.state.press(0.004)
+    until(lambda: "moved by hand" in viewer.page._numbers.content)
+
+
+def test_what_a_colouring_needs_is_said(viewer: Viewer) -> None:
+    viewer.page.skin.show("Next press")
+    until(lambda: "tt.uncertainty" in viewer.page.skin._legend.content)
+    viewer.page.skin.show("Uncertainty")
+    until(lambda: "of its force [%]" in viewer.page.skin._legend.content)
+    viewer.page.skin.show("Seen")
+    until(lambda: "filled in" in viewer.page.skin._legend.content)
+
+
+def test_a_fault_is_told_and_the_page_goes_on(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(viewer.page, "tell", told.append)
+
+    def broken() -> None:
+        raise RuntimeError("no numbers")
+
+    monkeypatch.setattr(viewer.page, "write", broken)
+    viewer.state.press(0.006)
+    until(lambda: told == ["RuntimeError: no numbers"])
+    monkeypatch.undo()
+    viewer.state.press(0.007)
+    until(lambda: "7.0" in viewer.page._numbers.content)
+
+
+def test_a_new_field_is_shown(viewer: Viewer) -> None:
+    with tt.view(field(), probe(), port=0) as one:
+        before = np.linalg.norm(one.state.touches[0].wrench.force)
+        one.update(field(3.0))
+        until(
+            lambda: np.isclose(
+                np.linalg.norm(one.state.touches[0].wrench.force), 3.0 * before
+            )
+        )
+
+
+def test_it_closes_twice_and_frees_its_port() -> None:
+    one = tt.view(field(), probe(), port=0)
+    port = one._server.get_port()
+    one.close()
+    one.close()
+    again = tt.view(field(), probe(), port=port)
+    assert again._server.get_port() == port
+    assert again.url != one.url
+    again.close()
+
+
+def test_a_notebook_shows_the_page() -> None:
+    named = replace(field(), provenance={"probe": "ellipsoid:0.02,0.015,0.015"})
+    with named.view(port=0) as one:
+        assert one.state.shell is not None  # of the provenance
+        assert f'<iframe src="{one.url}"' in one._repr_html_()
+        assert one.url in repr(one)
+
+
+def test_a_probe_is_taken_from_the_provenance_where_it_says_all() -> None:
+    for spec, points in (("sphere:0.02", 1500), ("probe.stl", None), ("", None)):
+        found = probe_of(replace(field(), provenance={"probe": spec}))
+        assert (found and len(found)) == points
+
+
+def test_without_a_probe_one_looks_only() -> None:
+    with tt.view(field(), port=0) as one:
+        assert one.page.probe is None
+        assert one.page.jobs.wait(20.0)
+        assert "no probe" in one.page._numbers.content
+        assert one.page.skin.choice.options == ("Seen", "Uncertainty")
+
+
+def test_names_are_as_many_as_fields() -> None:
+    with pytest.raises(InputError, match="as many names"):
+        tt.view([field(), field(2.0)], probe(), names=["one"], port=0)
+
+
+def test_the_front_is_what_was_seen() -> None:
+    assert front_of(torso()).tolist() == [0.0, 1.0, 0.0]
+    right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
+    one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
+    np.testing.assert_allclose(front_of(one_side), [1.0, 0.0, 0.0], atol=1e-6)
