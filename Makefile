@@ -28,13 +28,14 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 .DEFAULT_GOAL := help
 NOTEBOOKS = $(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
 
-.PHONY: help demo test slow long notebooks lab oldest newest mutants check picture docs \
+.PHONY: help demo test slow browser long notebooks lab oldest newest mutants check picture docs \
 	docs-check clean
 
 help:
 	@echo "make demo        run the whole method on the bundled example, into demo/"
 	@echo "make test        run the fast tests"
 	@echo "make slow        run the tests over ten seconds, and the notebooks"
+	@echo "make browser     run the tests of the viewer's page, where Chromium is"
 	@echo "make long        run the longest tests: many mutations, every solver"
 	@echo "make check       check format, lint, types and layers"
 	@echo "make notebooks   run the notebooks and store their outputs, made small"
@@ -55,7 +56,11 @@ test: $(STAMP)
 
 slow: $(STAMP)
 	$(NOTEBOOKS)
-	$(PYTEST) -m "slow and not long" $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
+	$(PYTEST) -m "slow and not long and not browser" $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
+
+# One process: several browsers that draw by software would wait for each other.
+browser: $(DOCS_STAMP)
+	$(PYTEST) -m browser $(TESTFLAGS)
 
 long: $(STAMP)
 	$(PYTEST) -m long $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)

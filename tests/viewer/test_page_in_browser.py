@@ -36,6 +36,9 @@ PATIENCE = 120.0
 
 PHONE, DESK = {"width": 390, "height": 700}, {"width": 900, "height": 560}
 
+#: viser's own, at every drag in Chromium; it has no effect
+KNOWN = "Unable to preventDefault inside passive event listener invocation."
+
 ARGUMENTS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -74,7 +77,10 @@ class Visit:
         self.faults: list[str] = []
         self.asked: list[str] = []
         self.page.on(
-            "console", lambda m: m.type == "error" and self.faults.append(m.text)
+            "console",
+            lambda m: (
+                m.type == "error" and m.text != KNOWN and self.faults.append(m.text)
+            ),
         )
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
@@ -144,20 +150,22 @@ def rests(viewer: Viewer) -> None:
 
 def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
     before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
-    theta, z = np.array([before[0] + 0.25]), np.array([before[1] - 0.02])
+    theta, z = np.array([before[0] + 0.3]), np.array([before[1] - 0.02])
     goal = skin_points(viewer.state.surface, theta, z)[0]
     start = centre(viewer)
-    mouse = visit.page.mouse
-    mouse.move(*pixel(viewer, start))
-    visit.page.wait_for_timeout(1500)  # the probe shows that it can be grabbed
-    mouse.down()
     own = skin_points(viewer.state.surface, *np.array(before)[:, None])[0]
-    for share in np.linspace(0.1, 1.0, 8):
-        mouse.move(*pixel(viewer, start + share * (goal - own)))
-        visit.page.wait_for_timeout(150)
-    mouse.up()
-    visit.until(lambda: np.hypot(*np.subtract(viewer.state.place, before)) > 0.05)
-    visit.page.wait_for_timeout(1000)
+    mouse = visit.page.mouse
+    for _ in range(5):  # a page that still draws its first frames takes no drag
+        mouse.move(*pixel(viewer, start))
+        visit.page.wait_for_timeout(1500)
+        mouse.down()
+        for share in np.linspace(0.0, 1.0, 8):
+            mouse.move(*pixel(viewer, start + share * (goal - own)))
+            visit.page.wait_for_timeout(300)
+        mouse.up()
+        visit.page.wait_for_timeout(1500)
+        if np.hypot(*np.subtract(viewer.state.place, before)) > 0.05:
+            break
     moved = np.subtract(viewer.state.place, before)
     assert moved[0] > 0.05
     assert moved[1] < -0.005
