@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark import pictures
-from ttus_opt.benchmark.pictures import INKS, MARKERS, save_pictures, solver_styles
+from ttus_opt.benchmark.pictures import INKS, MARKERS, solver_styles
 from ttus_opt.benchmark.summary import MIB, NOT_RUN
 
 
@@ -55,12 +55,14 @@ def test_curves_are_the_rows_and_failures_are_unfilled() -> None:
 def test_a_picture_is_saved_for_each_formulation(tmp_path: Path) -> None:
     other = [each | {"formulation": "robust", "kkt": None} for each in rows()[:2]]
     never = failed("three", NOT_RUN[0]) | {"voxels": 1000, "formulation": "gone"}
-    captions = save_pictures([*rows(), *other, never], tmp_path)
+    drawn = pictures.pictures([*rows(), *other, never])
     expected = ["time", "memory", "residual"]
-    assert list(captions) == [
+    assert [picture.path for picture in drawn] == [
         *(f"{name}-eq10.png" for name in expected),
         *(f"{name}-robust.png" for name in expected[:2]),
     ]
-    for file, caption in captions.items():
-        assert caption.startswith(file.split("-")[1].removesuffix(".png"))
+    for picture in drawn:
+        file = picture.path
+        assert picture.caption.startswith(file.split("-")[1].removesuffix(".png"))
+        picture.save(tmp_path)
         assert matplotlib.image.imread(tmp_path / file).std() > 0.0

@@ -1,5 +1,7 @@
 import base64
 
+import matplotlib.image
+
 from ttus_opt.report.document import (
     Heading,
     Items,
@@ -8,6 +10,7 @@ from ttus_opt.report.document import (
     Text,
     write_report,
 )
+from ttus_opt.report.plots.canvas import new_figure
 
 
 def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
@@ -37,3 +40,15 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
 
 def test_markdown_of_a_list():
     assert str(Items(["a", "b"])) == "- a\n- b"
+
+
+def test_a_figure_is_written_beside_the_report(tmp_path):
+    figure = new_figure(2.0, 1.0)
+    figure.subplots().plot([0.0, 1.0], [0.0, 1.0])
+    picture = Picture("figures/line.png", "a line", figure)
+    write_report(tmp_path / "new", [Heading("Lines", 1), picture])
+    shown = matplotlib.image.imread(tmp_path / "new" / "figures" / "line.png")
+    assert shown.std() > 0.0
+    page = (tmp_path / "new" / "report.html").read_text(encoding="utf-8")
+    data = (tmp_path / "new" / "figures" / "line.png").read_bytes()
+    assert base64.b64encode(data).decode() in page

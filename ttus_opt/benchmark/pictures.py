@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import cycle, filterfalse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import MIB, solved, was_run, worst_relative
-from ttus_opt.report.plots.canvas import look, new_figure, save_picture
+from ttus_opt.report.document import Picture
+from ttus_opt.report.plots.canvas import look, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,18 +32,17 @@ Figured = Callable[[Row], float]
 Inks = Mapping[str, Mapping[str, Any]]
 
 
-def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
-    """Draw and save up to three pictures per formulation; captions by file name."""
+def pictures(rows: Sequence[Row]) -> list[Picture]:
+    """Up to three pictures per formulation."""
     rows = sorted(filter(was_run, rows), key=lambda row: (row["voxels"], row["solver"]))
     inks = solver_styles(row["solver"] for row in rows)
-    captions = {}
-    for formulation in dict.fromkeys(row["formulation"] for row in rows):
-        own = [row for row in rows if row["formulation"] == formulation]
-        for name, caption, figure in _pictures(own, inks):
-            file = f"{name}-{formulation}.png"
-            captions[file] = f"{formulation}: {caption}"
-            save_picture(figure, folder / file)
-    return captions
+    return [
+        Picture(f"{name}-{formulation}.png", f"{formulation}: {caption}", figure)
+        for formulation in dict.fromkeys(row["formulation"] for row in rows)
+        for name, caption, figure in _pictures(
+            [row for row in rows if row["formulation"] == formulation], inks
+        )
+    ]
 
 
 def _pictures(rows: Sequence[Row], inks: Inks) -> Iterator[tuple[str, str, Figure]]:

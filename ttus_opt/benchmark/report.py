@@ -41,7 +41,7 @@ def write_report(
     blocks: list[Block] = [Heading("Benchmark", 1), Text(f"`{command}`")]
     for name, rows in found.items():
         if rows:
-            blocks += parts()[name].report(rows, settings, folder)
+            blocks += parts()[name].report(rows, settings)
             write_csv(folder / f"{name}.csv", rows)
     facts = [f"{name}: {it}" for name, it in machine.items()]
     return document.write_report(folder, [*blocks, Heading("Machine"), Items(facts)])

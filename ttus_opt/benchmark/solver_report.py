@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from ttus_opt.benchmark.active_limits import NONZERO
 from ttus_opt.benchmark.performance_profile import LEGEND as PROFILE
@@ -90,9 +89,9 @@ def terminal(rows: Sequence[Row], settings: Settings) -> str:
     return "\n\n".join(parts)
 
 
-def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[Block]:
-    """All finished rows as parts of the report; writes pictures into ``folder``."""
-    from ttus_opt.benchmark.pictures import save_pictures
+def sections(rows: Sequence[Row], settings: Settings) -> list[Block]:
+    """All finished rows as parts of the report."""
+    from ttus_opt.benchmark.pictures import pictures
 
     blocks: list[Block] = []
     if reference := settings.reference:
@@ -104,7 +103,7 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[Bloc
     if len(groups) > 1:
         blocks += [Heading("Every problem"), problem_table(rows)]
         blocks += [Text(TIMES), time_table(rows)]
-    blocks += _profile_section(rows, folder)
+    blocks += _profile_section(rows)
     for (case, formulation), own in groups:
         size = f"{own[0]['voxels']:,} voxels, {own[0]['poses'] or 'all'} poses"
         taken = [r["seconds_assembly"] for r in own if r["seconds_assembly"]]
@@ -116,8 +115,7 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[Bloc
     blocks += [Heading("Time, memory and residual")]
     if laws := growth_table(rows):
         blocks += [Text(GROWTH), laws]
-    pictures = save_pictures(rows, folder).items()
-    return [*blocks, *(Picture(name, caption) for name, caption in pictures)]
+    return [*blocks, *pictures(rows)]
 
 
 def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
@@ -127,16 +125,13 @@ def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
     return (found if n_problems >= FEWEST else {}), n_problems
 
 
-def _profile_section(rows: Sequence[Row], folder: Path) -> list[Block]:
+def _profile_section(rows: Sequence[Row]) -> list[Block]:
     """Performance profile as table and picture; nothing with too few problems."""
     found, n_problems = _profile(rows)
     if not found:
         return []
-    from ttus_opt.report.plots.canvas import save_picture
-
-    save_picture(profile_picture(found), folder / "profile.png")
     head = [Heading("Performance profile"), Text(PROFILE.format(n=n_problems))]
-    picture = Picture("profile.png", "performance profile")
+    picture = Picture("profile.png", "performance profile", profile_picture(found))
     return [*head, profile_table(found), picture]
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from ttus_opt.core import io
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
@@ -17,26 +16,22 @@ from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
-#: Colours of a picture's palette: visually lossless, and small enough to embed
-COLOURS = 96
 
-
-def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
-    """Draw and write all pictures, in the order of the report.
+def draw(result: ExperimentResult, best: str) -> list[Picture]:
+    """All pictures, in the order of the report.
 
     Args:
-        folder: Folder of the report.
         result: Result of the experiment.
         best: The setting shown as "with measured forces".
     """
     pictures = []
     for each in result.patients:
-        pictures += _of_patient(folder, each, best)
+        pictures += _of_patient(each, best)
     caption = (
         "Error on new trajectories over a decade of boundary values, without "
         "(dashed) and with measured forces"
     )
-    pictures.append(_saved(boundary_picture(result), folder, "boundary", caption))
+    pictures.append(_picture("boundary", boundary_picture(result), caption))
     curves, whose = _curves(result)
     if curves:
         caption = (
@@ -46,7 +41,7 @@ def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
             "is asked of the 95 % interval"
         )
         figure = plots.calibration_picture(curves)
-        pictures.append(_saved(figure, folder, "calibration", caption))
+        pictures.append(_picture("calibration", figure, caption))
     return pictures
 
 
@@ -83,7 +78,7 @@ def boundary_picture(result: ExperimentResult) -> Figure:
     return figure
 
 
-def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
+def _of_patient(each: PatientResult, best: str) -> list[Picture]:
     name = each.patient.name
     names = (PAPER_WITHOUT.name, best, LAPLACE.name, "eq10")
     fields = [each.fits[setting].field for setting in names]
@@ -91,7 +86,7 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
     if len(there) < len(fields):
         return []  # the tables say which fit failed
     without, fitted, prior, eq10 = there
-    judge = PatientFits(each.examination, folder, (0, 0, 0), "")
+    judge = PatientFits(each.examination, Path(), (0, 0, 0), "")
     pictures = []
     for recording in UNSEEN:
         pair = {
@@ -105,23 +100,14 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
             "rendered without (Laplace alone, p_in = 1) and with measured forces "
             f"({title(best)})"
         )
-        pictures.append(_saved(figure, folder, f"{name}-{kind}", caption))
+        pictures.append(_picture(f"{name}-{kind}", figure, caption))
     caption = (
         f"{name}: potential in a slice, Laplace alone with its boundary value fitted, "
         "with measured wrenches (eq. 10), and the difference"
     )
     figure = plots.potential_slices(prior, eq10)
-    return [*pictures, _saved(figure, folder, f"{name}-slice", caption)]
+    return [*pictures, _picture(f"{name}-slice", figure, caption)]
 
 
-def _saved(figure: Figure, folder: Path, name: str, caption: str) -> Picture:
-    """Write a figure with a palette, a third of the size."""
-    from PIL import Image  # comes with Matplotlib
-
-    path = folder / FIGURES / f"{name}.png"
-    plots.save_picture(figure, path)
-    with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(COLOURS)
-    with io.replacing(path) as temporary:
-        small.save(temporary, format="PNG", optimize=True)
-    return Picture(f"{FIGURES}/{name}.png", caption)
+def _picture(name: str, figure: Figure, caption: str) -> Picture:
+    return Picture(f"{FIGURES}/{name}.png", caption, figure)

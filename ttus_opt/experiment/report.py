@@ -39,7 +39,7 @@ def write_reports(folder: Path, result: ExperimentResult) -> None:
         FileError: The folder cannot be written to.
     """
     best = best_setting(result)
-    blocks = [*summary(result), Heading("Figures"), *draw(folder, result, best)]
+    blocks = [*summary(result), Heading("Figures"), *draw(result, best)]
     write_report(folder, blocks)
 
 

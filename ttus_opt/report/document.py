@@ -5,11 +5,18 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ttus_opt.core import html_card, io
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Colours of a picture's palette: visually lossless, and small enough to embed
+COLOURS = 96
 
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:64em;margin:2em auto;"
@@ -108,10 +115,17 @@ class Table(Block):
 
 @dataclass(frozen=True)
 class Picture(Block):
-    """A PNG file, by its path relative to the report."""
+    """A picture with a caption.
+
+    Attributes:
+        path: Its PNG file, relative to the report.
+        caption: What it shows.
+        figure: Written to the file by `write_report`; None where it is there.
+    """
 
     path: str
     caption: str
+    figure: Figure | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         return f"![{self.caption}]({self.path})\n\n*{self.caption}*"
@@ -125,6 +139,25 @@ class Picture(Block):
             f"<figcaption>{_inline(self.caption)}</figcaption></figure>"
         )
 
+    def save(self, folder: Path) -> None:
+        """Write the figure with a palette, a third of the size.
+
+        Raises:
+            FileError: The folder cannot be written to.
+        """
+        if self.figure is None:
+            return
+        from PIL import Image  # comes with Matplotlib
+
+        from ttus_opt.report.plots.canvas import save_picture
+
+        path = folder / self.path
+        save_picture(self.figure, path)
+        with Image.open(path) as picture:
+            small = picture.convert("RGB").quantize(COLOURS)
+        with io.replacing(path) as temporary:
+            small.save(temporary, format="PNG", optimize=True)
+
 
 def text(blocks: Iterable[Block]) -> str:
     """The blocks as Markdown."""
@@ -132,10 +165,10 @@ def text(blocks: Iterable[Block]) -> str:
 
 
 def write_report(folder: Path, blocks: Sequence[Block]) -> Path:
-    """Write ``report.md`` and the page ``report.html``, which needs no other file.
+    """Write pictures, ``report.md`` and ``report.html``, which needs no other file.
 
     Args:
-        folder: Where they are written, and where pictures are.
+        folder: Where they are written, and where other pictures are.
         blocks: The report; its first block is its title.
 
     Returns:
@@ -144,6 +177,9 @@ def write_report(folder: Path, blocks: Sequence[Block]) -> Path:
     Raises:
         FileError: The folder cannot be written to.
     """
+    for block in blocks:
+        if isinstance(block, Picture):
+            block.save(folder)
     title = str(blocks[0]).lstrip("# ")
     body = "\n".join(block.html(folder) for block in blocks)
     page = (

@@ -72,7 +72,7 @@ class DemoResult:
         before: Solution of the Laplace prior alone.
         after: Solution with forces and torques.
         surface_error: Error of the surface extracted from the scan.
-        seconds: Duration of the whole run [s].
+        seconds: Duration of the run, until the report is written [s].
     """
 
     comparisons: tuple[Comparison, ...]
@@ -153,11 +153,10 @@ def run(
     )
     begin("pictures and report")
     after.field.save(out / "field.nc")
-    _draw(out, cloud, before.field, after.field, comparisons)
+    pictures = _pictures(cloud, *fields, comparisons)
     error = surface_error(surface, truth)
     result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
     facts = [f"{name}: {what}" for name, what in _facts(scene, result).items()]
-    pictures = [Picture(name, caption) for name, caption in PICTURES.items()]
     head = [Heading("Report", 1), Items(facts), *error_section(comparisons)]
     write_report(out, [*head, Heading("Pictures"), *pictures])
     return result
@@ -187,13 +186,12 @@ def _draw_surface(out: Path, surface: Surface, cloud: Array) -> None:
     plots.save_picture(figure, out / "surface.png")
 
 
-def _draw(
-    out: Path,
+def _pictures(
     cloud: Array,
     before: PotentialField,
     after: PotentialField,
     comparisons: tuple[Comparison, ...],
-) -> None:
+) -> list[Picture]:
     from ttus_opt.report import plots
 
     unseen = {case.recording: case for case in comparisons if not case.seen}
@@ -213,8 +211,7 @@ def _draw(
         figures[f"force_{name}.png"] = plots.force_over_time(
             evaluations, PICTURES[f"force_{name}.png"]
         )
-    for name, figure in figures.items():
-        plots.save_picture(figure, out / name)
+    return [Picture(name, told, figures.get(name)) for name, told in PICTURES.items()]
 
 
 def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,22 +21,13 @@ if TYPE_CHECKING:
 HALF_SPAN = 6.0
 
 
-def draw(
-    result: SessionResult, shell: PointShell, path: Callable[[str], Path]
-) -> list[Picture]:
-    """Draw and write all pictures, in the order of the report.
-
-    Args:
-        result: Result of the session.
-        shell: The probe.
-        path: Function that maps the name of a file to its path.
-    """
+def draw(result: SessionResult, shell: PointShell) -> list[Picture]:
+    """All pictures, in the order of the report."""
     surface, model = result.skin.surface, result.model
     pictures = []
 
     def add(name: str, figure: Figure, caption: str) -> None:
-        plots.save_picture(figure, path(f"figures/{name}.png"))
-        pictures.append(Picture(f"figures/{name}.png", caption))
+        pictures.append(Picture(f"figures/{name}.png", caption, figure))
 
     figure = plots.surface_picture(surface, result.skin.cloud)
     add("surface", figure, "Surface from the scan, seen and filled")

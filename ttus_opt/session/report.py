@@ -30,9 +30,10 @@ def write_reports(
     Raises:
         FileError: A file cannot be written.
     """
-    pictures = draw(result, shell, path)
+    pictures = draw(result, shell)
+    for name in ("report.html", *(picture.path for picture in pictures)):
+        path(name)
     blocks = [*summary(result), Heading("Pictures"), *pictures]
-    path("report.html")
     write_report(path("report.md").parent, blocks)
 
 

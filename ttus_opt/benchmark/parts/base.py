@@ -118,10 +118,8 @@ class Part(abc.ABC):
         below = [str(block) for block in self.below(rows)]
         return "\n\n".join([f"{self.title}:\n{self.table(rows)}", *below])
 
-    def report(
-        self, rows: Sequence[Row], settings: Settings, folder: Path
-    ) -> list[Block]:
-        """Its sections of the report; writes pictures into ``folder``."""
+    def report(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
+        """Its sections of the report."""
         head = [Heading(self.title), Text(self.legend), self.table(rows)]
         return [*head, *self.below(rows)]
 

@@ -162,11 +162,9 @@ class SolversPart(Part):
         """All tables."""
         return terminal(rows, settings)
 
-    def report(
-        self, rows: Sequence[Row], settings: Settings, folder: Path
-    ) -> list[Block]:
+    def report(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
         """Its sections, the closed form first."""
-        return sections(rows, settings, folder)
+        return sections(rows, settings)
 
 
 def check(settings: Settings) -> None:
