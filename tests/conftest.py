@@ -17,12 +17,18 @@ from ttus_opt.voxmap.voxmap import Voxmap
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
+def shared_data(name: str = "") -> Path:
+    """A file or folder of the real and independent data, or a skip."""
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip(f"real data not here: {path}")
+    return path
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Folder of the real and independent data, or a skip."""
-    if not SHARED.is_dir():
-        pytest.skip(f"real data not here: {SHARED}")
-    return SHARED
+    return shared_data()
 
 
 def some(values: Iterable[object], quick: int) -> list[object]:

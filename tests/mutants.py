@@ -290,7 +290,7 @@ TARGETS = (
     *(
         Target(
             f"comparators/{stem}.py",
-            (f"comparators/test_{stem}.py", "comparators/test_patch_law.py"),
+            ("comparators/test_patch_model.py", "comparators/test_patch_law.py"),
         )
         for stem in ("hunt_crossley_two_stage", "kelvin_voigt", "patch_model")
     ),

@@ -1,10 +1,12 @@
 """Contacts at the front of the small torso, and laws to fit to them."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import Patch
 from ttus_opt.comparators.patch_law import PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
@@ -34,7 +36,8 @@ def samples(found: list[Contact], forces: Array) -> list[Sample]:
     return [Sample(c, float(f), STILL) for c, f in zip(found, forces, strict=True)]
 
 
-def made(kind: type[PatchLaw], **options: float) -> PatchLaw:
+def made(kind: type[Comparator], **options: Any) -> Any:
+    """A comparator on the small torso."""
     return kind(surface=torso(), shell=ellipsoid(), **options)
 
 

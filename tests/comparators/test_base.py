@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing, recordings
 from tests.conftest import ellipsoid, torso
 from tests.refusals import refuses
@@ -42,9 +43,8 @@ def test_a_scale_that_would_pull_or_says_nothing_is_refused():
 
 
 def test_one_stiffness_is_the_mean_force_along_the_shape():
-    made = Straight(surface=torso(), shell=ellipsoid())
+    made = on_torso(Straight)
     press, _ = recordings()
-    assert press.force is not None
     assert repr(made) == "<straight: not fitted>"
     assert repr(made.fit(press)) == "<straight: fitted>"
     out = press.position * [1.0, 1.0, 0.0]
@@ -58,7 +58,7 @@ def test_one_stiffness_is_the_mean_force_along_the_shape():
 
 
 def test_forces_too_small_to_be_contact_are_told():
-    made = Straight(surface=torso(), shell=ellipsoid())
+    made = on_torso(Straight)
     press, _ = recordings()
     largest = float(np.linalg.norm(press.force, axis=1).max())
     for share, enough in ((0.99, False), (1.01, True)):
@@ -79,11 +79,11 @@ def test_forces_too_small_to_be_contact_are_told():
 )
 def test_a_cloud_that_is_none_is_told(cloud, words):
     with pytest.raises(InputError, match=words):
-        Straight(surface=torso(), shell=ellipsoid(), cloud=cloud)
+        on_torso(Straight, cloud=cloud)
 
 
 def test_without_a_cloud_the_surface_s_own_points_are_it():
-    made = Straight(surface=torso(), shell=ellipsoid())
+    made = on_torso(Straight)
     np.testing.assert_array_equal(made.cloud, torso().points().reshape(-1, 3))
 
 

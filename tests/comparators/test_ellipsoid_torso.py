@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.comparators.contacts import made as on_torso
 from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.ellipsoid_torso import EllipsoidTorso, fitted_ellipsoid
 
@@ -31,7 +32,7 @@ def test_of_an_open_torso_the_ellipsoid_is_longer_than_the_cloud():
 
 
 def test_depth_below_a_sphere_is_the_difference_of_radii():
-    made = EllipsoidTorso(surface=torso(), shell=ellipsoid())
+    made = on_torso(EllipsoidTorso)
     made.centre, made.semi_axes, made.axes = np.zeros(3), np.full(3, 0.1), np.eye(3)
     points = np.array([[0.09, 0.0, 0.0], [0.03, 0.04, 0.0], [0.0, 0.11, 0.02]])
     np.testing.assert_allclose(made.depth(points), 0.1 - np.linalg.norm(points, axis=1))

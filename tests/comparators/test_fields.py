@@ -3,6 +3,7 @@
 import numpy as np
 
 import ttus_opt as tt
+from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import COARSE, recordings
 from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.fields import Eq10, LaplaceOnly
@@ -11,7 +12,7 @@ from ttus_opt.contact.scene import ScenePlan
 
 def test_it_is_the_fit_and_the_renderer():
     press, slide = recordings()
-    made = Eq10(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)
+    made = on_torso(Eq10, **COARSE).fit(press)
     assert made.parameters()["boundary_scale"] > 0.0
     plan = ScenePlan(shape=COARSE["shape"], r_inner=0.03, inner="fit")
     scene = plan.build(torso(), ellipsoid(), press)
@@ -27,7 +28,7 @@ def test_it_is_the_fit_and_the_renderer():
 def test_laplace_alone_is_as_large_as_fits_the_forces_best():
     """Wrenches are linear in the boundary value: no other is nearer."""
     press, _ = recordings()
-    made = LaplaceOnly(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)
+    made = on_torso(LaplaceOnly, **COARSE).fit(press)
     found = made.wrenches(press)[:, :3]
     touching = np.abs(found).any(axis=1)
     f, g = press.force[touching], found[touching]
@@ -36,4 +37,4 @@ def test_laplace_alone_is_as_large_as_fits_the_forces_best():
 
 
 def test_before_a_fit_nothing_is_known():
-    assert LaplaceOnly(surface=torso(), shell=ellipsoid()).parameters() == {}
+    assert on_torso(LaplaceOnly).parameters() == {}

@@ -1,19 +1,24 @@
-"""What every law with parameters per patch does."""
+"""What every law with parameters per patch does, and what each finds of its data."""
 
 import math
 
 import numpy as np
 import pytest
 
-from tests.comparators.contacts import NO_PATCH, STILL, contacts, made, samples
+from tests.comparators.contacts import (
+    NO_PATCH,
+    STILL,
+    after_one_sample,
+    contacts,
+    made,
+    samples,
+)
 from tests.comparators.recordings import facing, fitted
 from tests.conftest import torso
 from tests.refusals import refuses
-from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.hunt_crossley_log import HuntCrossleyLog
 from ttus_opt.comparators.hunt_crossley_two_stage import HuntCrossleyTwoStage
 from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
-from ttus_opt.comparators.patch_law import PatchLaw
 from ttus_opt.comparators.patch_model import Contact
 from ttus_opt.core.errors import InputError
 
@@ -51,8 +56,7 @@ def test_a_probe_that_leaves_fast_is_not_pulled(kind):
 
 @pytest.mark.parametrize("name", ["kelvin_voigt", "hunt_crossley_log"])
 def test_a_faster_approach_pushes_no_less(name):
-    law: Comparator = fitted(name)
-    assert isinstance(law, PatchLaw)
+    law = fitted(name)
     place = np.array([0.03, 0.09, 0.1])
     forces = [
         law._normal_force(Contact(0.6, rate, place, STILL, NO_PATCH))
@@ -63,3 +67,59 @@ def test_a_faster_approach_pushes_no_less(name):
 
 def test_forgetting_that_makes_no_sense_is_told():
     refuses(InputError, "forgetting must be in", made, KelvinVoigt, forgetting=0.0)
+
+
+def test_kelvin_voigt_finds_spring_and_damper():
+    rng = np.random.default_rng(2)
+    found = contacts(200, rng)
+    forces = np.array([7.0 * c.depth + 0.3 * c.rate for c in found])
+    law = made(KelvinVoigt, forgetting=1.0)
+    law._fit_law(samples(found, forces))
+    np.testing.assert_allclose(
+        law.per_patch, [[7.0, 0.3]] * len(law.per_patch), rtol=0.01
+    )
+
+
+def test_the_first_sample_of_kelvin_voigt_is_weighed_against_what_is_known_of_tissue():
+    """5 ± 50 N at 10 mm and no damping, 0 ± 5 N s, beside 9 ± 1 N of one sample."""
+    found = after_one_sample(KelvinVoigt, 0.8, 0.5, 9.0)
+    rows = np.vstack([np.diag([1 / 50, 1 / 5]), [0.8, 0.5]])
+    expected, *_ = np.linalg.lstsq(rows, np.array([5.0 / 50, 0.0, 9.0]))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_the_logarithm_finds_the_same_where_damping_is_small():
+    rng = np.random.default_rng(4)
+    found = contacts(800, rng, rate=0.2)
+    forces = np.array([6.0 * c.depth**1.7 * (1.0 + 0.1 * c.rate) for c in found])
+    law = made(HuntCrossleyLog)
+    law._fit_law(samples(found, forces))
+    expected = [math.log(6.0), 1.7, 0.1]
+    np.testing.assert_allclose(law.per_patch.mean(axis=0), expected, rtol=0.02)
+    fast = Contact(0.8, 3.0, found[0].place, STILL, NO_PATCH)
+    assert law._normal_force(fast) == pytest.approx(6.0 * 0.8**1.7 * 1.3, rel=0.03)
+
+
+def test_a_fast_retreat_by_the_logarithm_does_not_pull():
+    law = HuntCrossleyLog._law
+    back = Contact(0.8, -30.0, np.zeros(3), STILL, NO_PATCH)
+    assert law(made(HuntCrossleyLog), np.array([math.log(6.0), 1.7, 0.1]), back) == 0.0
+
+
+def test_two_stages_find_stiffness_damping_and_exponent():
+    rng = np.random.default_rng(3)
+    found = contacts(800, rng, rate=0.5)
+    forces = np.array([c.depth**1.3 * (6.0 + 0.8 * c.rate) for c in found])
+    law = made(HuntCrossleyTwoStage)
+    law._fit_law(samples(found, forces))
+    np.testing.assert_allclose(law.per_patch.mean(axis=0), [6.0, 0.8, 1.3], rtol=0.03)
+
+
+def test_the_first_sample_of_two_stages_is_weighed_against_what_is_known_of_tissue():
+    """5 ± 50 N, damping 0 ± 5 N s and, with these, Hertz's exponent 1.5 ± 5."""
+    h, v, f = 0.8, 0.5, 9.0
+    found = after_one_sample(HuntCrossleyTwoStage, h, v, f)
+    rows = np.vstack([np.diag([1 / 50, 1 / 5]), h**1.5 * np.array([1.0, v])])
+    (K, B), *_ = np.linalg.lstsq(rows, np.array([5.0 / 50, 0.0, f]))
+    x, y = np.array([1 / 5, np.log(h)]), np.array([1.5 / 5, np.log(f / (K + B * v))])
+    np.testing.assert_allclose(found, [K, B, x @ y / (x @ x)], rtol=1e-12)

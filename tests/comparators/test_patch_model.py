@@ -54,7 +54,6 @@ def test_the_rate_is_how_fast_the_depth_grows():
 def test_samples_are_the_frames_that_touch_and_push():
     model = made(KelvinVoigt)
     press, _ = recordings()
-    assert press.force is not None
     expected = []
     for R, at, force in zip(press.rotation, press.position, press.force, strict=True):
         touch = model.geometry.touch(R, at)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.comparators.contacts import NO_PATCH, STILL
+from tests.comparators.contacts import NO_PATCH, STILL, made
 from tests.comparators.recordings import facing, fitted, recordings
-from tests.conftest import ellipsoid, torso
+from tests.conftest import torso
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
@@ -14,7 +14,6 @@ from ttus_opt.core.errors import InputError
 
 def test_friction_and_stiffness_of_the_recordings_are_sent():
     law = fitted("perceptual_updates")
-    assert isinstance(law, PerceptualUpdates)
     sent = law.parameters()
     assert 0.0 < sent["share"] < 0.6
     slide = recordings()[1]
@@ -28,7 +27,7 @@ def test_friction_and_stiffness_of_the_recordings_are_sent():
 def test_a_finer_difference_sends_more():
     counts = []
     for jnd in (0.0, 0.1, 0.5):
-        law = PerceptualUpdates(surface=torso(), shell=ellipsoid(), stiffness_jnd=jnd)
+        law = made(PerceptualUpdates, stiffness_jnd=jnd)
         law.fit(recordings())
         counts.append(len(law.updates))
     assert counts[0] > counts[1] > counts[2] >= 1
@@ -36,7 +35,7 @@ def test_a_finer_difference_sends_more():
 
 
 def test_an_update_is_sent_exactly_when_the_difference_is_noticeable():
-    law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
+    law = made(PerceptualUpdates)
     place, still = np.array([0.1, 0.0, 0.1]), RecursiveLeastSquares.start
     for stiffness, friction, sent in ((5.0, 0.0, 1), (5.49, 0.04, 1), (5.51, 0.0, 2)):
         law._send(
@@ -48,7 +47,7 @@ def test_an_update_is_sent_exactly_when_the_difference_is_noticeable():
 
 
 def test_between_two_places_the_nearer_one_counts():
-    law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
+    law = made(PerceptualUpdates)
     start = RecursiveLeastSquares.start
     places = np.array([[0.1, 0.0, 0.1], [0.1, 0.0, 0.12]])
     for place, stiffness in zip(places, (4.0, 8.0), strict=True):
@@ -65,7 +64,7 @@ def test_between_two_places_the_nearer_one_counts():
 
 
 def test_of_a_single_frame_all_is_sent():
-    law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
+    law = made(PerceptualUpdates)
     assert law.parameters() == {"updates sent": 0.0, "share": 0.0}
     contact = Contact(1.0, 0.0, np.array([0.1, 0.0, 0.1]), STILL, NO_PATCH)
     law._fit_law([Sample(contact, 5.0, STILL)])
@@ -74,7 +73,6 @@ def test_of_a_single_frame_all_is_sent():
 
 def test_rendered_drag_is_against_the_motion_and_in_proportion():
     law = fitted("perceptual_updates")
-    assert isinstance(law, PerceptualUpdates)
     R, at = facing(torso(), 1.3, 0.1, 0.005)
     along = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
     rest, there, back = (law.render(R, at, v) for v in (None, along, -along))
@@ -91,4 +89,4 @@ def test_rendered_drag_is_against_the_motion_and_in_proportion():
 
 def test_a_jnd_that_makes_no_sense_is_told():
     with pytest.raises(InputError, match="stiffness_jnd"):
-        PerceptualUpdates(surface=torso(), shell=ellipsoid(), stiffness_jnd=-0.1)
+        made(PerceptualUpdates, stiffness_jnd=-0.1)

@@ -1,17 +1,11 @@
-"""The surface of equal pressure on blocks, balls and single triangles."""
+"""Equal pressure and signed distance on blocks, balls and single triangles."""
 
 import numpy as np
+import pytest
 
-from tests.comparators.walls import (
-    AREA,
-    BLOCK,
-    DEPTH,
-    block,
-    check_cap_of_a_ball,
-    pressed,
-    wall,
-)
+from tests.comparators.walls import AREA, BLOCK, DEPTH, block, pressed, wall
 from ttus_opt.comparators.pressure_field import PressureField, integrated
+from ttus_opt.comparators.signed_distance import SignedDistance
 from ttus_opt.probe.point_shell import PointShell
 
 
@@ -31,8 +25,25 @@ def test_pressure_field_gives_a_rigid_block_area_times_depth():
     np.testing.assert_allclose(unit[3:], 0.0, atol=1e-10)
 
 
-def test_a_pressed_ball_displaces_its_cap():
-    check_cap_of_a_ball(PressureField)
+def test_signed_distance_gives_a_block_area_times_depth():
+    made = SignedDistance(surface=wall(), shell=block())
+    unit, _ = made._unit_wrench(*pressed(DEPTH))
+    assert unit[0] == pytest.approx(AREA * DEPTH, rel=0.02)
+    # opposite sides of the block cancel to the evenness of its points
+    np.testing.assert_allclose(unit[1:], 0.0, atol=0.03 * unit[0])
+
+
+@pytest.mark.parametrize("kind", [PressureField, SignedDistance])
+def test_a_pressed_ball_displaces_its_cap(kind):
+    """Pressure k d on a rigid body is k times the volume below the surface (Gauss)."""
+    radius = 0.02
+    made = kind(surface=wall(), shell=PointShell.sphere(radius, n_points=1200))
+    for depth in (0.003, 0.008):
+        unit, _ = made._unit_wrench(*pressed(depth, half=radius))
+        cap = np.pi * depth**2 * (radius - depth / 3.0)
+        assert unit[0] == pytest.approx(cap, rel=0.03)
+        np.testing.assert_allclose(unit[1:3], 0.0, atol=0.02 * cap)
+        np.testing.assert_allclose(unit[3:], 0.0, atol=0.02 * cap * radius)
 
 
 def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series():

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
-from tests.conftest import ellipsoid, torso
+from tests.conftest import torso
 from tests.refusals import refuses
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.comparators.proxy_cloud import ProxyCloud, mean_tip
@@ -39,7 +40,7 @@ def ball(radius=0.1, n=4000):
 
 def test_on_a_ball_the_force_is_along_the_radius():
     """Weights (1 − ρ²/h²)² have the mean ρ²/2R = h²/8R: so deep lies the plane."""
-    made = ProxyCloud(surface=torso(), shell=ellipsoid(), cloud=ball(), tip=(0, 0, 0))
+    made = on_torso(ProxyCloud, cloud=ball(), tip=(0, 0, 0))
     sagged = made.radius**2 / (8.0 * 0.1)
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -54,10 +55,9 @@ def test_on_a_ball_the_force_is_along_the_radius():
 def test_the_plane_is_the_weighted_one():
     """Against a least-squares plane through the same points, by its own equations."""
     rng = np.random.default_rng(1)
-    made = ProxyCloud(surface=torso(), shell=ellipsoid(), tip=(0.0, 0.0, 0.0))
+    made = on_torso(ProxyCloud, tip=(0.0, 0.0, 0.0))
     place = torso().points()[20, 15] + rng.normal(0.0, 1e-3, 3)
     found = made._plane(place)
-    assert found is not None
     middle, normal = found
     square = ((made.cloud - place) ** 2).sum(axis=1) / made.radius**2
     weights = np.where(square < 1.0, (1.0 - square) ** 2, 0.0)
@@ -95,7 +95,7 @@ def test_the_tip_is_the_mean_of_contacts_by_area_and_depth():
 
 def test_a_tip_or_radius_that_is_none_is_told():
     with pytest.raises(InputError, match="tip must be a point"):
-        ProxyCloud(surface=torso(), shell=ellipsoid(), tip=(0.0, 0.0))
+        on_torso(ProxyCloud, tip=(0.0, 0.0))
     for radius in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="radius must be positive"):
-            ProxyCloud(surface=torso(), shell=ellipsoid(), radius=radius)
+            on_torso(ProxyCloud, radius=radius)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
-from tests.conftest import ellipsoid, torso
+from tests.conftest import torso
 from ttus_opt.comparators.proxy_six_dof import ProxySixDof, least_motion
 
 
@@ -18,7 +19,7 @@ def test_six_dof_lifts_a_block_straight_out_of_a_half_space():
 
 
 def test_six_dof_leaves_no_point_below_the_surface():
-    made = fitted_six_dof()
+    made = on_torso(ProxySixDof)
     R, at = facing(torso(), 1.4, 0.1, 0.008)
     R = R @ Rotation.from_rotvec([0.3, 0.2, 0.0]).as_matrix()
     unit, _ = made._unit_wrench(R, at)
@@ -27,10 +28,6 @@ def test_six_dof_leaves_no_point_below_the_surface():
     depth, _ = made.geometry.surface.depth(points)
     assert depth.max() < 1e-4
     assert np.sort(depth)[-3:].min() > -1e-3  # and touches
-
-
-def fitted_six_dof():
-    return ProxySixDof(surface=torso(), shell=ellipsoid())
 
 
 def test_the_least_motion_is_that_of_a_general_solver():
@@ -68,7 +65,7 @@ def test_where_no_point_is_below_the_surface_nothing_moves():
 
 def test_six_dof_turns_by_the_moment_of_its_force():
     """Where one spot touches, the torque is its lever times the force."""
-    made = fitted_six_dof()
+    made = on_torso(ProxySixDof)
     R, at = facing(torso(), 1.4, 0.1, 0.002)
     R = R @ Rotation.from_rotvec([0.5, 0.4, 0.0]).as_matrix()
     unit, _ = made._unit_wrench(R, at)

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from tests.conftest import ellipsoid, torso
+from tests.comparators.contacts import NO_PATCH, STILL, samples
+from tests.comparators.contacts import made as on_torso
 from ttus_opt.comparators import stiffness_map
-from ttus_opt.comparators.contact_geometry import Patch
-from ttus_opt.comparators.patch_model import Contact, Sample
+from ttus_opt.comparators.patch_model import Contact
 from ttus_opt.comparators.stiffness_map import (
     Palpation,
     PowerLaw,
@@ -14,8 +14,6 @@ from ttus_opt.comparators.stiffness_map import (
     matern,
 )
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
-
-NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
 
 
 def palpation(n, noise, seed=0):
@@ -30,13 +28,12 @@ def palpation(n, noise, seed=0):
 
 
 def made(data):
-    found = StiffnessMap(surface=torso(), shell=ellipsoid())
-    found._fit_law(
-        [
-            Sample(Contact(h, 0.0, s, np.zeros(3), NO_PATCH), f, np.zeros(3))
-            for h, s, f in zip(data.depth, data.place, data.force, strict=True)
-        ]
-    )
+    found = on_torso(StiffnessMap)
+    touching = [
+        Contact(h, 0.0, s, STILL, NO_PATCH)
+        for h, s in zip(data.depth, data.place, strict=True)
+    ]
+    found._fit_law(samples(touching, data.force))
     return found
 
 
@@ -67,7 +64,7 @@ def test_kriging_is_regression_on_a_dense_field():
     np.testing.assert_allclose(
         [found.stiffness_at(s) for s in asked], stiffness, rtol=1e-5
     )
-    half = [Contact(0.5, 0.0, s, np.zeros(3), NO_PATCH) for s in asked]
+    half = [Contact(0.5, 0.0, s, STILL, NO_PATCH) for s in asked]
     forces = [found._normal_force(contact) for contact in half]
     np.testing.assert_allclose(forces, stiffness * 0.5**law.exponent, rtol=1e-5)
 
@@ -110,6 +107,6 @@ def test_unseen_places_are_predicted_better_than_by_one_stiffness():
     for h, s, f in zip(
         data.depth[1::2], data.place[1::2], data.force[1::2], strict=True
     ):
-        own.append(found._normal_force(Contact(h, 0.0, s, np.zeros(3), NO_PATCH)) - f)
+        own.append(found._normal_force(Contact(h, 0.0, s, STILL, NO_PATCH)) - f)
         single.append(found.mean_stiffness * h**found.law.exponent - f)
     assert np.abs(own).mean() < 0.4 * np.abs(single).mean()

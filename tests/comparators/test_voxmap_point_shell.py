@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing, fitted
-from tests.conftest import ellipsoid, torso
+from tests.conftest import torso
 from ttus_opt.comparators.voxmap_point_shell import (
     FREE,
     INTERIOR,
@@ -14,7 +15,7 @@ from ttus_opt.comparators.voxmap_point_shell import (
 
 
 def test_voxels_hold_two_bits_and_interior_never_meets_free():
-    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
+    made = on_torso(VoxmapPointShell, edge=0.005)
     voxels = made.voxels
     assert set(np.unique(voxels)) == {FREE, INTERIOR, SURFACE}
     for axis in range(3):
@@ -23,7 +24,7 @@ def test_voxels_hold_two_bits_and_interior_never_meets_free():
 
 
 def test_tangent_planes_are_those_of_a_plain_loop():
-    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.004)
+    made = on_torso(VoxmapPointShell, edge=0.004)
     R, at = facing(torso(), 1.1, 0.1, 0.007)
     R = R @ Rotation.from_rotvec([0.5, 0.4, 0.0]).as_matrix()
     surface = np.argwhere(made.voxels == SURFACE)
@@ -50,7 +51,6 @@ def test_tangent_planes_are_those_of_a_plain_loop():
 
 def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most():
     made = fitted("voxmap_point_shell")
-    assert isinstance(made, VoxmapPointShell)
     path = np.linspace(0.0, 0.006, 300)
     force = []
     for z in path:
@@ -64,7 +64,7 @@ def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most():
 
 def test_a_probe_beside_the_voxels_touches_nothing():
     """Wholly, or in part beyond their edge."""
-    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
+    made = on_torso(VoxmapPointShell, edge=0.005)
     edge = -made.corner[0]
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         for far in (edge + 0.014, 1.0):
@@ -77,7 +77,7 @@ def test_a_probe_beside_the_voxels_touches_nothing():
 
 
 def test_beyond_its_ends_the_patient_continues():
-    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
+    made = on_torso(VoxmapPointShell, edge=0.005)
     heights = made.corner[2] + made.edge * (np.array(made.voxels.shape) - 1)[2]
     R, at = facing(torso(), 1.1, 0.1, 0.007)
     for end, way in ((made.corner[2], -1.0), (heights, 1.0)):

@@ -3,9 +3,7 @@
 import functools
 
 import numpy as np
-import pytest
 
-from ttus_opt.comparators.base import OneStiffness
 from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
@@ -35,15 +33,3 @@ def pressed(depth: float, half: float = BLOCK[2] / 2) -> tuple[Array, Array]:
     """Pose of a probe whose third axis points outwards, at a depth."""
     R = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     return R, np.array([RADIUS + half - depth, 0.0, 0.0])
-
-
-def check_cap_of_a_ball(kind: type[OneStiffness]) -> None:
-    """Pressure k d on a rigid body is k times the volume below the surface (Gauss)."""
-    radius = 0.02
-    made = kind(surface=wall(), shell=PointShell.sphere(radius, n_points=1200))
-    for depth in (0.003, 0.008):
-        unit, _ = made._unit_wrench(*pressed(depth, half=radius))
-        cap = np.pi * depth**2 * (radius - depth / 3.0)
-        assert unit[0] == pytest.approx(cap, rel=0.03)
-        np.testing.assert_allclose(unit[1:3], 0.0, atol=0.02 * cap)
-        np.testing.assert_allclose(unit[3:], 0.0, atol=0.02 * cap * radius)

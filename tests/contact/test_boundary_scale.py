@@ -99,7 +99,6 @@ def test_pulling_forces_are_refused_by_inner_fit():
 
 def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for():
     """So that the sanity report can tell what is wrong with them."""
-    assert TRAJECTORY.force is not None
     pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
     with pytest.warns(MistakeWarning, match="push into the patient"):
         scene = Scene.assemble(VOXMAP, SHELL, pulled)

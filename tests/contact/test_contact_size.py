@@ -66,13 +66,8 @@ def test_force_is_continuous_where_points_come_into_contact():
     out = x / np.linalg.norm(x)
     steps = np.linspace(0.0, 0.01, 400)
     at = x + np.outer(0.004 - steps, out)
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        np.broadcast_to(R, (400, 3, 3)),
-        at,
-        sampling="contact-size",
-    )
+    poses = np.broadcast_to(R, (400, 3, 3)), at
+    rows = contact_rows(scene.voxmap, scene.shell, *poses, sampling="contact-size")
     p = np.maximum(-scene.b, 0.0) + scene.laplace.solve(scene.b)
     size = np.linalg.norm((rows.N @ p).reshape(-1, 3), axis=1)
     assert len(np.unique(rows.contact_points)) > 20

@@ -1,4 +1,4 @@
-"""Patch, sliding and regions against plain numpy; μ that is never negative."""
+"""Patch, sliding and regions against plain numpy."""
 
 from dataclasses import replace
 
@@ -6,10 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.contact.test_friction import SHELL, VOXMAP, slide
-from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.problem.terms.drag_estimate import estimate_drag
 
 
 def test_the_patch_is_weighted_by_area_and_depth():
@@ -64,10 +62,3 @@ def test_bands_and_sectors_are_counted_from_zero():
     region = sliding.regions(4, 5, VOXMAP)
     np.testing.assert_array_equal(region // 5, [0, 0, 1, 2, 3])  # sector
     np.testing.assert_array_equal(region % 5, [0, 0, 1, 4, 4])  # band
-
-
-def test_no_estimate_of_friction_is_negative():
-    """Forces that pull along with the motion mean a μ of 0, not one below it."""
-    scene = dragged_scene("contact", mu=-0.2)
-    for where in ("contact", "reference", "auto"):
-        assert estimate_drag(scene, where).friction_coefficient == 0.0

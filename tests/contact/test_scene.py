@@ -55,11 +55,6 @@ def test_no_contact_warns_that_the_fit_is_laplace_only():
     away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
     with pytest.warns(TtusWarning, match="Laplace field alone"):
         Scene.assemble(VOXMAP, SHELL, away)
-    with (
-        pytest.warns(TtusWarning, match="Laplace field alone"),
-        pytest.raises(InputError, match="never touches"),
-    ):
-        Scene.assemble(VOXMAP, SHELL, away, inner="fit")
 
 
 def test_a_probe_larger_than_the_patient_is_doubted():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import SHARED, ellipsoid
+from tests.conftest import ellipsoid, shared_data
 from ttus_opt import example
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
@@ -48,9 +48,8 @@ def fields(folder, shape, sampling):
     trajectory = read_trajectory(folder / "press_fit.csv")
     scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
     fitted = fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
-    return Fields(
-        voxmap, sampling, scene.laplace.solve(scene.b), fitted.field.values.reshape(-1)
-    )
+    laplace = scene.laplace.solve(scene.b)
+    return Fields(voxmap, sampling, laplace, fitted.field.values.reshape(-1))
 
 
 @dataclass(frozen=True)
@@ -95,9 +94,7 @@ def depths(n_places, low, high, n):
 def surface_folder(name):
     if name == "example":
         return Path(example.path("surface.nc")).parent
-    if not SHARED.is_dir():
-        pytest.skip(f"real data not here: {SHARED}")
-    return SHARED / name
+    return shared_data(name)
 
 
 CASES = [
@@ -135,10 +132,8 @@ def test_force_starts_from_zero(name, grid, sampling):
     for _ in range(28):  # 32 mm to 0.1 nm
         middle = (air + touching) / 2
         touched = press.rows(at, middle).contact_points[:, None] > 0
-        air, touching = (
-            np.where(touched, air, middle),
-            np.where(touched, middle, touching),
-        )
+        air = np.where(touched, air, middle)
+        touching = np.where(touched, middle, touching)
     rows = press.rows(at, touching)
     assert (rows.contact_points > 0).all()
     for p in (at.laplace, at.eq10):

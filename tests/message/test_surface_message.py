@@ -16,13 +16,11 @@ from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import SURFACE, SURFACE_DELTA
 from ttus_opt.message.surface_message import Window
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
 def check(sent, received, bound):
-    assert isinstance(received, Surface)
     assert np.abs(received.radius - sent.radius).max() <= bound * (1 + 1e-9)
     np.testing.assert_array_equal(received.observed, sent.observed)
     np.testing.assert_allclose(received.theta, sent.theta, atol=1e-15)
@@ -44,7 +42,6 @@ def test_there_and_back(bound):
 def test_any_counts(shape):
     sent = torso(*shape)
     received = decode(encode(sent))
-    assert isinstance(received, Surface)
     assert np.abs(received.radius - sent.radius).max() <= 0.25e-3
     assert received.observed.all()
 
@@ -81,7 +78,6 @@ def test_a_change_is_short_and_exact():
     change = encode(second, base=whole)
     assert len(change) < len(whole) / 4
     received = decode(change, base=whole)
-    assert isinstance(received, Surface)
     assert np.abs(received.radius - second.radius).max() <= 0.25e-3 * (1 + 1e-9)
     np.testing.assert_array_equal(received.observed, second.observed)
 
@@ -92,7 +88,6 @@ def test_changes_follow_one_another():
     for surface in surfaces[1:]:
         messages.append(encode(surface, base=messages))
     received = decode(messages[-1], base=messages[:-1])
-    assert isinstance(received, Surface)
     assert np.abs(received.radius - surfaces[-1].radius).max() <= 0.25e-3 * (1 + 1e-9)
     refuses(InputError, "builds on message", decode, messages[2], base=messages[0])
 
@@ -100,14 +95,12 @@ def test_changes_follow_one_another():
 def test_no_change_is_a_change_too():
     whole = encode(uneven())
     received = decode(encode(uneven(), base=whole), base=whole)
-    assert isinstance(received, Surface)
     check(uneven(), received, 0.25e-3)
 
 
 def test_a_change_everywhere_at_a_smaller_bound():
     whole = encode(uneven(), max_error=1e-3)
     received = decode(encode(uneven(), base=whole, max_error=1e-5), base=whole)
-    assert isinstance(received, Surface)
     assert np.abs(received.radius - uneven().radius).max() <= 1e-5 * (1 + 1e-9)
 
 

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -26,16 +25,6 @@ def test_a_stored_compliance_is_what_is_pressed(coarse_patch, tmp_path, monkeypa
     ((where, patch),) = written
     assert where == folder
     np.testing.assert_array_equal(patch.compliance, coarse_patch.compliance)
-
-
-@pytest.mark.slow
-def test_writes_the_example_from_a_stored_compliance(coarse_patch, tmp_path):
-    stored, folder = tmp_path / "skin.npz", tmp_path / "made"
-    coarse_patch.save(stored)
-    result = run("--folder", str(folder), "--compliance", str(stored))
-    assert result.exit_code == 0, result.output
-    table = np.loadtxt(folder / "press_fit.csv", delimiter=",", skiprows=1)
-    assert table.shape == (400, 14)
 
 
 def test_a_bad_compliance_is_one_line_and_status_two(tmp_path):

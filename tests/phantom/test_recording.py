@@ -35,13 +35,7 @@ def test_drag_opposes_the_motion_within_its_cone(coarse_patch, smooth):
 
 def test_noise_has_the_stated_deviation_and_follows_its_seed():
     n = 4000
-    rest = Trajectory(
-        np.arange(n) / 20.0,
-        np.zeros((n, 3)),
-        np.tile(np.eye(3), (n, 1, 1)),
-        np.ones((n, 3)),
-        np.zeros((n, 3)),
-    )
+    rest = still_path(n, wrench=(np.ones((n, 3)), np.zeros((n, 3))))
     noisy = add_noise(rest, np.random.default_rng(1))
     again = add_noise(rest, np.random.default_rng(1))
     other = add_noise(rest, np.random.default_rng(2))
@@ -68,9 +62,10 @@ def test_refuses_trajectories_without_a_wrench():
     refuses(InputError, "no wrench", add_noise, path, np.random.default_rng(0))
 
 
-def still_path(n, step=0.05):
+def still_path(n, step=0.05, wrench=()):
     time = step * np.arange(n)
-    return Trajectory(time, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
+    turns = np.tile(np.eye(3), (n, 1, 1))
+    return Trajectory(time, np.zeros((n, 3)), turns, *wrench)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 1.0])
@@ -84,11 +79,9 @@ def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation
         alike = (unit[1:] * unit[:-1]).mean()
         expected = np.exp(-0.05) if correlation else 0.0
         assert alike == pytest.approx(expected, abs=0.08)
-    assert noisy.position[:20] == pytest.approx(
-        add_pose_noise(
-            still_path(20), np.random.default_rng(3), correlation=correlation
-        ).position
-    )
+    rng = np.random.default_rng(3)
+    short = add_pose_noise(still_path(20), rng, correlation=correlation)
+    assert noisy.position[:20] == pytest.approx(short.position)
 
 
 def test_refuses_a_negative_correlation_of_poses():

@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import SHARED
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError, TtusError
 from ttus_opt.scan.cloud import read_cloud
-
-DATA = SHARED / "torso"
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)).astype("<f4")
 
@@ -268,10 +266,9 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, raw, suffix):
     [("realsense_male_m.pcd", "m", 61372), ("ct_skin_mm.ply", "mm", 66206)],
 )
 def test_real_files(name, unit, n):
-    if not (DATA / name).exists():
-        pytest.skip(f"{name} is not beside the checkout")
-    cloud = read_cloud(DATA / name, unit=unit)
+    path = shared_data(f"torso/{name}")
+    cloud = read_cloud(path, unit=unit)
     assert cloud.shape == (n, 3)
     assert 0.3 < np.ptp(cloud, axis=0).max() < 0.7
     if unit == "mm":
-        refuses(InputError, "unit='mm'", read_cloud, DATA / name)
+        refuses(InputError, "unit='mm'", read_cloud, path)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tests.conftest import SHARED
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from tests.scan import camera
 from tests.scan.clouds import cylinder
@@ -20,7 +20,10 @@ from ttus_opt.scan.extraction import extract_surface, filled_surface, followed
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
-DATA = SHARED / "torso"
+
+def plain(cloud, **options):
+    """The surface about the z axis, with no bed looked for."""
+    return extract_surface(cloud, axis=Axis.identity(), support=None, **options)
 
 
 @pytest.mark.slow
@@ -28,7 +31,7 @@ def test_noisy_cylinder_is_unbiased_and_its_deviation_honest():
     errors, scores = [], []
     for seed in range(3):
         cloud = cylinder(np.random.default_rng(seed))
-        s = extract_surface(cloud, axis=Axis.identity(), support=None)
+        s = plain(cloud)
         assert s.observed.mean() > 0.999
         error = (s.radius - 0.15)[s.observed]
         errors.append(error)
@@ -53,9 +56,7 @@ def test_bed_left_in_is_rejected_by_the_weights():
         ],
         axis=1,
     )
-    s = extract_surface(
-        np.concatenate([cloud, bed]), axis=Axis.identity(), support=None
-    )
+    s = plain(np.concatenate([cloud, bed]))
     error = s.radius - 0.15
     assert np.abs(error).max() < 0.006
     assert abs(error.mean()) < 1e-4
@@ -68,7 +69,7 @@ def test_step_is_followed():
     z = np.random.default_rng(1).uniform(-0.2, 0.2, theta.size)
     r = np.where((theta > 1.0) & (theta < 2.5), 0.18, 0.12)
     cloud = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1)
-    s = extract_surface(cloud, axis=Axis.identity(), support=None)
+    s = plain(cloud)
     plateau = s.radius[(s.theta > 1.2) & (s.theta < 2.3)]
     np.testing.assert_allclose(plateau, 0.18, atol=0.002)
     low = s.radius[(s.theta > 2.8) | (s.theta < 0.7)]
@@ -79,7 +80,7 @@ def test_step_is_followed():
 def test_unseen_part_is_marked_filled_and_less_certain():
     cloud = cylinder(np.random.default_rng(0), noise=0.001)
     seen = cloud[cloud[:, 0] > -0.05]
-    s = extract_surface(seen, axis=Axis.identity(), support=None)
+    s = plain(seen)
     share = 1 - np.arccos(0.05 / 0.15) / np.pi
     assert s.observed.mean() == pytest.approx(share, abs=0.02)
     np.testing.assert_allclose(s.radius, 0.15, atol=0.005)
@@ -91,9 +92,7 @@ def test_unseen_part_is_marked_filled_and_less_certain():
 @pytest.mark.parametrize(("n_theta", "n_z"), [(9, 2), (36, 20), (181, 40), (90, 150)])
 def test_any_resolution(n_theta, n_z):
     cloud = cylinder(np.random.default_rng(0))
-    s = extract_surface(
-        cloud, axis=Axis.identity(), support=None, n_theta=n_theta, n_z=n_z
-    )
+    s = plain(cloud, n_theta=n_theta, n_z=n_z)
     assert s.radius.shape == (n_theta, n_z)
     assert abs(s.radius[s.observed].mean() - 0.15) < 3e-4
 
@@ -124,15 +123,8 @@ def test_points_belong_to_a_slice_up_to_a_distance(slices, option, reach):
     heights = slices * np.arange(n_z)
     beside = [*(heights[::4] + 0.95 * reach), *(heights[2::4] - 1.05 * reach)]
     points = np.concatenate([ring + np.array([0.0, 0.0, z]) for z in beside])
-    surface = extract_surface(
-        points,
-        axis=Axis.identity(),
-        support=None,
-        n_theta=36,
-        n_z=n_z,
-        z_range=(0.0, heights[-1]),
-        slice_distance=option,
-    )
+    options = {"z_range": (0.0, heights[-1]), "slice_distance": option}
+    surface = plain(points, n_theta=36, n_z=n_z, **options)
     expected = [np.abs(points[:, 2] - z).min() <= reach for z in heights]
     assert surface.observed.all(axis=0).tolist() == expected
     assert surface.observed.any(axis=0).tolist() == expected
@@ -192,28 +184,30 @@ def test_a_filled_back_ends_at_a_tilted_support():
 )
 def test_unusable_options(options, message):
     cloud = cylinder(np.random.default_rng(0))
-    with pytest.raises(InputError, match=message):
-        extract_surface(cloud, axis=Axis.identity(), support=None, **options)
+    refuses(InputError, message, plain, cloud, **options)
 
 
 def test_unusable_clouds():
-    cloud = cylinder(np.random.default_rng(0))
-    axis = Axis.identity()
-    with pytest.raises(InputError, match="drop_nan"):
-        extract_surface(np.where(cloud > 0.14, np.nan, cloud), axis=axis)
-    refuses(InputError, "unit='mm'", extract_surface, 1000 * cloud, axis=axis)
-    refuses(InputError, "transposed", extract_surface, cloud.T, axis=axis)
-    refuses(InputError, "100 or more", extract_surface, cloud[:50], axis=axis)
+    cloud, axis = cylinder(np.random.default_rng(0)), Axis.identity()
+    holed = np.where(cloud > 0.14, np.nan, cloud)
     scattered = np.random.default_rng(1).uniform(-0.5, 0.5, (500, 3))
-    with pytest.raises(GeometryError, match=r"others close by: the cloud is too spar"):
-        extract_surface(scattered, axis=axis)
-    with pytest.raises(GeometryError, match="is nowhere near the axis"):
-        extract_surface(cloud + np.array([2.0, 0, 0]), axis=axis, support=None)
-    with pytest.raises(GeometryError, match="quarter turn around the axis"):
-        extract_surface(cloud + np.array([0.4, 0, 0]), axis=axis, support=None)
-    with pytest.raises(GeometryError, match="does the axis run inside"):
-        beside = cloud[cloud[:, 0] < -0.12] + [-0.3, 0, 0]
-        extract_surface(beside, axis=axis, support=None, z_range=(-0.1, 0.1))
+    for words, given in (
+        ("drop_nan", holed),
+        ("unit='mm'", 1000 * cloud),
+        ("transposed", cloud.T),
+        ("100 or more", cloud[:50]),
+        ("others close by: the cloud is too sparse", scattered),
+    ):
+        error = GeometryError if given is scattered else InputError
+        refuses(error, words, extract_surface, given, axis=axis)
+    for words, off in (
+        ("is nowhere near the axis", 2.0),
+        ("quarter turn around the axis", 0.4),
+    ):
+        refuses(GeometryError, words, plain, cloud + np.array([off, 0, 0]))
+    beside = cloud[cloud[:, 0] < -0.12] + [-0.3, 0, 0]
+    words = "does the axis run inside"
+    refuses(GeometryError, words, plain, beside, z_range=(-0.1, 0.1))
 
 
 # --------------------------------------------------------- CT torso as the truth
@@ -229,9 +223,7 @@ class Simulated:
 @cache
 def ct_scan():
     """The CT skin on a bed, seen from the front and both flanks, two holes."""
-    path = DATA / "ct_skin_mm.ply"
-    if not path.exists():
-        pytest.skip("ct_skin_mm.ply is not beside the checkout")
+    path = shared_data("torso/ct_skin_mm.ply")
     import trimesh
 
     mesh = trimesh.load(path, process=False)
@@ -358,9 +350,7 @@ def test_camera_sees_one_side_only():
 
 @cache
 def real_scan():
-    path = DATA / "realsense_male_m.pcd"
-    if not path.exists():
-        pytest.skip("realsense_male_m.pcd is not beside the checkout")
+    path = shared_data("torso/realsense_male_m.pcd")
     cloud = read_cloud(path, unit="m")
     axis = Axis.from_cloud(cloud, head=[1.0, 0.0, 0.0])
     return cloud, extract_surface(cloud, axis=axis)

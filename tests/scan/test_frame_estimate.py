@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import SHARED
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.arrays import Array
@@ -17,8 +17,6 @@ from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
-
-DATA = SHARED / "torso"
 
 
 def rotation(rng):
@@ -125,9 +123,7 @@ def test_many_turns_of_the_examples_scan():
 @pytest.mark.slow
 def test_head_and_front_of_a_real_torso():
     """A CT's skin: x to the right, y to the front and z to the head (RAS)."""
-    path = DATA / "ct_skin_mm.ply"
-    if not path.exists():
-        pytest.skip("ct_skin_mm.ply is not beside the checkout")
+    path = shared_data("torso/ct_skin_mm.ply")
     cloud = read_cloud(path, unit="mm")
     axis = Axis.from_cloud(cloud)
     assert np.diag(axis.rotation).min() > np.cos(np.radians(8))
@@ -165,9 +161,7 @@ def test_one_sided_without_a_bed_looks_to_the_seen_side(monkeypatch):
 
 
 def test_real_scan():
-    path = DATA / "realsense_male_m.pcd"
-    if not path.exists():
-        pytest.skip("realsense_male_m.pcd is not beside the checkout")
+    path = shared_data("torso/realsense_male_m.pcd")
     with pytest.warns(
         TtusWarning, match="which end is the head"
     ):  # as high at both ends

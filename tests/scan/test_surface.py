@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from tests.conftest import SHARED
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt.core import io
 from ttus_opt.core.checksum import ATTRIBUTE
@@ -194,9 +194,7 @@ def test_unusable_surfaces():
 
 
 def test_shared_surface_file():
-    path = SHARED / "phantom" / "surface.nc"
-    if not path.exists():
-        pytest.skip("phantom/surface.nc is not beside the checkout")
+    path = shared_data("phantom/surface.nc")
     s = Surface.load(path)
     assert 0.05 < s.radius.min() < s.radius.max() < 0.3
     assert s.radius_at(0.5, float(s.z.mean())) > 0.05

@@ -1,18 +1,15 @@
 """The patient frame from a probe held above the sternum."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.probe_axis import axis_from_probe
-
-DATA = Path(__file__).parents[3] / "shared" / "data" / "torso"
 
 #: Probe to a scan whose axes are right, front, head: x to the left, y to the feet
 HELD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
@@ -86,9 +83,7 @@ def test_turned_and_shifted_with_the_scan(seed):
 @pytest.mark.slow
 def test_on_a_real_torso():
     """A CT's skin: x to the right, y to the front, z to the head; a bed below it."""
-    path = DATA / "ct_skin_mm.ply"
-    if not path.exists():
-        pytest.skip("ct_skin_mm.ply is not beside the checkout")
+    path = shared_data("torso/ct_skin_mm.ply")
     rng = np.random.default_rng(0)
     skin = tt.read_cloud(path, unit="mm")
     low, high = skin.min(axis=0), skin.max(axis=0)

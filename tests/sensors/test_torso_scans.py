@@ -8,7 +8,6 @@ depth camera's points in two views, put back on each other.
 import json
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
+from tests.conftest import shared_data
 from tests.scan.camera import radius_by_section
 from tests.sensors.cameras import (
     Camera,
@@ -34,7 +34,6 @@ from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.stitching import PoseUncertainty, stitch
 from ttus_opt.sensors.unprojection import Unprojection
 
-DATA = Path(__file__).parents[3] / "shared" / "data" / "torso"
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -50,9 +49,7 @@ class Torso:
 
 @cache
 def torso():
-    path = DATA / "ct_skin_mm.ply"
-    if not path.exists():
-        pytest.skip("ct_skin_mm.ply is not beside the checkout")
+    path = shared_data("torso/ct_skin_mm.ply")
     import trimesh
 
     mesh = trimesh.load(path, process=False)
@@ -182,9 +179,7 @@ def test_poses_that_are_off(tmp_path, capsys):
 
 def real_views(apart):
     """Every second point of a RealSense's cloud in one view, the others in another."""
-    path = DATA / "realsense_male_m.pcd"
-    if not path.exists():
-        pytest.skip("realsense_male_m.pcd is not beside the checkout")
+    path = shared_data("torso/realsense_male_m.pcd")
     points = tt.read_cloud(path, unit="m")
     x, y, _ = (points.min(axis=0) + points.max(axis=0)) / 2
     seen, images = [], []

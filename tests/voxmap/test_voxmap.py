@@ -14,22 +14,15 @@ def cylinder(radius, n_theta=12, n_z=4):
     )
 
 
-def test_surface_on_a_layer_is_exactly_that_layer():
-    voxmap = Voxmap.from_surface(
-        cylinder(0.09), shape=(13, 12, 5), r_inner=0.03, r_outer=0.15
-    )
-    layer = 6  # 0.03 + 6 · 0.01
-    assert (voxmap.region[layer] == SURFACE).all()
-    assert (voxmap.region[:layer] == INSIDE).all()
-    assert (voxmap.region[layer + 1 :] == OUTSIDE).all()
-
-
-def test_the_layer_is_the_nearest_one():
-    for radius, layer in ((0.0949, 6), (0.0951, 7), (0.0851, 6)):
+def test_a_surface_is_its_nearest_layer():
+    """Exactly that layer, of those at 3, 4, … 15 cm; at 9 cm it lies on one."""
+    for radius, layer in ((0.09, 6), (0.0949, 6), (0.0951, 7), (0.0851, 6)):
         voxmap = Voxmap.from_surface(
             cylinder(radius), shape=(13, 12, 5), r_inner=0.03, r_outer=0.15
         )
         assert (voxmap.region[layer] == SURFACE).all()
+        assert (voxmap.region[:layer] == INSIDE).all()
+        assert (voxmap.region[layer + 1 :] == OUTSIDE).all()
 
 
 def rough(seed):
@@ -96,7 +89,6 @@ def test_refusals(options, error, word):
 
 
 def test_the_memory_estimate_is_told_before_anything_is_allocated():
-    with pytest.raises(InputError, match=r"1,080,000 voxels takes about 0\.5 GiB"):
-        Voxmap.from_surface(
-            cylinder(0.09), shape=(100, 180, 60), memory_limit=0.25 * 2**30
-        )
+    words = r"1,080,000 voxels takes about 0\.5 GiB"
+    large = {"shape": (100, 180, 60), "memory_limit": 0.25 * 2**30}
+    refuses(InputError, words, Voxmap.from_surface, cylinder(0.09), **large)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.linalg import splu
 
-from tests.conftest import SHARED
+from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.laplace.multigrid import Multigrid
@@ -234,9 +234,7 @@ def test_a_surface_costs_no_more_cycles_than_none():
 
 
 def test_the_phantom_surface():
-    path = SHARED / "phantom" / "surface.nc"
-    if not path.exists():
-        pytest.skip("shared data are not here")
+    path = shared_data("phantom/surface.nc")
     voxmap = Voxmap.from_surface(Surface.load(path), shape=(48, 120, 60))
     solver = Multigrid(voxmap.grid, ~voxmap.dirichlet)
     b = noise(~voxmap.dirichlet)

@@ -118,7 +118,6 @@ def test_a_formulation_in_cvxpys_words():
     solution = Fitter(declared).solve()
     assert said.problem.value == pytest.approx(solution.objective, rel=1e-6)
     x = said.point()
-    assert x is not None
     kkt = kkt_residuals(solution.program, x, said.duals())
     assert kkt.worst_relative < 1e-4
 
