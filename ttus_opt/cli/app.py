@@ -13,6 +13,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from ttus_opt.cli import live_commands
 from ttus_opt.cli.benchmark_command import benchmark
 from ttus_opt.cli.command import add_command
 from ttus_opt.cli.compensate_command import compensate
@@ -103,6 +104,16 @@ cameras = typer.Typer(
 for finder in (board, markers, hand_eye):
     add_command(cameras, finder, time_limit=USUAL)
 app.add_typer(cameras, name="register")
+live = typer.Typer(
+    help="Live sessions over a delayed, lossy link. Not a medical device.",
+    epilog="Example: ttus-opt live demo",
+    rich_markup_mode=None,
+)
+for part in (live_commands.demo, live_commands.report, live_commands.replay):
+    add_command(live, part, time_limit=USUAL)
+for side in (live_commands.key, live_commands.follower, live_commands.operator):
+    add_command(live, side)
+app.add_typer(live, name="live")
 
 
 def _version(asked: bool) -> None:

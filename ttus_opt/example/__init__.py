@@ -30,6 +30,7 @@ NAMES = {
     "sweep_test.csv": "other lines, to judge by",
     "sweep_drag_fit.csv": "lines along the body, Coulomb drag 0.25, to fit to",
     "sweep_drag_test.csv": "other lines with the same drag, to judge by",
+    "skin.npz": "compliance of the torso's skin on a coarser mesh, to press live",
 }
 
 

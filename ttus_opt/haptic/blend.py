@@ -8,7 +8,8 @@ takes the largest step within
 
 - the force rate: δa ‖Δf‖ ≤ rate·δt, and δa ‖Δτ‖/ℓ ≤ rate·δt;
 - the energy tank: δa ΔU ≤ tank. Steps with ΔU < 0 fill the tank, steps with ΔU > 0
-  empty it; it starts with a given reserve, by default zero.
+  empty it; it starts with a given reserve, by default zero, which may be refilled
+  whenever the probe is lifted.
 
 A softer field is thus blended in at the force rate. A stiffer one waits until the tank
 holds enough energy, until the probe is where the new field stores no more, or until it
@@ -63,12 +64,16 @@ class BlendLaw:
         frame_seconds: Time between frames [s]; slower rendering only slows the blend.
         reserve: Energy that all updates together may add beyond what they removed [J].
         capacity: Largest energy that the tank keeps from softening updates [J].
+        per_contact: Whether the reserve is that of every single contact: the tank is
+            refilled to it when the probe has left the patient. What one contact added,
+            the hand has absorbed by then.
     """
 
     force_rate: float = 5.0
     frame_seconds: float = 1e-3
     reserve: float = 0.0
     capacity: float = 0.01
+    per_contact: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a rate or time that is not positive, and an energy below zero."""
@@ -82,9 +87,11 @@ class BlendLaw:
                 raise InputError(f"{name} must not be negative [J], got {value}")
 
     def kernel_limits(self, length: float) -> Array:
-        """Largest force [N] and torque [N·m] step per frame and tank [J], for ℓ [m]."""
+        """Largest force [N] and torque [N·m] step, tank and refill [J], for ℓ [m]."""
         force = self.force_rate * self.frame_seconds
-        return np.array([force, force * length, max(self.capacity, self.reserve)])
+        most = max(self.capacity, self.reserve)
+        refilled = self.reserve if self.per_contact else 0.0
+        return np.array([force, force * length, most, refilled])
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,8 @@ class BlendState:
         stored_gap: ΔU, stored energy of the new field minus that of the old one at the
             last pose [J].
         tank: Energy available for stiffening steps [J].
-        injected: Σ δa ΔU over all updates so far, never above the reserve [J].
+        injected: Σ δa ΔU over all updates so far [J]; never above the reserve, unless
+            that is of every contact.
     """
 
     progress: float
@@ -133,13 +141,36 @@ def opened_ledger(
     """
     ledger = before.copy()
     ledger[PROGRESS] = 0.0
-    open_gap(ledger, current, target, data)
+    open_gap(ledger, current, target, data, data, True)
     return ledger
 
 
 @compiled(error_model="numpy", nogil=True)
-def open_gap(ledger: Array, current: Array, target: Array, s: FrameData) -> None:
-    """Set ΔU and Δw at the ledger's pose (compiled)."""
+def refill(ledger: Array, limits: Array, lifted: bool) -> None:
+    """Refill the tank of a probe that has been lifted (compiled)."""
+    if lifted:
+        ledger[TANK] = max(ledger[TANK], limits[3])
+
+
+@compiled(error_model="numpy", nogil=True)
+def open_gap(
+    ledger: Array,
+    current: Array,
+    target: Array,
+    old: FrameData,
+    s: FrameData,
+    alike: bool,
+) -> None:
+    """Set ΔU and Δw at the ledger's pose (compiled).
+
+    Args:
+        ledger: Ledger of the swap, shape (LEDGER,); written.
+        current: Present field, flat, shape (V,).
+        target: New field, flat.
+        old: Probe and present surface.
+        s: Probe and new surface.
+        alike: Whether the surfaces are the same; ``old`` is then not used.
+    """
     R, at = np.empty((3, 3)), np.empty(3)
     pose_of(ledger, s.reference, R, at)
     out_x, out_y = ledger[PLACE], ledger[PLACE + 1]
@@ -154,10 +185,14 @@ def open_gap(ledger: Array, current: Array, target: Array, s: FrameData) -> None
     gap, last, step = 0.0, 0.0, 0
     while True:
         contact = touch(R, at, s)[0]
-        if contact <= 0:
+        before = contact if alike else touch(R, at, old)[0]
+        if max(contact, before) <= 0:
             break
         wrench_of(target, contact, R, s, difference)
-        wrench_of(current, contact, R, s, other)
+        if alike:
+            wrench_of(current, contact, R, s, other)
+        else:
+            wrench_of(current, before, R, old, other)
         for c in range(6):
             difference[c] -= other[c]
         along = difference[0] * out_x + difference[1] * out_y

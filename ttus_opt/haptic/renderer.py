@@ -366,6 +366,17 @@ class Renderer:
             finally:
                 self._waiting = False
 
+    def present(self) -> tuple[Array, FrameData]:
+        """The field as it is felt now, flat (V,), and the surface, with own scratch."""
+        pair = self._fields.pair
+        share = float(pair.ledger[PROGRESS])
+        values = mixed(pair.current, pair.target, share)
+        return values, self._data.with_own_scratch()
+
+    def take_motion(self, other: Renderer) -> None:
+        """Continue another renderer's estimate of the probe's motion."""
+        self._buffers.motion[:] = other._buffers.motion
+
     def c_function(self) -> CFunction:
         """The haptic frame as a C function (`ttus_opt.haptic.c_interface`).
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.haptic.blend import BENT, PROGRESS, advance, follow, pose_of
+from ttus_opt.haptic.blend import BENT, PROGRESS, advance, follow, pose_of, refill
 from ttus_opt.haptic.drag import (
     ACTIVE,
     ACTS_AT,
@@ -87,7 +87,7 @@ class FrameBuffers(NamedTuple):
 
 #: Indices in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, largest force [N] and
 #: torque [N·m], `MotionFilter.kernel_numbers`
-BLEND, FORCE, TORQUE, FILTER = 0, 3, 4, 5
+BLEND, FORCE, TORQUE, FILTER = 0, 4, 5, 6
 
 #: What limited a wrench; names are in `ttus_opt.haptic.field_wrench.Limit`
 UNLIMITED, BY_FORCE, BY_TORQUE, BY_END = 0, 1, 2, 3
@@ -97,7 +97,7 @@ class FrameLimits(NamedTuple):
     """The limits and weights of a renderer, the same in every frame.
 
     Attributes:
-        numbers: By the indices above, shape (9,).
+        numbers: By the indices above, shape (10,).
         weights: `drag.patch_weights` in block order, shape (M, 7).
     """
 
@@ -141,6 +141,7 @@ def render_frame(
     if not math.isfinite(_sum(twist)):
         return BAD_TWIST, False, 0, UNLIMITED
     contact, in_grid, beyond = touch(R, at, data)
+    refill(ledger, numbers[BLEND:FORCE], may_write and contact == 0)
     wrench_of(pair.target, contact, R, data, wrench)
     moves, holds = _may_drag(pair, twist), _may_hold(pair)
     if (moves or holds) and max(

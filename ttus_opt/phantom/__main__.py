@@ -10,7 +10,13 @@ from tqdm import tqdm
 
 from ttus_opt.core.errors import TtusError
 from ttus_opt.phantom.elasticity import SkinPatch, skin_compliance
-from ttus_opt.phantom.example_data import RECORDINGS, TORSO, poses, write_example
+from ttus_opt.phantom.example_data import (
+    RECORDINGS,
+    TORSO,
+    poses,
+    write_example,
+    write_skin,
+)
 from ttus_opt.phantom.torso import torso_body
 
 FOLDER = Path(__file__).parents[1] / "example"
@@ -39,6 +45,7 @@ def main(
                 bar.update()
 
             write_example(folder, patch, pressed)
+        write_skin(folder / "skin.npz")
     except TtusError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(2) from error

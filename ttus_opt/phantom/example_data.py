@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
-from ttus_opt.phantom.elasticity import SkinPatch
+from ttus_opt.phantom.elasticity import SkinPatch, skin_compliance
 from ttus_opt.phantom.examination import push_handling, sweep_handling
 from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import add_noise, record
-from ttus_opt.phantom.torso import Torso
+from ttus_opt.phantom.torso import Torso, TorsoMesh, torso_body
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
@@ -28,6 +29,8 @@ VIEWS = (
 )
 #: Friction coefficient of the recordings with drag [–]
 DRAG = 0.25
+#: Spacing of the mesh of ``skin.npz`` over that of the recordings [–]
+COARSER = 2.0
 #: Random seeds of the scan and of each recording's path; its noise uses the next seed
 SCAN_SEED = 7
 RECORDINGS = {
@@ -91,6 +94,21 @@ def recording(
     drag = CoulombDrag(DRAG) if "drag" in name else None
     true = record(patch, PROBE, path, drag=drag, progress=progress)
     return add_noise(true, np.random.default_rng(RECORDINGS[name] + 1))
+
+
+def write_skin(path: Path, progress: Callable[[int, int], None] | None = None) -> None:
+    """Write the compliance of a torso on a coarser mesh: a patient for simulations."""
+    body = torso_body(TORSO, TorsoMesh(resolution=COARSER))
+    patch = skin_compliance(body, progress)
+    lower = np.tril_indices(len(patch.points))
+    with io.replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            points=patch.points.astype(np.float32),
+            normals=patch.normals.astype(np.float32),
+            rim=patch.rim,
+            compliance=patch.compliance[lower].astype(np.float32),
+        )
 
 
 def write_example(

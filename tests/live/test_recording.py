@@ -1,0 +1,116 @@
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from tests.live.springy import BALL, session
+from ttus_opt.core.errors import FileError
+from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.recording import Description, Recorder, frames_of, replay
+
+mcap = pytest.importorskip("mcap.reader", reason="needs mcap")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "session.mcap"
+    given = Impairment(delay=0.1, loss=0.1, burst=3, jitter=0.02)
+    with Recorder(path, Description(f"sphere:{BALL}", 200)) as recorder:
+        moments = []
+        for moment in session(given).run(3.0):
+            recorder.watch(moment)
+            moments.append(moment)
+    return path, moments
+
+
+def test_a_replay_renders_the_same_forces_bit_by_bit(recorded):
+    path, moments = recorded
+    assert max(np.linalg.norm(m.felt) for m in moments) > 1.0
+    found = replay(path)
+    assert (found.frames, found.identical) == (3000, 3000)
+
+
+def test_a_changed_frame_is_noticed(recorded, monkeypatch):
+    from ttus_opt.live import recording
+
+    path, _ = recorded
+    description, frames = frames_of(path)
+    changed = list(frames)
+    k = next(k for k, f in enumerate(changed) if any(np.frombuffer(f.felt)))
+    other = np.nextafter(np.frombuffer(changed[k].felt), np.inf).tobytes()
+    old = changed[k]
+    changed[k] = recording.Frame(old.time, old.pose, old.packets, other)
+    monkeypatch.setattr(recording, "frames_of", lambda _: (description, iter(changed)))
+    assert replay(path).identical == 2999
+
+
+def test_standard_messages_hold_what_was_felt(recorded):
+    """Read with the schema alone, as a viewer does."""
+    path, moments = recorded
+    rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
+    types = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+    with path.open("rb") as stream:
+        reader = mcap.make_reader(stream)
+        found = [
+            (schema.name, channel.topic, message)
+            for schema, channel, message in reader.iter_messages(
+                topics=["/hand/felt", "/hand/pose"]
+            )
+        ]
+    assert len(found) == 2 * 150
+    by_time = {round(1e9 * m.time): m for m in moments}
+    for name, topic, message in found:
+        told = types.deserialize_cdr(message.data, name)
+        moment = by_time[message.log_time]
+        assert told.header.frame_id == "patient"
+        if topic == "/hand/felt":
+            force = told.wrench.force
+            np.testing.assert_array_equal([force.x, force.y, force.z], moment.felt[:3])
+        else:
+            at = told.pose.position
+            np.testing.assert_array_equal([at.x, at.y, at.z], moment.position)
+
+
+def test_the_schemas_are_those_of_ros(recorded):
+    typesys = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
+    path, _ = recorded
+    types = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with path.open("rb") as stream:
+        schemas = mcap.make_reader(stream).get_summary().schemas.values()
+    assert {s.name for s in schemas} == {
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/WrenchStamped",
+    }
+    for schema in schemas:
+        parsed = typesys.get_types_from_msg(schema.data.decode(), schema.name)
+        for name, fields in parsed.items():
+            assert fields == types.fielddefs[name], name
+
+
+def test_no_file_is_left_by_a_session_that_failed(tmp_path):
+    path = tmp_path / "session.mcap"
+    with pytest.raises(RuntimeError), Recorder(path):
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"", b"not mcap", struct.pack("<d", 1.0) * 100])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match="other"):
+        replay(path)
+
+
+def test_a_recording_of_something_else_is_refused(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "else.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("other", {"json": json.dumps({})})
+        writer.finish()
+    with pytest.raises(FileError, match="not a session"):
+        replay(path)

@@ -1,0 +1,295 @@
+"""Whole sessions in virtual time, over links that do what links do."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.live.springy import PLAN, Spring, parts, path, session
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.follower import Follower
+from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.messages import Hello, PoseCommand
+from ttus_opt.live.model import LiveModel
+from ttus_opt.live.operator import Operator
+from ttus_opt.live.peer import Peer
+from ttus_opt.live.safety import State
+
+links = st.builds(
+    Impairment,
+    delay=st.floats(0.0, 0.5),
+    jitter=st.floats(0.0, 0.3),
+    in_order=st.booleans(),
+    loss=st.floats(0.0, 0.4),
+    burst=st.floats(1.0, 20.0),
+    duplicates=st.floats(0.0, 0.5),
+    rate=st.sampled_from([np.inf, 30_000.0]),
+    seed=st.integers(0, 2**16),
+)
+
+
+@settings(max_examples=6, deadline=None)
+@given(links)
+def test_whatever_the_link_does(impairment):
+    goes_well(impairment)
+
+
+@pytest.mark.slow
+@settings(max_examples=60, deadline=None)
+@given(links)
+def test_whatever_many_links_do(impairment):
+    goes_well(impairment)
+
+
+def goes_well(impairment):
+    simulation, last, stopped = session(impairment), None, [False, False]
+    most = simulation.operator.peer.safety.limits.force
+    for moment in simulation.run(3.0):
+        assert np.isfinite(moment.felt).all()
+        assert np.linalg.norm(moment.felt[:3]) <= most
+        for side, state in enumerate((moment.operator, moment.follower)):
+            assert not (stopped[side] and state is not State.STOP)  # latches
+            stopped[side] = state is State.STOP
+        if last is not None and moment.operator is not State.STOP:
+            step = np.linalg.norm(moment.felt[:3] - last.felt[:3])
+            assert step <= 0.5  # N in a millisecond, motion included
+        last = moment
+    for side in (simulation.operator, simulation.follower):
+        assert side.peer.rate.sent_packets <= 50 * 3 + 2
+        assert 8 * side.peer.rate.sent_bytes <= 64_000 * 3 + 8 * 2000
+
+
+def test_a_session_is_the_same_every_time():
+    given_ = Impairment(delay=0.1, jitter=0.05, loss=0.1, burst=3, seed=5)
+    one, two = (
+        [np.concatenate([m.felt, m.position]) for m in session(given_).run(2.0)]
+        for _ in range(2)
+    )
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.25])
+def test_a_clean_link_reaches_normal_and_the_model_learns(delay):
+    simulation = session(Impairment(delay=delay))
+    for _ in simulation.run(6.0):
+        pass
+    view = simulation.operator.view(6.0)
+    assert view.state == "NORMAL"
+    assert view.folded > 20
+    assert view.round_trip == pytest.approx(2 * delay, abs=0.02)
+    offset = simulation.operator.peer.quality.offset
+    assert offset == pytest.approx(1234.5, abs=0.02)
+    assert view.felt_there is not None
+    there, measured = np.array(view.felt_there), view.measured.wrench[:3]
+    assert np.linalg.norm(there - measured) < 0.36
+
+
+def test_no_force_before_the_hand_was_lifted():
+    """A model that arrives in the middle of a press does not push the hand."""
+    simulation = session(moved=path(lifted=-2.0))  # it begins deepest
+    felt = [np.linalg.norm(m.felt[:3]) for m in simulation.run(1.0)]
+    assert max(felt) == 0.0
+    assert simulation.operator.feedback is not None
+    assert max(np.linalg.norm(m.felt[:3]) for m in simulation.run(4.0)) > 1.0
+
+
+def reaches(simulation, state, side, seconds=3.0):
+    """Time at which a side reaches a state."""
+    for moment in simulation.run(seconds):
+        if getattr(moment, side) is state:
+            return moment.time
+    raise AssertionError(f"never {state.name}")
+
+
+def test_when_the_operator_dies_the_follower_retracts_then_stops():
+    simulation = session()
+    for _ in simulation.run(3.0):
+        pass
+    assert simulation._sensed.wrench[0] > 1.0
+    simulation.there.send = lambda now, packets: None  # kill -9
+    cut = simulation.time
+    assert reaches(simulation, State.HOLD, "follower") - cut <= 0.14
+    assert reaches(simulation, State.STOP, "follower") - cut == pytest.approx(
+        0.5, abs=0.05
+    )
+    for _ in simulation.run(1.0):
+        pass
+    assert np.linalg.norm(simulation._sensed.wrench) < 0.1  # not left pressed
+
+
+def test_when_the_follower_dies_the_operator_holds_its_model_then_stops():
+    simulation = session()
+    for _ in simulation.run(3.0):
+        pass
+    simulation.back.send = lambda now, packets: None
+    cut = simulation.time
+    assert reaches(simulation, State.HOLD, "operator") - cut <= 0.14
+    held = simulation.step()
+    assert np.linalg.norm(held.felt[:3]) > 1.0  # the local model stays
+    assert "no packet" in simulation.operator.peer.safety.cause
+    stop = reaches(simulation, State.STOP, "operator")
+    assert stop - cut == pytest.approx(0.5, abs=0.05)
+    assert np.linalg.norm([*simulation.run(0.06)][-1].felt) == 0.0
+
+
+@pytest.mark.parametrize("side", ["operator", "follower"])
+def test_the_button_stops_its_side_in_the_same_frame_and_the_other_a_way_later(side):
+    simulation = session(Impairment(delay=0.05))
+    for _ in simulation.run(2.0):
+        pass
+    pressed = simulation.time
+    getattr(simulation, side).stop()
+    own = simulation.step()
+    assert getattr(own, side) is State.STOP
+    other = "follower" if side == "operator" else "operator"
+    assert reaches(simulation, State.STOP, other) - pressed <= 0.05 + 0.021
+    assert "button" in getattr(simulation, other).peer.safety.cause
+
+
+@pytest.mark.parametrize(
+    "wrench", [[np.nan, 0, 0, 0, 0, 0], [50.0, 0, 0, 0, 0, 0], [0, 0, 0, 5.0, 0, 0]]
+)
+def test_an_unusable_measurement_stops_both(wrench):
+    simulation = session()
+    for _ in simulation.run(1.0):
+        pass
+    simulation.patient.wrench = wrench
+    assert reaches(simulation, State.STOP, "follower", 0.05)
+    assert reaches(simulation, State.STOP, "operator", 0.05)
+
+
+def test_an_invalid_hand_pose_stops():
+    operator = session().operator
+    found = operator.step(0.0, [], np.eye(3), np.array([np.nan, 0, 0]))
+    assert found.state is State.STOP
+    np.testing.assert_array_equal(
+        operator.feel(0.0, np.eye(3), np.array([np.nan, 0, 0])), np.zeros(6)
+    )
+
+
+def test_rearming_both_sides_at_zero_contact_goes_on():
+    simulation = session()
+    for _ in simulation.run(3.0):
+        pass
+    simulation.operator.stop()
+    hand = simulation.hand
+    for _ in simulation.run(0.1):
+        pass
+    with pytest.raises(InputError, match="zero contact"):
+        simulation.operator.rearm(hand.rotation, hand.position)
+    while hand.position[0] < 0.1205:  # the press ends
+        simulation.step()
+    force = float(np.linalg.norm(simulation._sensed.wrench[:3]))
+    simulation.operator.rearm(hand.rotation, hand.position)
+    assert simulation.step().operator is State.HOLD
+    simulation.follower.rearm(force)
+    assert reaches(simulation, State.NORMAL, "operator", 0.5)
+    assert reaches(simulation, State.NORMAL, "follower", 0.5)
+
+
+def test_an_operator_that_starts_again_gets_the_model_again():
+    simulation = session()
+    for _ in simulation.run(0.5):
+        pass
+    _, shell, _ = parts()
+    simulation.operator = Operator(9, shell)
+    assert reaches(simulation, State.NORMAL, "operator", 1.0)
+    assert simulation.operator.model is not None
+
+
+def test_packets_of_a_process_that_was_replaced_are_ignored():
+    old, new, one = Peer(5), Peer(6), Peer(1)
+    for sender, counts in ((old, True), (new, True), (old, False)):
+        data = sender.pack(0.0, Hello(1)).data
+        assert (one.receive(0.0, data) is not None) is counts
+
+
+def test_a_packet_counts_once_however_often_it_arrives():
+    sender, one = Peer(5), Peer(1)
+    data = sender.pack(0.0, Hello(1)).data
+    assert one.receive(0.0, data) is not None
+    assert one.receive(0.1, data) is None
+    # what was heard is not renewed by a replay
+    assert one.safety.judge(0.55) is State.STOP
+
+
+@pytest.mark.parametrize(
+    ("hello", "said"),
+    [(Hello(2), "version 2"), (Hello(1, units="mm"), "units mm")],
+)
+def test_another_version_or_unit_is_refused(hello, said):
+    surface, _, content = parts()
+    follower, sender = Follower(3, surface, content), Peer(9)
+    sensed = Spring().sense(0.0, np.eye(3), np.array([0.2, 0, 0.1]))
+    found = follower.step(0.0, [sender.pack(0.0, hello).data], sensed)
+    assert found.state is State.STOP
+    assert said in found.cause
+
+
+def test_a_flood_of_damaged_packets_stops():
+    simulation = session()
+    for _ in simulation.run(1.0):
+        pass
+    hand = simulation.hand
+    step = simulation.operator.step(
+        1.0, [b"damaged packet"] * 25, hand.rotation, hand.position
+    )
+    assert step.state is State.STOP
+    assert "damaged" in step.cause
+
+
+def test_the_follower_keeps_speed_and_workspace():
+    surface, _, content = parts()
+    follower, sender = Follower(3, surface, content), Peer(9)
+    start = np.array([0.13, 0.0, 0.15])
+    inside = np.array([0.01, 0.0, 9.0], dtype="<f4")
+    pose = PoseCommand(np.concatenate([inside, [1, 0, 0, 0]]).astype("<f4").tobytes())
+    follower._ready, last = True, start
+    for k in range(400):
+        now = 0.01 * k
+        data = [sender.pack(now, pose).data]
+        sensed = Spring().sense(now, np.eye(3), last)
+        sensed.wrench[:] = 0.0
+        # the sender says hello with its first packet: ready again
+        follower._ready = True
+        found = follower.step(now, data, sensed)
+        assert np.linalg.norm(found.position - last) <= 0.25 * 0.01 + 1e-9
+        last = found.position
+    np.testing.assert_allclose(last, [0.07, 0.0, 0.3], atol=1e-6)
+
+
+def test_a_new_surface_is_felt_without_a_jump():
+    surface, shell, content = parts()
+    simulation = session(moved=path(period=40.0))
+    for _ in simulation.run(8.0):
+        pass
+    from dataclasses import replace
+
+    from ttus_opt.live.model_codec import encode_model
+    from ttus_opt.message import decode, encode
+
+    higher = replace(surface, radius=surface.radius + 0.002)
+    change = encode(higher, base=content[0])
+    seen = decode(change, base=content[0])
+    model = encode_model(LiveModel(seen, shell, PLAN))
+    simulation.back.send(8.0, simulation.follower.renew(1242.5, change, model))
+    before = simulation.operator.model.learner.touched
+    last, steps = None, []
+    for moment in simulation.run(1.5):
+        if last is not None:
+            steps.append(np.linalg.norm(moment.felt[:3] - last))
+        last = moment.felt[:3]
+    assert simulation.operator.model.surface.radius.max() > 0.1015
+    assert simulation.operator.model.learner.touched >= before
+    assert simulation.operator.peer.safety.state is State.NORMAL
+    assert max(steps) <= 0.05
+
+
+def test_a_clock_that_goes_back_is_refused():
+    simulation = session()
+    simulation.step()
+    hand = simulation.hand
+    with pytest.raises(InputError, match="go back"):
+        simulation.operator.step(-1.0, [], hand.rotation, hand.position)
+    with pytest.raises(InputError, match="go back"):
+        simulation.follower.step(-1.0, [], simulation._sensed)

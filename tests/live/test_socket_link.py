@@ -1,0 +1,127 @@
+"""Real sockets on this machine."""
+
+import socket
+import time
+
+import numpy as np
+import pytest
+
+from tests.live.springy import Spring, parts, path
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.follower import Follower
+from ttus_opt.live.hand import Hand
+from ttus_opt.live.operator import Operator
+from ttus_opt.live.peer import Outgoing
+from ttus_opt.live.safety import State
+from ttus_opt.live.socket_link import SocketLink
+
+KEY = bytes(range(32))
+
+
+@pytest.fixture
+def links():
+    made = []
+
+    def make(key=KEY, **options):
+        made.append(SocketLink(key, "127.0.0.1", **options))
+        return made[-1]
+
+    yield make
+    for link in made:
+        link.close()
+
+
+def until(condition, *sides, seconds=5.0):
+    """What arrives at each side until something holds."""
+    end, got = time.monotonic() + seconds, [[] for _ in sides]
+    while not condition(got):
+        now = time.monotonic()
+        assert now < end, "nothing arrived"
+        for side, own in zip(sides, got, strict=True):
+            side.send(now, [])
+            own += side.receive(now)
+        time.sleep(0.001)
+    return got
+
+
+def test_datagrams_and_stream_arrive(links):
+    there = links(port=0, calls=False)
+    here = links(port=there.port, calls=True)
+    large = bytes(100_000)
+    here.send(0.0, [Outgoing(large, reliable=True)])
+
+    def sent(got):
+        here.send(time.monotonic(), [Outgoing(b"datagram")])
+        there.send(time.monotonic(), [Outgoing(b"answer")])
+        return large in got[1] and b"datagram" in got[1] and b"answer" in got[0]
+
+    until(sent, here, there)
+
+
+def test_strangers_are_not_heard(links):
+    there = links(port=0, calls=False)
+    stranger = links(bytes(32), port=there.port, calls=True)
+    plain = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    for _ in range(200):
+        now = time.monotonic()
+        plain.sendto(b"anything", ("127.0.0.1", there.port))
+        stranger.send(now, [Outgoing(b"x"), Outgoing(b"y", reliable=True)])
+        assert there.receive(now) == []
+        there.send(now, [])
+        assert stranger.receive(now) == []
+        time.sleep(0.001)
+    plain.close()
+
+
+def test_a_stream_that_no_side_of_ours_opened(links):
+    there = links(port=0, calls=False)
+    with socket.create_connection(("127.0.0.1", there.port)) as plain:
+        plain.sendall(b"\xff\xff\xff\xff" + bytes(50))
+        for _ in range(50):
+            assert there.receive(time.monotonic()) == []
+            there.send(time.monotonic(), [])
+    here = links(port=there.port, calls=True)
+    here.send(0.0, [Outgoing(b"model", reliable=True)])
+    until(lambda got: b"model" in got[1], here, there)
+
+
+def test_an_unusable_address(links):
+    there = links(port=0, calls=False)
+    with pytest.raises(InputError, match="cannot be used"):
+        links(port=there.port, calls=False)
+
+
+def test_a_session_over_sockets_reaches_normal_and_survives_a_new_operator(links):
+    surface, shell, content = parts()
+    there = links(port=0, calls=False)
+    follower, patient, hand = Follower(3, surface, content), Spring(), Hand(path())
+    target = hand.rotation, hand.position
+    for epoch in (2, 4):
+        here = links(port=there.port, calls=True)
+        operator = Operator(epoch, shell)
+        if follower.peer.safety.state is State.STOP:
+            follower.rearm(0.0)
+        end = time.monotonic() + 8.0
+        states = set()
+        while State.NORMAL not in states or len(states) < 1:
+            now = time.monotonic()
+            assert now < end, operator.peer.safety.cause
+            sensed = patient.sense(now, *target)
+            step = follower.step(now, there.receive(now), sensed)
+            there.send(now, step.send)
+            target = step.rotation, step.position
+            own = operator.step(now, here.receive(now), hand.rotation, hand.position)
+            here.send(now, own.send)
+            operator.feel(now, hand.rotation, hand.position)
+            if own.state is State.NORMAL and step.state is State.NORMAL:
+                states.add(State.NORMAL)
+            time.sleep(0.002)
+        assert operator.model is not None
+        # the operator's process is gone
+        deadline = time.monotonic() + 3.0
+        while follower.peer.safety.state is not State.STOP:
+            now = time.monotonic()
+            assert now < deadline
+            there.send(now, follower.step(now, there.receive(now), sensed).send)
+            time.sleep(0.002)
+    assert np.isfinite(target[1]).all()

@@ -1,0 +1,66 @@
+"""Comparators in one simulation: what must hold of each."""
+
+import numpy as np
+import pytest
+
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.trial import Trial, examination, run
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    """Short sessions with a round trip of 600 ms."""
+    names = ("model", "direct")
+    return {name: run(Trial(name, 0.6, seconds=10.0)) for name in names}
+
+
+def test_the_model_is_close_and_gives_no_energy(delayed):
+    model = delayed["model"]
+    assert model.error < 0.5
+    assert model.energy < 0.05
+    assert model.step < 0.1
+    assert model.stopped == ""
+    assert model.packets <= 50.0
+    assert model.bits <= 64_000.0
+
+
+def test_the_delayed_force_is_active(delayed):
+    assert delayed["direct"].energy > 0.3
+    assert delayed["direct"].error > 5 * delayed["model"].error
+
+
+@pytest.mark.slow
+def test_without_delay_the_measured_force_is_near_the_truth():
+    passive = run(Trial("passive", 0.0, seconds=10.0))
+    assert passive.error < 0.8
+    assert passive.energy < 0.05
+
+
+@pytest.mark.slow
+def test_a_model_that_never_learns_keeps_its_error():
+    fixed = run(Trial("fixed", 0.0, prior=1.6, seconds=10.0))
+    assert fixed.folded == 0
+    assert fixed.error > 0.8
+
+
+def test_figures_are_plain_numbers(delayed):
+    import json
+
+    told = json.loads(json.dumps(delayed["model"].as_dict()))
+    assert told["comparator"] == "model"
+    assert told["error_N"] > 0.0
+
+
+def test_the_hand_begins_and_moves_between_places_lifted():
+    path = examination(12.0)
+    speed = np.linalg.norm(path.velocity(), axis=1)
+    assert speed[0] < 1e-6
+    assert speed.max() < 0.4
+
+
+@pytest.mark.parametrize(
+    "bad", [{"comparator": "x"}, {"prior": 0.0}, {"loss": 1.0}, {"round_trip": -1.0}]
+)
+def test_unusable_trials(bad):
+    with pytest.raises(InputError):
+        Trial(**bad)

@@ -1,0 +1,271 @@
+"""``ttus-opt live``: sessions over a link, simulated, in real time, and recorded."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.core.errors import InputError
+
+#: Port that sessions use unless told otherwise
+PORT = 7411
+
+
+def demo(
+    output: Path = Path("live"),
+    prior: float = 1.6,
+    loss: float = 0.02,
+    json: bool = False,
+) -> None:
+    """Compare four kinds of feedback on a simulated patient, in virtual time.
+
+    Not a medical device.
+
+    Args:
+        output: Folder for report, picture and a recorded session.
+        prior: Factor by which the first model is too stiff.
+        loss: Share of lost packets, in bursts of three.
+
+    Example:
+        ttus-opt live demo -o live
+    """
+    from ttus_opt.live.demo import N_SESSIONS, run_demo
+
+    with Stages(N_SESSIONS) as begin:
+        found = run_demo(output, prior=prior, loss=loss, progress=begin)
+    line = f"{found.seconds:.0f} s; report.html, live.png and session.mcap in {output}/"
+    tell(found.as_dict(), str(found.table), "", line, json=json)
+
+
+def report(
+    delay: float = 1000.0,
+    loss: float = 0.0,
+    jitter: float = 0.0,
+    prior: float = 1.0,
+    friction: float = 0.0,
+    breathing: float = 0.0,
+    comparator: str = "model",
+    seconds: float = 20.0,
+    picture: Path | None = None,
+    recording: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Simulate one session in virtual time and report what the hand felt.
+
+    Not a medical device.
+
+    Args:
+        delay: Round trip [ms].
+        loss: Share of lost packets, in bursts of three.
+        jitter: Largest further delay of a packet [ms].
+        prior: Factor by which the first model is too stiff.
+        friction: Coulomb coefficient of the skin.
+        breathing: Amplitude of the skin's motion [mm].
+        comparator: What the hand feels: model, fixed, direct or passive.
+        seconds: Length of the session [s].
+        picture: Draw felt and true force here.
+        recording: Record the session here (.mcap).
+
+    Example:
+        ttus-opt live report --delay 1000 --loss 0.05 --prior 2 --picture felt.png
+    """
+    import contextlib
+
+    from ttus_opt.live.demo import comparison
+    from ttus_opt.live.recording import Description, Recorder
+    from ttus_opt.live.trial import Trial, run
+    from ttus_opt.report.plots.canvas import require_picture_suffix, save_picture
+    from ttus_opt.report.plots.live import live_picture
+
+    if picture is not None:
+        require_picture_suffix(picture)
+    trial = Trial(
+        comparator,
+        1e-3 * delay,
+        prior,
+        loss,
+        3.0 if loss else 1.0,
+        1e-3 * jitter,
+        friction,
+        1e-3 * breathing,
+        seconds,
+    )
+    with contextlib.ExitStack() as files, Stages(1) as begin:
+        begin("session in virtual time")
+        watch = None
+        if recording is not None:
+            described = Description(comparator=comparator)
+            watch = files.enter_context(Recorder(recording, described)).watch
+        found = run(trial, watch)
+    if picture is not None:
+        save_picture(live_picture([found]), picture)
+    tell(found.as_dict(), str(comparison([found])), json=json)
+
+
+def replay(recording: Path, json: bool = False) -> None:
+    """Render a recorded session again and compare every force bit by bit.
+
+    Args:
+        recording: File of ttus-opt live (.mcap).
+
+    Example:
+        ttus-opt live replay --recording live/session.mcap
+    """
+    from ttus_opt.live.recording import replay as rendered
+
+    found = rendered(recording)
+    line = f"{found.identical} of {found.frames} frames are identical bit by bit"
+    if found.identical < found.frames:
+        line += f"; the others differ by up to {found.largest_difference:.2g} N"
+    tell(found.as_dict(), line, json=json)
+
+
+def key(output: Path, json: bool = False) -> None:
+    """Make a session key, which operator and follower share.
+
+    Args:
+        output: File of the key, readable by its owner only.
+
+    Example:
+        ttus-opt live key -o session.key
+    """
+    from ttus_opt.live.sealing import write_key
+
+    write_key(output)
+    tell({"key": str(output)}, f"{output}: give it to both sides", json=json)
+
+
+def follower(
+    key: Path,
+    host: str = "127.0.0.1",
+    port: int = PORT,
+    prior: float = 1.6,
+    friction: float = 0.0,
+    seconds: float = math.inf,
+    json: bool = False,
+) -> None:
+    """Be the patient's side over UDP, with the simulated torso as patient.
+
+    Not a medical device. A robot takes the torso's place in Python, see
+    docs/how-to/live.md.
+
+    Args:
+        key: Session key, of ttus-opt live key.
+        host: Own address to wait at; 0.0.0.0 for every one.
+        port: UDP and TCP port.
+        prior: Factor by which the first model is too stiff.
+        friction: Coulomb coefficient of the skin.
+        seconds: Length of the session [s].
+
+    Example:
+        ttus-opt live follower --key session.key --host 0.0.0.0
+    """
+    from ttus_opt.live.follower import Follower
+    from ttus_opt.live.patient import SimulatedPatient
+    from ttus_opt.live.real_time import run_follower
+    from ttus_opt.live.sealing import read_key
+    from ttus_opt.live.socket_link import SocketLink
+    from ttus_opt.live.trial import examination, patient_surface, prepared
+
+    _check_port(port)
+    side = Follower(_epoch(), patient_surface(), prepared(prior))
+    start = examination(1.0)
+    link = SocketLink(read_key(key), host, port, calls=False)
+    try:
+        ended = run_follower(
+            side,
+            link,
+            SimulatedPatient(friction=friction),
+            start.rotation[0],
+            start.position[0],
+            seconds=seconds,
+        )
+    finally:
+        link.close()
+    _tell_end("follower", ended, side.peer, json)
+
+
+def operator(
+    key: Path,
+    host: str = "127.0.0.1",
+    port: int = PORT,
+    seconds: float = 20.0,
+    recording: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Be the operator's side over UDP, with a simulated hand that presses.
+
+    Not a medical device. A haptic device takes the hand's place in Python, see
+    docs/how-to/live.md.
+
+    Args:
+        key: Session key, of ttus-opt live key.
+        host: Address of the follower.
+        port: Its UDP and TCP port.
+        seconds: Length of the session [s].
+        recording: Record the session here (.mcap).
+
+    Example:
+        ttus-opt live operator --key session.key --host 192.0.2.7
+    """
+    import contextlib
+
+    from ttus_opt.live.hand import Hand
+    from ttus_opt.live.real_time import run_operator
+    from ttus_opt.live.recording import Description, Recorder
+    from ttus_opt.live.sealing import read_key
+    from ttus_opt.live.socket_link import SocketLink
+    from ttus_opt.live.trial import examination, made_operator, probe_shell
+
+    _check_port(port)
+    epoch = _epoch()
+    side = made_operator("model", probe_shell(), epoch)
+    hand = Hand(examination(seconds))
+    with contextlib.ExitStack() as files:
+        watch = None
+        if recording is not None:
+            recorder = Recorder(recording, Description(epoch=epoch))
+            watch = files.enter_context(recorder).watch
+        link = SocketLink(read_key(key), host, port, calls=True)
+        files.callback(link.close)
+        ended = run_operator(side, link, hand, seconds=seconds, watch=watch)
+    _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
+
+
+def _tell_end(
+    name: str, ended: Any, peer: Any, json: bool, view: dict[str, Any] | None = None
+) -> None:
+    """How a side's loop ended."""
+    late, cause = ended.lateness, f" ({ended.cause})" if ended.cause else ""
+    quality = peer.quality
+    facts = {
+        **ended.as_dict(),
+        "round_trip_s": quality.round_trip,
+        "loss": quality.loss,
+        "packets_sent": peer.rate.sent_packets,
+        "bytes_sent": peer.rate.sent_bytes,
+        "refused": peer.refused,
+    }
+    if view is not None:
+        facts["last_view"] = view
+    tell(
+        facts,
+        f"{name}: {ended.state}{cause}; {late.frames} frames at {late.rate:.1f} Hz, "
+        f"99 % within {1e3 * late.p99:.2f} ms, {100 * late.late:.2f} % late; round "
+        f"trip {1e3 * quality.round_trip:.1f} ms",
+        json=json,
+    )
+
+
+def _check_port(port: int) -> None:
+    if not 1 <= port <= 65535:
+        raise InputError(f"--port is a number from 1 to 65535, got {port}")
+
+
+def _epoch() -> int:
+    """Seconds of the clock: grows with every start."""
+    import time
+
+    return int(time.time()) % 2**32

@@ -1,0 +1,49 @@
+"""What is worth sending: poses and forces that a person can tell from the last sent.
+
+A person notices about 1 mm and 1° of a held tool, and 10 % of a force or 0.36 N,
+whichever is more (docs/method/rendering.md, 15; P. Hinterseer et al., IEEE Trans.
+Signal Process. 56 (2008) 588-597).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.live.messages import Sample
+
+
+@dataclass(frozen=True)
+class Deadband:
+    """Differences that cannot be noticed.
+
+    Attributes:
+        position: [m].
+        angle: [rad].
+        force: [N].
+        relative: Of a force over that force [–].
+    """
+
+    position: float = 1e-3
+    angle: float = math.radians(1.0)
+    force: float = 0.36
+    relative: float = 0.10
+
+    def moved(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> bool:
+        """Whether two poses, rotation (3, 3) and position (3,) [m], differ."""
+        if float(np.linalg.norm(a[1] - b[1])) > self.position:
+            return True
+        # ‖A − B‖² = 8 sin²(φ/2) of the rotation between them
+        chord = float(np.linalg.norm(a[0] - b[0]))
+        return chord > math.sqrt(8.0) * math.sin(0.5 * self.angle)
+
+    def differ(self, a: Sample, b: Sample) -> bool:
+        """Whether two samples differ in pose or force."""
+        if self.moved((a.rotation, a.position), (b.rotation, b.position)):
+            return True
+        size = float(np.linalg.norm(b.wrench[:3]))
+        change = float(np.linalg.norm(a.wrench[:3] - b.wrench[:3]))
+        return change > max(self.force, self.relative * size)

@@ -1,0 +1,144 @@
+"""``ttus-opt live demo``: the same hand, patient and link with four kinds of feedback.
+
+Every comparator examines the simulated torso without delay and with a round trip of a
+second, from a prior that is 1.6 times too stiff. The result is a table, a picture, and
+a recording of one session that `ttus-opt live replay` renders again.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ttus_opt.core import io
+from ttus_opt.live.recording import Recorder
+from ttus_opt.live.trial import COMPARATORS, Trial, TrialResult, run
+from ttus_opt.report.document import Heading, Items, Picture, Table, Text, write_report
+from ttus_opt.report.plots.canvas import save_picture
+from ttus_opt.report.plots.live import live_picture
+
+#: Round trips [s]
+ROUND_TRIPS = (0.0, 1.0)
+
+#: Sessions of the demo
+N_SESSIONS = len(COMPARATORS) * len(ROUND_TRIPS)
+
+#: Energy from which feedback counts as active [J]: twice the reserve of updates
+ACTIVE = 0.1
+
+NOTICE = (
+    "Not a medical device. This is research software; no part of it has been tested "
+    "for use on people."
+)
+
+
+@dataclass(frozen=True)
+class LiveDemo:
+    """Result of the demo.
+
+    Attributes:
+        results: One per comparator and round trip.
+        recording: File of the model's session with delay.
+        seconds: Duration [s].
+    """
+
+    results: tuple[TrialResult, ...] = field(repr=False)
+    recording: Path
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, for JSON."""
+        return {
+            "notice": NOTICE,
+            "recording": str(self.recording),
+            "seconds": self.seconds,
+            "trials": [one.as_dict() for one in self.results],
+        }
+
+    @property
+    def table(self) -> Table:
+        """A row for every session."""
+        return comparison(self.results)
+
+
+def run_demo(
+    folder: str | os.PathLike[str],
+    *,
+    prior: float = 1.6,
+    loss: float = 0.02,
+    progress: Callable[[str], None] | None = None,
+) -> LiveDemo:
+    """Run all sessions and write report, picture and recording.
+
+    Args:
+        folder: Output folder, created if missing.
+        prior: Factor by which the prior is too stiff [–].
+        loss: Share of lost packets, in bursts of three [–].
+        progress: Called with what begins, once for every session.
+
+    Raises:
+        InputError: A prior or a loss out of range.
+        FileError: The folder cannot be written to.
+    """
+    start, out = time.perf_counter(), io.made_folder(Path(folder))
+    say, results = progress or (lambda _: None), []
+    recording = out / "session.mcap"
+    for name in COMPARATORS:
+        for round_trip in ROUND_TRIPS:
+            trial = Trial(name, round_trip, prior, loss=loss, burst=3.0)
+            say(f"{name}, round trip {1e3 * round_trip:.0f} ms")
+            if name == "model" and round_trip == max(ROUND_TRIPS):
+                with Recorder(recording) as recorder:
+                    results.append(run(trial, recorder.watch))
+            else:
+                results.append(run(trial))
+    save_picture(live_picture(results), out / "live.png")
+    found = LiveDemo(tuple(results), recording, time.perf_counter() - start)
+    blocks = [
+        Heading("A live session", 1),
+        Text(f"**{NOTICE}**"),
+        Text(
+            f"A simulated hand presses a simulated torso (finite elements) over a link "
+            f"that loses {100 * loss:g} % of packets in bursts; the prior is {prior:g} "
+            "times too stiff. The error is between the force that the hand feels and "
+            "that of the torso at the hand's own pose at that moment, once each of "
+            "three places was pressed. Energy is the most that the hand had got: a "
+            "patient gives none."
+        ),
+        comparison(results),
+        Picture("live.png", "Felt (blue) and true force (grey) at the hand's pose"),
+        Items([f"`{name}`: {line}" for name, line in COMPARATORS.items()]),
+        Text(
+            "The session of the model with delay is in `session.mcap`: "
+            "`ttus-opt live replay session.mcap` renders it again, bit by bit."
+        ),
+    ]
+    write_report(out, blocks)
+    return found
+
+
+def comparison(results: Sequence[TrialResult]) -> Table:
+    """A row for every session."""
+    header = (
+        *("feedback", "round trip [ms]", "error [N]", "largest force [N]"),
+        *("energy given [J]", "largest step [N/ms]", "packets/s", "kbit/s", ""),
+    )
+    rows = [
+        (
+            one.trial.comparator,
+            f"{1e3 * one.trial.round_trip:.0f}",
+            f"{one.error:.2f}",
+            f"{one.largest:.1f}",
+            f"{one.energy:.3f}",
+            f"{one.step:.3f}",
+            f"{one.packets:.0f}",
+            f"{1e-3 * one.bits:.0f}",
+            one.stopped or ("active" if one.energy > ACTIVE else "passive"),
+        )
+        for one in results
+    ]
+    return Table(header, rows)

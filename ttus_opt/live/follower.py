@@ -1,0 +1,275 @@
+"""The follower's side: obeys poses, measures, and lets go when it should.
+
+A pure state machine: packets, what the probe measures and a clock in; packets and a
+target for the probe out. A robot's driver moves the probe to the target and calls
+`Follower.step` with what it measured, at any rate; a person who holds the probe is
+shown the target instead.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.deadband import Deadband
+from ttus_opt.live.messages import (
+    MOST_SAMPLES,
+    VERSION,
+    Acknowledgement,
+    Hello,
+    ModelMessage,
+    PoseCommand,
+    Sample,
+    StateReport,
+    SurfaceMessage,
+    measurement,
+    pose_of,
+)
+from ttus_opt.live.peer import Outgoing, Peer
+from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.probe.cylindrical import cylindrical
+from ttus_opt.scan.surface import Surface
+
+#: Time after which surface and model are sent again to who still says hello [s]
+OFFER = 5.0
+
+
+@dataclass(frozen=True)
+class FollowerLimits:
+    """What the follower lets the operator do.
+
+    Attributes:
+        speed: Fastest motion of the target [m/s].
+        depth: Deepest position of the probe's origin below the skin [m].
+        clearance: Largest distance from the skin [m].
+        retreat: Speed of retraction [m/s].
+        lifted: Force below which retraction ends [N].
+        farthest: Longest retraction, where force says nothing [m].
+    """
+
+    speed: float = 0.25
+    depth: float = 0.03
+    clearance: float = 0.3
+    retreat: float = 0.05
+    lifted: float = 0.1
+    farthest: float = 0.08
+
+
+@dataclass(frozen=True)
+class FollowerStep:
+    """What a step asks for.
+
+    Attributes:
+        send: Packets.
+        rotation: Target of the probe, probe to patient, shape (3, 3) [–].
+        position: Its position, patient frame, shape (3,) [m].
+        state: State of this side.
+        cause: Why it is not NORMAL.
+    """
+
+    send: tuple[Outgoing, ...]
+    rotation: Array = field(repr=False)
+    position: Array
+    state: State
+    cause: str
+
+
+class Follower:
+    """The patient's side of a session.
+
+    Attributes:
+        peer: Headers, safety and quality.
+        surface: The patient's skin, for the workspace.
+    """
+
+    def __init__(
+        self,
+        epoch: int,
+        surface: Surface,
+        content: tuple[bytes, bytes],
+        *,
+        safety: SafetyLimits | None = None,
+        limits: FollowerLimits | None = None,
+        deadband: Deadband | None = None,
+    ) -> None:
+        """A follower before the first packet.
+
+        Args:
+            epoch: Grows with every start of this side, such as `time.time` in seconds.
+            surface: The patient's skin.
+            content: Messages of the surface and of the model over it, which every
+                operator gets that joins.
+            safety: When it holds and stops.
+            limits: What it lets the operator do.
+            deadband: What is worth sending.
+        """
+        self.peer, self.surface = Peer(epoch, safety), surface
+        self.limits, self.deadband = limits or FollowerLimits(), deadband or Deadband()
+        self._surface, self._model = content
+        self._greeted, self._offered, self._ready = 0, -np.inf, False
+        self._command: tuple[Array, Array] | None = None
+        self._commanded = 0
+        self._target: tuple[Array, Array] | None = None
+        self._retracted = 0.0
+        self._index = 0
+        self._samples: deque[Sample] = deque(maxlen=MOST_SAMPLES)
+        self._reported = -np.inf
+        self._now = -np.inf
+
+    def step(
+        self, now: float, packets: Sequence[bytes], sensed: Sample
+    ) -> FollowerStep:
+        """Take what arrived and what was measured; say what to do.
+
+        Args:
+            now: This side's clock, which never goes back [s].
+            packets: Received bytes, in any order.
+            sensed: Pose and wrench of the probe now.
+        """
+        if not now >= self._now:
+            raise InputError(f"the clock must not go back, got {now} s")
+        passed = min(now - self._now, 0.1) if np.isfinite(self._now) else 0.0
+        self._now = now
+        send: list[Outgoing] = []
+        for data in packets:
+            self._take(now, data, send)
+        safety, force = self.peer.safety, float(np.linalg.norm(sensed.wrench[:3]))
+        safety.check_wrench(force, float(np.linalg.norm(sensed.wrench[3:])))
+        before = safety.state
+        state = safety.judge(now, self._missing)
+        if self._target is None:
+            self._target = sensed.rotation.copy(), sensed.position.copy()
+        if state is State.NORMAL:
+            self._retracted = 0.0
+            self._obey(passed)
+        else:
+            if before is State.NORMAL:  # start from where the probe is
+                self._target = sensed.rotation.copy(), sensed.position.copy()
+            self._retract(passed, force)
+        self._report(now, sensed, send)
+        self.peer.announce(now, send)
+        return FollowerStep(tuple(send), *self._target, state, safety.cause)
+
+    def stop(self, cause: str = "the follower's button") -> None:
+        """Stop now, by a button or a driver's fault; the other side follows."""
+        self.peer.safety.stop(cause)
+
+    def rearm(self, force: float) -> None:
+        """End a STOP at zero contact, given the measured force [N]."""
+        self.peer.safety.rearm(force)
+        self._command = None
+
+    def renew(self, now: float, surface: bytes, model: bytes) -> tuple[Outgoing, ...]:
+        """Replace surface and model, and send the surface to the operator.
+
+        Args:
+            now: This side's clock [s].
+            surface: The new surface's message, whole or as a change of the last.
+            model: The whole model over it, for operators that join later.
+        """
+        self._model = model
+        return (self.peer.pack(now, SurfaceMessage(surface), reliable=True),)
+
+    @property
+    def _missing(self) -> str:
+        """What this side still waits for."""
+        if not self._ready:
+            return "the operator has no model yet"
+        return "" if self._command is not None else "no pose from the operator yet"
+
+    def _take(self, now: float, data: bytes, send: list[Outgoing]) -> None:
+        met = self.peer.met
+        received = self.peer.receive(now, data)
+        if self.peer.met != met:
+            self._ready, self._command, self._commanded = False, None, 0
+        if received is None:
+            return
+        match received.body:
+            case Hello(version=version) if version != VERSION:
+                self.peer.safety.stop(
+                    f"the operator has version {version} of messages, this side "
+                    f"{VERSION}: update the older one"
+                )
+            case Hello(units=units) if units != "SI":
+                self.peer.safety.stop(f"the operator has units {units}, this side SI")
+            case Hello() if self._greeted != self.peer.met or self._waits(now):
+                self._greeted, self._offered = self.peer.met, now
+                for body in (
+                    Hello(VERSION),
+                    SurfaceMessage(self._surface),
+                    ModelMessage(self._model),
+                ):
+                    send.append(self.peer.pack(now, body, reliable=True))
+            case Acknowledgement():
+                self._ready = True
+            case PoseCommand() as command if received.sent * 1e5 >= self._commanded:
+                self._commanded = round(received.sent * 1e5)
+                self._command = pose_of(command)
+            case _:
+                pass
+
+    def _waits(self, now: float) -> bool:
+        """Whether what was sent to this operator seems to be lost with its stream."""
+        return not self._ready and now - self._offered >= OFFER
+
+    def _obey(self, passed: float) -> None:
+        """Move the target towards the command, within speed and workspace."""
+        assert self._command is not None and self._target is not None
+        rotation, position = self._command
+        way = self._within(position) - self._target[1]
+        length, most = float(np.linalg.norm(way)), self.limits.speed * passed
+        if length > most:
+            way *= most / length
+        self._target = rotation, self._target[1] + way
+
+    def _within(self, position: Array) -> Array:
+        """The nearest position along the spoke that is within the workspace."""
+        r, theta, z = cylindrical(position[None])
+        skin = float(self.surface.radius_at(theta, z)[0])
+        limits = self.limits
+        least, most = skin - limits.depth, skin + limits.clearance
+        low, high = float(self.surface.z[0]), float(self.surface.z[-1])
+        radius = min(max(float(r[0]), least), most)
+        out = np.array([np.cos(theta[0]), np.sin(theta[0])])
+        return np.array([*(radius * out), min(max(float(z[0]), low), high)])
+
+    def _retract(self, passed: float, force: float) -> None:
+        """Move the target outwards until the probe feels nothing."""
+        assert self._target is not None
+        if force <= self.limits.lifted or self._retracted >= self.limits.farthest:
+            return
+        rotation, position = self._target
+        _, theta, _ = cylindrical(position[None])
+        step = self.limits.retreat * passed
+        out = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
+        self._retracted += step
+        self._target = rotation, position + step * out
+
+    def _report(self, now: float, sensed: Sample, send: list[Outgoing]) -> None:
+        """Send what differs noticeably, or a sign of life."""
+        rate, safety = self.peer.rate, self.peer.safety
+        rate.tick(now)
+        if not rate.ready:
+            return
+        finite = np.isfinite(sensed.wrench).all()
+        news = finite and (
+            not self._samples or self.deadband.differ(sensed, self._samples[0])
+        )
+        if news and self.peer.met:
+            self._samples.appendleft(sensed)
+            self._index += 1
+            count = 1
+            while count < len(self._samples) and rate.fits(60 * (count + 2)):
+                count += 1
+            body = measurement(self._index, list(self._samples)[:count], now)
+            send.append(self.peer.pack(now, body))
+        elif now - self._reported < safety.limits.period:
+            return
+        else:
+            send.append(self.peer.pack(now, StateReport()))
+        self._reported = now

@@ -1,0 +1,77 @@
+"""A simulated hand: it wants to be somewhere, and force pushes it away.
+
+Arm and device are a mass on a spring and a damper whose other end follows the intended
+motion. Values of a hand that holds a stylus: 0.1 to 1 kN/m, 5 to 20 N·s/m (K. J.
+Kuchenbecker, J. G. Park, G. Niemeyer, IMECE 2003-42600; T. L. Gibo, A. J. Bastian, A.
+M. Okamura, IEEE World Haptics 2013).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.probe.trajectory import Trajectory
+
+#: Farthest that a device's handle gets from where the hand wants it [m]
+REACH = 0.05
+
+#: Time between changes of the rotation [s]
+TURNS = 5e-3
+
+
+@dataclass(frozen=True)
+class HandDynamics:
+    """Mass [kg], stiffness [N/m] and damping [N·s/m] of hand and device."""
+
+    mass: float = 0.4
+    stiffness: float = 500.0
+    damping: float = 15.0
+
+
+class Hand:
+    """A hand that follows a path of the probe and yields to force.
+
+    Attributes:
+        position: Of the probe in the hand, patient frame, shape (3,) [m].
+        rotation: Probe to patient, shape (3, 3) [–].
+        velocity: Shape (3,) [m/s].
+    """
+
+    def __init__(self, path: Trajectory, dynamics: HandDynamics | None = None) -> None:
+        self._path, self._dynamics = path, dynamics or HandDynamics()
+        self.position, self.velocity = path.position[0].copy(), np.zeros(3)
+        self.rotation = path.rotation[0].copy()
+        self._steps = np.diff(path.time)
+        self._turned = -np.inf
+
+    def step(self, time: float, force: Array, seconds: float) -> None:
+        """Move for some seconds under a force (3,) [N], with time counted from 0."""
+        wanted, speed = self._wanted(time)
+        own = self._dynamics
+        pull = own.stiffness * (wanted - self.position)
+        pull += own.damping * (speed - self.velocity) + force
+        self.velocity = self.velocity + seconds / own.mass * pull
+        self.position = self.position + seconds * self.velocity
+        away = self.position - wanted
+        length = float(np.linalg.norm(away))
+        if length > REACH:  # the end of the device's workspace
+            self.position = wanted + away * (REACH / length)
+            self.velocity = speed.copy()
+
+    def _wanted(self, time: float) -> tuple[Array, Array]:
+        """Intended position and velocity; the hand turns as it intends."""
+        path = self._path
+        at = float(path.time[0]) + time
+        k = int(np.searchsorted(path.time, at, side="right")) - 1
+        k = min(max(k, 0), len(path) - 2)
+        step = self._steps[k]
+        share = min(max((at - path.time[k]) / step, 0.0), 1.0)
+        way = path.position[k + 1] - path.position[k]
+        if time - self._turned >= TURNS:
+            mean = (1.0 - share) * path.rotation[k] + share * path.rotation[k + 1]
+            u, _, vt = np.linalg.svd(mean)  # the nearest rotation
+            self.rotation, self._turned = u @ vt, time
+        return path.position[k] + share * way, way / step

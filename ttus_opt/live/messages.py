@@ -1,0 +1,292 @@
+"""Messages of a live session: their fields, limits, sequence and checksum.
+
+A packet is a msgpack array and its CRC-32. Every packet tells who sent it (an epoch,
+which grows with every start of that side), its number, the sender's clock, what it last
+heard, and its state of safety: a lost packet loses nothing but its body. Poses and
+wrenches are float32. `decode` refuses what is damaged, too long, of another version or
+not finite: msgspec checks types, but lets NaN pass.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.pose import from_quaternions, to_quaternions
+
+VERSION: Final = 1
+
+#: Longest datagram and longest message of the stream [bytes]: no fragments on any
+#: network; a surface of 720 x 600 radii
+LONGEST_DATAGRAM, LONGEST = 1200, 2**18
+
+#: Ticks of a clock [1/s]: 10 µs, eleven hours in 32 bits
+TICKS = 100_000
+MOST_TICKS = 2**32
+
+#: Numbers of a sample: its age, position, quaternion w x y z, force, torque
+SAMPLE = 14
+
+#: Most samples in a packet; longest text
+MOST_SAMPLES, LONGEST_TEXT = 4, 120
+
+#: Largest position [m], force [N] and torque [N m]: beyond, something is in other units
+FARTHEST, STRONGEST = 10.0, 1000.0
+
+_CHECKSUM = struct.Struct("<I")
+
+
+class MessageError(InputError):
+    """A packet that is not one of this version, or with values out of range."""
+
+
+class DamagedError(MessageError):
+    """A packet with a wrong checksum."""
+
+
+class NotFiniteError(MessageError):
+    """A packet with NaN or infinity, intact otherwise."""
+
+
+class Hello(msgspec.Struct, tag=1, array_like=True, frozen=True):
+    """Who joins, and with what.
+
+    Attributes:
+        version: `VERSION`.
+        model: Name of the model it has, 0 for none.
+        units: Always SI.
+    """
+
+    version: int
+    model: int = 0
+    units: str = "SI"
+
+
+class PoseCommand(msgspec.Struct, tag=2, array_like=True, frozen=True):
+    """The probe in the operator's hand: 7 float32, position and quaternion w x y z."""
+
+    pose: bytes
+
+
+class Measurement(msgspec.Struct, tag=3, array_like=True, frozen=True):
+    """The last samples, newest first.
+
+    Attributes:
+        index: Number of the newest.
+        samples: `SAMPLE` float32 of each.
+    """
+
+    index: int
+    samples: bytes
+
+
+class SurfaceMessage(msgspec.Struct, tag=4, array_like=True, frozen=True):
+    """A surface, or a change of it, as `ttus_opt.message` encodes it."""
+
+    content: bytes
+
+
+class ModelMessage(msgspec.Struct, tag=5, array_like=True, frozen=True):
+    """A whole model over the last surface, of `ttus_opt.live.model_codec`."""
+
+    content: bytes
+
+
+class Acknowledgement(msgspec.Struct, tag=6, array_like=True, frozen=True):
+    """The model of this name is rendered."""
+
+    model: int
+
+
+class StateReport(msgspec.Struct, tag=7, array_like=True, frozen=True):
+    """Only the header, which has the state: a sign of life."""
+
+
+class Stop(msgspec.Struct, tag=8, array_like=True, frozen=True):
+    """Stop, and why."""
+
+    cause: str
+
+
+Body = (
+    Hello
+    | PoseCommand
+    | Measurement
+    | SurfaceMessage
+    | ModelMessage
+    | Acknowledgement
+    | StateReport
+    | Stop
+)
+
+
+class Packet(msgspec.Struct, array_like=True, frozen=True):
+    """A body and its header.
+
+    Attributes:
+        epoch: Which process sent it, such as the second of its start, 32 bits.
+        sequence: Its number, from 1.
+        sent: Sender's clock [ticks].
+        echo: Receiver's clock in the last packet heard [ticks].
+        held: How long ago that was heard [ticks]; 0 with no ``echo`` yet.
+        state: `safety.State` of the sender.
+        stops: Number of its stops so far.
+        body: The content.
+    """
+
+    epoch: int
+    sequence: int
+    sent: int
+    echo: int
+    held: int
+    state: int
+    stops: int
+    body: Body
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A pose of the probe and what it felt.
+
+    Attributes:
+        time: By the follower's clock [s].
+        rotation: Probe to patient, shape (3, 3) [–].
+        position: Origin of the probe frame, patient frame, shape (3,) [m].
+        wrench: Force, then torque on the probe, patient axes, shape (6,) [N, N·m].
+    """
+
+    time: float
+    rotation: Array = field(repr=False)
+    position: Array
+    wrench: Array
+
+
+def encode(packet: Packet) -> bytes:
+    """A packet as bytes."""
+    content = msgspec.msgpack.encode(packet)
+    return content + _CHECKSUM.pack(zlib.crc32(content))
+
+
+_DECODER = msgspec.msgpack.Decoder(Packet)
+
+
+def decode(data: bytes, longest: int = LONGEST) -> Packet:
+    """A packet from bytes that anyone may have sent.
+
+    Raises:
+        DamagedError: A wrong checksum.
+        NotFiniteError: NaN or infinity.
+        MessageError: Too long, not a packet, or a value out of range.
+    """
+    if not _CHECKSUM.size < len(data) <= longest:
+        raise MessageError(f"a packet has at most {longest} bytes, got {len(data)}")
+    content = data[: -_CHECKSUM.size]
+    if zlib.crc32(content) != _CHECKSUM.unpack(data[-_CHECKSUM.size :])[0]:
+        raise DamagedError("the packet's checksum is wrong")
+    try:
+        packet = _DECODER.decode(content)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise MessageError(f"not a packet of version {VERSION}: {error}") from error
+    _check_header(packet)
+    _check_body(packet.body)
+    return packet
+
+
+def _check_header(packet: Packet) -> None:
+    for name in ("epoch", "sequence", "sent", "echo", "held", "stops"):
+        if not 0 <= getattr(packet, name) < MOST_TICKS:
+            raise MessageError(f"{name} must have 32 bits, got {getattr(packet, name)}")
+    if not 0 <= packet.state <= 2:
+        raise MessageError(f"unknown state {packet.state}")
+
+
+def _check_body(body: Body) -> None:
+    match body:
+        case PoseCommand():
+            pose_of(body)
+        case Measurement():
+            if not 0 <= body.index < MOST_TICKS:
+                raise MessageError(f"index must have 32 bits, got {body.index}")
+            samples_of(body, 0.0)
+        case Hello():
+            _check_text(body.units)
+        case Stop():
+            _check_text(body.cause)
+        case _:
+            pass
+
+
+def _check_text(text: str) -> None:
+    if len(text) > LONGEST_TEXT or not text.isprintable():
+        raise MessageError(f"a text has at most {LONGEST_TEXT} printable characters")
+
+
+def pose_command(rotation: Array, position: Array) -> PoseCommand:
+    """A pose (3, 3), (3,) [m] as a command."""
+    numbers = np.concatenate([position, to_quaternions(rotation[None])[0]])
+    return PoseCommand(numbers.astype("<f4").tobytes())
+
+
+def pose_of(command: PoseCommand) -> tuple[Array, Array]:
+    """Rotation (3, 3) and position (3,) [m] of a command.
+
+    Raises:
+        NotFiniteError: NaN or infinity.
+        MessageError: Another size, too far away, or no rotation.
+    """
+    return _pose(_floats(command.pose, 7))
+
+
+def measurement(index: int, samples: list[Sample], now: float) -> Measurement:
+    """Samples, newest first, as a message."""
+    quaternions = to_quaternions(np.array([s.rotation for s in samples]))
+    rows = [
+        np.concatenate([[now - s.time], s.position, q, s.wrench])
+        for s, q in zip(samples, quaternions, strict=True)
+    ]
+    return Measurement(index, np.array(rows).astype("<f4").tobytes())
+
+
+def samples_of(message: Measurement, sent: float) -> list[Sample]:
+    """Samples of a message sent at some time by the follower's clock, newest first.
+
+    Raises:
+        NotFiniteError: NaN or infinity.
+        MessageError: Another size, or a value out of range.
+    """
+    count, rest = divmod(len(message.samples), 4 * SAMPLE)
+    if rest or not 1 <= count <= MOST_SAMPLES:
+        raise MessageError(f"a measurement of {len(message.samples)} bytes")
+    samples = []
+    for row in _floats(message.samples, SAMPLE * count).reshape(count, SAMPLE):
+        rotation, position = _pose(row[1:8])
+        if np.abs(row[8:]).max() > STRONGEST or not -1.0 <= row[0] <= 1e4:
+            raise MessageError("a wrench or an age is out of range: other units?")
+        samples.append(Sample(sent - float(row[0]), rotation, position, row[8:].copy()))
+    return samples
+
+
+def _floats(content: bytes, count: int) -> Array:
+    if len(content) != 4 * count:
+        raise MessageError(f"expected {count} float32, got {len(content)} bytes")
+    values = np.frombuffer(content, dtype="<f4").astype(np.float64)
+    if not math.isfinite(float(values @ values)):
+        raise NotFiniteError("a pose or a wrench contains NaN or infinity")
+    return values
+
+
+def _pose(row: Array) -> tuple[Array, Array]:
+    if np.abs(row[:3]).max() > FARTHEST:
+        raise MessageError(f"a position is beyond {FARTHEST:g} m: other units?")
+    length = float(np.linalg.norm(row[3:7]))
+    if abs(length - 1.0) > 1e-3:
+        raise MessageError(f"a quaternion has length {length:.3g}, not 1")
+    return from_quaternions(row[None, 3:7] / length, "wxyz")[0], row[:3].copy()

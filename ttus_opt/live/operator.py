@@ -1,0 +1,363 @@
+"""The operator's side: sends the hand's pose, learns the patient, and lets it be felt.
+
+A pure state machine. `Operator.step` takes packets, the hand's pose and a clock, and
+gives packets; `Operator.feel` gives the wrench of the hand's pose, at haptic rate. The
+model learns from every measurement that arrives, whenever and in whatever order, so
+that what is felt depends on the link only through its age.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.deadband import Deadband
+from ttus_opt.live.feedback import Feedback, ModelFeedback
+from ttus_opt.live.live_state import LiveState
+from ttus_opt.live.messages import (
+    VERSION,
+    Acknowledgement,
+    Hello,
+    Measurement,
+    MessageError,
+    ModelMessage,
+    Sample,
+    SurfaceMessage,
+    pose_command,
+    samples_of,
+)
+from ttus_opt.live.model import LiveModel
+from ttus_opt.live.model_codec import decode_model
+from ttus_opt.live.peer import Outgoing, Peer
+from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.message import decode
+from ttus_opt.message.envelope import SURFACE, Reader
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
+
+#: Time between hellos until a model has arrived; between updates of what is felt, and
+#: of its uncertainty [s]
+GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
+
+#: Time in which the force falls to zero at a STOP [s]
+RELEASE = 0.05
+
+#: Samples remembered by number, so that none counts twice
+REMEMBERED = 512
+
+
+@dataclass(frozen=True)
+class OperatorStep:
+    """What a step asks for.
+
+    Attributes:
+        send: Packets.
+        state: State of this side.
+        cause: Why it is not NORMAL.
+    """
+
+    send: tuple[Outgoing, ...]
+    state: State
+    cause: str
+
+
+class Operator:
+    """The hand's side of a session.
+
+    Attributes:
+        peer: Headers, safety and quality.
+        shell: The probe.
+        model: What is known of the patient; None before it arrives.
+        feedback: What the hand feels; None before the model.
+        folded: Samples learned from so far [–].
+        learns: Whether the model learns; not so in a comparison with one that does not.
+    """
+
+    def __init__(
+        self,
+        epoch: int,
+        shell: PointShell,
+        *,
+        safety: SafetyLimits | None = None,
+        deadband: Deadband | None = None,
+        feedback: Callable[[LiveModel], Feedback] | None = None,
+        learns: bool = True,
+    ) -> None:
+        """An operator before the first packet.
+
+        Args:
+            epoch: Grows with every start of this side, such as `time.time` in seconds.
+            shell: The probe, the same as the follower's.
+            safety: When it holds and stops.
+            deadband: Motion that is worth a packet at once.
+            feedback: Makes what the hand feels from the model; by default
+                `ModelFeedback`.
+            learns: Whether the model learns.
+        """
+        self.peer, self.shell = Peer(epoch, safety), shell
+        self.deadband, self.learns = deadband or Deadband(), learns
+        self.model: LiveModel | None = None
+        self.feedback: Feedback | None = None
+        self.folded = 0
+        self._make = feedback
+        self._surface: Surface | None = None
+        self._whole: bytes | None = None
+        self._clock = -math.inf
+        self._greeted = self._updated = self._sent = -math.inf
+        self._last_sent: tuple[Array, Array] | None = None
+        self._seen: dict[int, None] = {}
+        self._newest: Sample | None = None
+        self._pending = False
+        self._changed_at = -math.inf
+        self._gain, self._engaged, self._fell = 0.0, False, -math.inf
+        self._felt = np.zeros(6)
+        self._hand = np.zeros(3)
+        self._start = math.nan
+        self._uncertainty: UncertaintyMap | None = None
+        self._stated = -math.inf
+
+    def step(
+        self, now: float, packets: Sequence[bytes], rotation: Array, position: Array
+    ) -> OperatorStep:
+        """Take what arrived and where the hand is.
+
+        Args:
+            now: This side's clock, which never goes back [s].
+            packets: Received bytes, in any order.
+            rotation: Probe in the hand, to patient, shape (3, 3) [–].
+            position: Its origin, patient frame, shape (3,) [m].
+        """
+        if not now >= self._clock:
+            raise InputError(f"the clock must not go back, got {now} s")
+        self._clock = now
+        if math.isnan(self._start):
+            self._start = now
+        send: list[Outgoing] = []
+        samples: list[Sample] = []
+        for data in packets:
+            self._take(now, data, samples, send)
+        for sample in sorted(samples, key=lambda sample: sample.time):
+            self._learn(sample)
+        self._refresh(now)
+        safety = self.peer.safety
+        state = safety.judge(
+            now, "" if self.feedback else "no model of the patient yet"
+        )
+        if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
+            safety.stop("the hand's pose is not a number")
+            state = safety.state
+        else:
+            self._report(now, rotation, position, send)
+        self.peer.announce(now, send)
+        return OperatorStep(tuple(send), state, safety.cause)
+
+    def feel(self, now: float, rotation: Array, position: Array) -> Array:
+        """Wrench on the hand, shape (6,) [N, N·m].
+
+        It is zero until the hand has once been out of contact since a model arrived or
+        this side was re-armed, so that no force ever appears from nothing. At a STOP it
+        falls to zero within 50 ms.
+
+        Args:
+            now: This side's clock [s].
+            rotation: Probe in the hand, to patient, shape (3, 3) [–].
+            position: Its origin, patient frame, shape (3,) [m].
+        """
+        self._hand = np.asarray(position, dtype=float)
+        if self.feedback is None or not np.isfinite(position).all():
+            self._felt = np.zeros(6)
+            return self._felt
+        wrench = self.feedback.felt(now, rotation, position)
+        size = float(np.linalg.norm(wrench[:3]))
+        if not math.isfinite(size):
+            self.peer.safety.stop("a rendered force is not a number")
+            wrench = np.zeros(6)
+        if self.peer.safety.state is State.STOP:
+            passed = now - self._fell if math.isfinite(self._fell) else 0.0
+            self._fell, self._engaged = now, False
+            self._gain = max(0.0, self._gain - passed / RELEASE)
+        else:
+            self._fell = -math.inf
+            self._engaged |= size < self.peer.safety.limits.contact
+            self._gain = 1.0 if self._engaged else 0.0
+        self._felt = self._gain * wrench
+        return self._felt
+
+    def stop(self, cause: str = "the operator's button") -> None:
+        """Stop now; the other side follows."""
+        self.peer.safety.stop(cause)
+
+    def rearm(self, rotation: Array, position: Array) -> None:
+        """End a STOP, at a pose where the model gives no force; see `Supervisor`."""
+        force = 0.0
+        if self.feedback is not None:
+            wrench = self.feedback.felt(self._clock, rotation, position)
+            force = float(np.linalg.norm(wrench[:3]))
+        self.peer.safety.rearm(force)
+
+    def view(self, now: float) -> LiveState:
+        """The present moment, for a page or a report."""
+        peer, sample, feedback = self.peer, self._newest, self.feedback
+        there, blended, limited = None, 1.0, ""
+        if isinstance(feedback, ModelFeedback):
+            blended, limited = feedback.blend.progress, feedback.limited_by
+            if sample is not None:
+                there = _tuple(feedback.at(sample.rotation, sample.position)[:3])
+        lasted = max(now - self._start, 1e-3)
+        return LiveState(
+            time=now,
+            state=peer.safety.state.name,
+            cause=peer.safety.cause,
+            round_trip=peer.quality.round_trip,
+            loss=peer.quality.loss,
+            model_age=now + peer.quality.offset - self._changed_at,
+            folded=self.folded,
+            blended=blended,
+            position=_tuple(self._hand),
+            force=_tuple(self._felt[:3]),
+            torque=_tuple(self._felt[3:]),
+            force_std=self._std(now),
+            measured=sample,
+            felt_there=there,
+            packets_per_second=peer.rate.sent_packets / lasted,
+            bits_per_second=8.0 * peer.rate.sent_bytes / lasted,
+            limited_by=limited,
+        )
+
+    @property
+    def clock(self) -> float:
+        """Time of the last step [s]."""
+        return self._clock
+
+    def _std(self, now: float) -> float:
+        """Standard deviation of the felt force by the model [N]."""
+        if self.model is None:
+            return math.nan
+        if self._uncertainty is None or now - self._stated >= UNCERTAIN:
+            self._uncertainty, self._stated = self.model.learner.uncertainty, now
+        size = float(np.linalg.norm(self._felt[:3]))
+        return size * self._uncertainty.at(*self._hand.tolist()) if size else 0.0
+
+    def _take(
+        self, now: float, data: bytes, samples: list[Sample], send: list[Outgoing]
+    ) -> None:
+        """One packet."""
+        met = self.peer.met
+        received = self.peer.receive(now, data)
+        if self.peer.met != met:  # another process: its samples count anew
+            self._seen.clear()
+        if received is None:
+            return
+        try:
+            match received.body:
+                case Hello(version=version) if version != VERSION:
+                    self.peer.safety.stop(
+                        f"the follower has version {version} of messages, this side "
+                        f"{VERSION}: update the older one"
+                    )
+                case SurfaceMessage(content=content):
+                    self._take_surface(content)
+                case ModelMessage(content=content):
+                    self._take_model(content)
+                    name = Acknowledgement(zlib.crc32(content))
+                    send.append(self.peer.pack(now, name, reliable=True))
+                case Measurement() as body:
+                    samples += self._new(body, received.sent)
+                case _:
+                    pass
+        except MessageError as error:
+            self.peer.safety.stop(str(error))
+
+    def _new(self, body: Measurement, sent: float) -> list[Sample]:
+        """Samples that were not seen before."""
+        fresh = []
+        for back, sample in enumerate(samples_of(body, sent)):
+            index = body.index - back
+            if index not in self._seen:
+                self._seen[index] = None
+                fresh.append(sample)
+        while len(self._seen) > REMEMBERED:
+            del self._seen[next(iter(self._seen))]
+        return fresh
+
+    def _take_surface(self, content: bytes) -> None:
+        """A whole surface, or a change of the last whole one."""
+        try:
+            whole = Reader(content).kind == SURFACE
+            surface = decode(content, base=None if whole else self._whole)
+        except InputError as error:
+            raise MessageError(f"an unusable surface: {error}") from error
+        if not isinstance(surface, Surface):
+            raise MessageError("a surface was announced, but a field came")
+        if whole:
+            self._whole = content
+        self._surface = surface
+        if self.model is not None:
+            try:
+                self.model = self.model.over(surface)
+            except InputError as error:
+                raise MessageError(f"an unusable surface: {error}") from error
+            self._pending = True
+
+    def _take_model(self, content: bytes) -> None:
+        """A whole model over the last surface."""
+        if self._surface is None:
+            raise MessageError("a model came before its surface")
+        self.model = decode_model(content, self._surface, self.shell)
+        self._pending = False
+        if self._make is not None:
+            self.feedback = self.feedback or self._make(self.model)
+        elif isinstance(self.feedback, ModelFeedback):
+            self.feedback.update(self.model.field)
+        else:
+            self.feedback = ModelFeedback(self.model.field, self.shell)
+
+    def _learn(self, sample: Sample) -> None:
+        """Take a sample into the model and what is felt."""
+        if self._newest is None or sample.time > self._newest.time:
+            self._newest = sample
+        if self.feedback is not None:
+            self.feedback.measured(sample)
+        if self.model is None or not self.learns:
+            return
+        self.folded += 1
+        if self.model.fold(sample).contact_points:
+            self._pending = True
+            self._changed_at = max(self._changed_at, sample.time)
+
+    def _refresh(self, now: float) -> None:
+        """Let the hand feel what was learned."""
+        if not self._pending or now - self._updated < UPDATE or self.model is None:
+            return
+        if isinstance(self.feedback, ModelFeedback):
+            self.feedback.update(self.model.field)
+        self._pending, self._updated = False, now
+
+    def _report(
+        self, now: float, rotation: Array, position: Array, send: list[Outgoing]
+    ) -> None:
+        """Send a hello until there is a model, and the pose."""
+        if self.model is None and now - self._greeted >= GREET:
+            self._greeted = now
+            send.append(self.peer.pack(now, Hello(VERSION), reliable=True))
+        rate, last = self.peer.rate, self._last_sent
+        rate.tick(now)
+        if not rate.ready:
+            return
+        moved = last is None or self.deadband.moved((rotation, position), last)
+        due = now - self._sent >= self.peer.safety.limits.period
+        if moved or due:
+            self._sent, self._last_sent = now, (rotation.copy(), position.copy())
+            send.append(self.peer.pack(now, pose_command(rotation, position)))
+
+
+def _tuple(values: Array) -> tuple[float, float, float]:
+    a, b, c = values.tolist()
+    return a, b, c

@@ -1,0 +1,155 @@
+"""One end of a session: headers, safety and quality, the same for both sides.
+
+It turns received bytes into bodies and bodies into bytes. No socket, no clock of its
+own: time is an argument, and what is to be sent is returned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ttus_opt.live.link_quality import LinkQuality, SendRate
+from ttus_opt.live.messages import (
+    LONGEST,
+    LONGEST_TEXT,
+    MOST_TICKS,
+    TICKS,
+    Body,
+    DamagedError,
+    MessageError,
+    NotFiniteError,
+    Packet,
+    Stop,
+    decode,
+    encode,
+)
+from ttus_opt.live.safety import SafetyLimits, State, Supervisor
+
+#: Packets whose numbers are remembered, so that none counts twice
+REMEMBERED = 1024
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """Bytes to send.
+
+    Attributes:
+        data: A packet.
+        reliable: Whether it goes through the stream, which loses nothing, or as a
+            datagram.
+    """
+
+    data: bytes
+    reliable: bool = False
+
+
+@dataclass(frozen=True)
+class Received:
+    """A body and when it was sent, by the sender's clock [s]."""
+
+    body: Body
+    sent: float
+
+
+class Peer:
+    """This end of a session.
+
+    Attributes:
+        safety: State of this side.
+        quality: Of what arrives.
+        rate: Of what is sent as datagrams.
+        refused: Packets refused so far [–].
+        met: Epoch of the other side; 0 before its first packet.
+    """
+
+    def __init__(self, epoch: int, limits: SafetyLimits | None = None) -> None:
+        self.epoch = epoch
+        self.safety = Supervisor(limits)
+        self.quality, self.rate = LinkQuality(), SendRate()
+        self.refused = self.met = 0
+        self._sequence = 0
+        self._seen: dict[int, None] = {}
+        self._newest = 0
+        self._echo, self._echo_at = 0, math.nan
+        self._told = 0
+
+    def receive(self, now: float, data: bytes) -> Received | None:
+        """A received packet; None for one that is refused or was seen before."""
+        try:
+            packet = decode(data, LONGEST)
+        except DamagedError:
+            self.refused += 1
+            self.safety.damaged(now)
+            return None
+        except NotFiniteError as error:
+            self.refused += 1
+            self.safety.stop(str(error))
+            return None
+        except MessageError:
+            self.refused += 1
+            return None
+        if not self._is_new(packet):
+            return None
+        self._judge(now, packet, len(data))
+        return Received(packet.body, packet.sent / TICKS)
+
+    def _is_new(self, packet: Packet) -> bool:
+        """Whether a packet was not seen before and is of the present other process."""
+        if packet.epoch == self.epoch:
+            return False  # an echo of our own
+        if packet.epoch != self.met:
+            if packet.epoch < self.met:
+                return False  # of the process before
+            self.met, self._newest = packet.epoch, 0
+            self._seen.clear()
+            self.quality = LinkQuality()
+            self.safety.forget_other()
+        if (
+            packet.sequence in self._seen
+            or packet.sequence <= self._newest - REMEMBERED
+        ):
+            return False
+        self._seen[packet.sequence] = None
+        if len(self._seen) > REMEMBERED:
+            del self._seen[next(iter(self._seen))]
+        return True
+
+    def _judge(self, now: float, packet: Packet, size: int) -> None:
+        if packet.sequence > self._newest:
+            self._newest = packet.sequence
+            self._echo, self._echo_at = packet.sent, now
+            cause = packet.body.cause if isinstance(packet.body, Stop) else ""
+            self.safety.heard(now, State(packet.state), packet.stops, cause)
+        self.quality.arrived(now, packet.sequence, size)
+        if packet.echo:
+            left, held, sent = (
+                t / TICKS for t in (packet.echo, packet.held, packet.sent)
+            )
+            self.quality.echoed(now, left, held, sent)
+
+    def pack(self, now: float, body: Body, *, reliable: bool = False) -> Outgoing:
+        """A body as a packet of this side."""
+        self._sequence += 1
+        held = 0 if math.isnan(self._echo_at) else round((now - self._echo_at) * TICKS)
+        packet = Packet(
+            self.epoch,
+            self._sequence,
+            max(1, round(now * TICKS)) % MOST_TICKS,
+            self._echo,
+            min(max(held, 0), MOST_TICKS - 1),
+            int(self.safety.state),
+            self.safety.stops,
+            body,
+        )
+        data = encode(packet)
+        if not reliable:
+            self.rate.took(len(data))
+        return Outgoing(data, reliable)
+
+    def announce(self, now: float, send: list[Outgoing]) -> None:
+        """Tell the other side of a new STOP at once, whatever the rate."""
+        if self.safety.stops > self._told:
+            self._told = self.safety.stops
+            if self.safety.state is State.STOP:
+                send.append(self.pack(now, Stop(self.safety.cause[:LONGEST_TEXT])))

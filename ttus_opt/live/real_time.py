@@ -1,0 +1,246 @@
+"""Loops in real time around the state machines: one for each side.
+
+A loop runs at a rate by absolute times, so that lateness does not add up, and says how
+late it was. It ends after some seconds, when asked, or never.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.live.follower import Follower
+from ttus_opt.live.hand import Hand
+from ttus_opt.live.live_state import LiveState
+from ttus_opt.live.messages import Sample
+from ttus_opt.live.operator import Operator
+from ttus_opt.live.patient import Patient
+from ttus_opt.live.peer import Outgoing
+from ttus_opt.live.simulation import Moment
+
+#: Frames a second of the operator's and the follower's loops [Hz]
+OPERATOR_RATE, FOLLOWER_RATE = 1000.0, 100.0
+
+#: Lateness from which a frame is late, over its period [–]
+LATE = 1.0
+
+#: Time before a deadline that is waited for busily, as sleep is coarser [s]
+SPIN = 2e-4
+
+
+class Link(Protocol):
+    """One side of a link."""
+
+    def send(self, now: float, packets: tuple[Outgoing, ...]) -> None:
+        """Send packets."""
+
+    def receive(self, now: float) -> list[bytes]:
+        """What has arrived."""
+
+
+class HandDevice(Protocol):
+    """A haptic device: says where it is, and shows a force."""
+
+    rotation: Array
+    position: Array
+
+    def step(self, time: float, force: Array, seconds: float) -> None:
+        """Show a force [N] for some seconds, at a time from the start [s]."""
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """How late the frames of a loop were.
+
+    Attributes:
+        frames: Number of frames [–].
+        rate: Frames a second [Hz].
+        median: Lateness [s].
+        p99: 99 % of frames are at most this late [s].
+        worst: Largest lateness [s].
+        late: Share of frames later than one period [–].
+    """
+
+    frames: int
+    rate: float
+    median: float
+    p99: float
+    worst: float
+    late: float
+
+    def as_dict(self) -> dict[str, float]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+
+class Metronome:
+    """Absolute deadlines at a rate.
+
+    Args:
+        rate: Frames a second [Hz].
+        seconds: Length; ``math.inf`` for no end.
+    """
+
+    #: Lateness is counted in these steps up to a second [s]
+    STEP = 1e-5
+
+    def __init__(self, rate: float, seconds: float = math.inf) -> None:
+        self._period, self._seconds = 1.0 / rate, seconds
+        # a histogram: memory does not grow with time
+        self._counts = np.zeros(100_001, dtype=np.int64)
+        self._worst, self._start, self._frames = 0.0, 0.0, 0
+
+    def __iter__(self) -> Iterator[float]:
+        """Times of frames from `time.monotonic`, each when it is due."""
+        self._start = start = time.monotonic()
+        while True:
+            due = start + self._frames * self._period
+            if due - start >= self._seconds:
+                return
+            wait = due - time.monotonic()
+            if wait > SPIN:
+                time.sleep(wait - SPIN)
+            while (now := time.monotonic()) < due:
+                pass
+            late = now - due
+            self._worst = max(self._worst, late)
+            self._counts[min(int(late / self.STEP), len(self._counts) - 1)] += 1
+            self._frames += 1
+            yield now
+
+    @property
+    def lateness(self) -> Lateness:
+        """Of the frames so far."""
+        n = max(self._frames, 1)
+        shares = np.cumsum(self._counts) / n
+        lasted = max(time.monotonic() - self._start, 1e-9)
+        above = self._counts[int(LATE * self._period / self.STEP) :].sum()
+        return Lateness(
+            self._frames,
+            self._frames / lasted,
+            self.STEP * float(np.searchsorted(shares, 0.5)),
+            self.STEP * float(np.searchsorted(shares, 0.99)),
+            self._worst,
+            float(above) / n,
+        )
+
+
+def promptly(core: int | None = None) -> str:
+    """Ask for prompt scheduling; what was granted, in words.
+
+    Args:
+        core: Processor to pin this process to; None for any.
+    """
+    granted = []
+    if core is not None and hasattr(os, "sched_setaffinity"):
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, {core})
+            granted.append(f"pinned to processor {core}")
+    if hasattr(os, "sched_setscheduler"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+            granted.append("SCHED_FIFO")
+    return ", ".join(granted) or "no priority was granted"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a side's loop ended.
+
+    Attributes:
+        state: State of that side.
+        cause: Why it is not NORMAL.
+        lateness: Of its frames.
+        seen: States it was in.
+    """
+
+    state: str
+    cause: str
+    lateness: Lateness
+    seen: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+
+def run_operator(
+    operator: Operator,
+    link: Link,
+    hand: HandDevice | Hand,
+    *,
+    seconds: float = math.inf,
+    rate: float = OPERATOR_RATE,
+    watch: Callable[[Moment], None] | None = None,
+    show: Callable[[LiveState], None] | None = None,
+) -> Ended:
+    """The operator's loop: hand, link, force.
+
+    Args:
+        operator: The state machine.
+        link: To the follower.
+        hand: The device.
+        seconds: Length [s].
+        rate: Frames a second [Hz].
+        watch: Called with every frame, such as `Recorder.watch`.
+        show: Called ten times a second with what a page shows.
+    """
+    beat, shown, seen = Metronome(rate, seconds), -math.inf, dict[str, None]()
+    start = math.nan
+    safety = operator.peer.safety
+    for now in beat:
+        start = now if math.isnan(start) else start
+        packets = link.receive(now)
+        pose = hand.rotation, hand.position.copy()
+        step = operator.step(now, packets, *pose)
+        link.send(now, step.send)
+        felt = operator.feel(now, *pose).copy()
+        hand.step(now - start, felt[:3], 1.0 / rate)
+        seen[step.state.name] = None
+        if watch is not None:
+            state, nothing = step.state, Sample(now, *pose, felt)
+            watch(Moment(now, *pose, tuple(packets), felt, state, state, nothing))
+        if show is not None and now - shown >= 0.1:
+            shown = now
+            show(operator.view(now))
+    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))
+
+
+def run_follower(
+    follower: Follower,
+    link: Link,
+    patient: Patient,
+    rotation: Array,
+    position: Array,
+    *,
+    seconds: float = math.inf,
+    rate: float = FOLLOWER_RATE,
+) -> Ended:
+    """The follower's loop: link, probe, measurement.
+
+    Args:
+        follower: The state machine.
+        link: To the operator.
+        patient: What the probe touches, by simulation, recording or a robot's driver.
+        rotation: First target of the probe, (3, 3) [–].
+        position: Its position, patient frame, (3,) [m].
+        seconds: Length [s].
+        rate: Frames a second [Hz].
+    """
+    beat, seen = Metronome(rate, seconds), dict[str, None]()
+    safety = follower.peer.safety
+    for now in beat:
+        sensed = patient.sense(now, rotation, position)
+        step = follower.step(now, link.receive(now), sensed)
+        link.send(now, step.send)
+        rotation, position = step.rotation, step.position
+        seen[step.state.name] = None
+    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))

@@ -1,0 +1,330 @@
+"""A session as MCAP: standard messages for viewers, and frames for a replay.
+
+Hand, probe, felt and measured wrench are ROS 2 messages (`PoseStamped`,
+`WrenchStamped`), which Foxglove, Rerun and ROS open, at `SHOWN` a second. All that the
+operator's side was given, and what it let the hand feel, are in the channel `FRAMES`,
+from which `replay` renders the same forces again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+
+from ttus_opt import example
+from ttus_opt.core import io
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import FileError
+from ttus_opt.core.optional import load
+from ttus_opt.live.operator import Operator
+from ttus_opt.live.simulation import Moment
+from ttus_opt.live.trial import N_POINTS, made_operator
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import to_quaternions
+
+#: Channel of the frames for a replay; of the session's description
+FRAMES, DESCRIPTION = "/live/frames", "ttus_opt live session"
+
+#: Standard messages a second [1/s]; frame of reference they name
+SHOWN, PATIENT = 50.0, "patient"
+
+#: Frames in one message [–]
+BLOCK = 100
+
+_HEADER = """std_msgs/Header header
+"""
+_RULE = "=" * 80
+_STAMP = f"""{_RULE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULE}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_POSE = (
+    _HEADER
+    + f"""geometry_msgs/Pose pose
+{_RULE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_RULE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{_RULE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+    + _STAMP
+)
+_WRENCH = (
+    _HEADER
+    + f"""geometry_msgs/Wrench wrench
+{_RULE}
+MSG: geometry_msgs/Wrench
+geometry_msgs/Vector3 force
+geometry_msgs/Vector3 torque
+{_RULE}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+"""
+    + _STAMP
+)
+
+
+@dataclass(frozen=True)
+class Description:
+    """What makes an operator again.
+
+    Attributes:
+        probe: Its probe, as `PointShell.from_spec` takes it.
+        points: Points of its shell [–].
+        comparator: What the hand felt, see `trial.COMPARATORS`.
+        epoch: Of that side.
+        note: Free text.
+    """
+
+    probe: str = example.PROBE
+    points: int = N_POINTS
+    comparator: str = "model"
+    epoch: int = 2
+    note: str = ""
+
+    def operator(self) -> Operator:
+        """The operator before its first packet."""
+        shell = PointShell.from_spec(self.probe, n_points=self.points)
+        return made_operator(self.comparator, shell, self.epoch)
+
+
+class Frame(msgspec.Struct, array_like=True, frozen=True):
+    """One step of the operator: what it was given, and what the hand felt.
+
+    Attributes:
+        time: Operator's clock [s].
+        pose: Rotation (3, 3), then position (3,): 12 float64.
+        packets: What had arrived.
+        felt: Force, then torque: 6 float64.
+    """
+
+    time: float
+    pose: bytes
+    packets: list[bytes]
+    felt: bytes
+
+
+class Recorder:
+    """Writes a session while it runs; the file appears when it is complete.
+
+    Used in ``with``.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], description: Description | None = None
+    ) -> None:
+        """Begin a file.
+
+        Args:
+            path: The file, ``.mcap``.
+            description: What makes the operator again.
+
+        Raises:
+            MissingPackageError: mcap is not installed.
+        """
+        self._writer_of = load("mcap.writer", "live").Writer
+        self._target = io.replacing(path)
+        self._description = description or Description()
+        self._block: list[Frame] = []
+        self._shown, self._number = -np.inf, 0
+
+    def __enter__(self) -> Self:
+        """Open the file."""
+        self._file = self._target.__enter__().open("wb")
+        self._writer = writer = self._writer_of(self._file)
+        writer.start(profile="ros2", library="ttus_opt")
+        writer.add_metadata(
+            DESCRIPTION, {"json": json.dumps(asdict(self._description))}
+        )
+        pose = writer.register_schema(
+            "geometry_msgs/msg/PoseStamped", "ros2msg", _POSE.encode()
+        )
+        wrench = writer.register_schema(
+            "geometry_msgs/msg/WrenchStamped", "ros2msg", _WRENCH.encode()
+        )
+        self._channels = {
+            name: writer.register_channel(
+                topic=name, message_encoding="cdr", schema_id=kind
+            )
+            for name, kind in (
+                ("/hand/pose", pose),
+                ("/hand/felt", wrench),
+                ("/probe/pose", pose),
+                ("/probe/measured", wrench),
+            )
+        }
+        self._frames = writer.register_channel(
+            topic=FRAMES, message_encoding="msgpack", schema_id=0
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Complete the file, or leave none where there was an error."""
+        if kind is None:
+            self._flush()
+            self._writer.finish()
+        self._file.close()
+        self._target.__exit__(kind, error, trace)
+
+    def watch(self, moment: Moment) -> None:
+        """Write a frame."""
+        pose = np.concatenate([moment.rotation.ravel(), moment.position])
+        self._block.append(
+            Frame(
+                moment.time,
+                pose.tobytes(),
+                list(moment.packets),
+                moment.felt.tobytes(),
+            )
+        )
+        if len(self._block) == BLOCK:
+            self._flush()
+        if moment.time - self._shown >= 1.0 / SHOWN - 1e-9:
+            self._shown = moment.time
+            self._show(moment)
+
+    def _flush(self) -> None:
+        if self._block:
+            content = msgspec.msgpack.encode(self._block)
+            self._add(self._frames, self._block[-1].time, content)
+            self._block = []
+
+    def _show(self, moment: Moment) -> None:
+        sensed, now = moment.sensed, moment.time
+        for name, numbers in (
+            ("/hand/pose", _pose(moment.rotation, moment.position)),
+            ("/hand/felt", moment.felt),
+            ("/probe/pose", _pose(sensed.rotation, sensed.position)),
+            ("/probe/measured", sensed.wrench),
+        ):
+            self._add(self._channels[name], now, _cdr(now, numbers))
+
+    def _add(self, channel: int, now: float, content: bytes) -> None:
+        stamp = round(1e9 * now)
+        self._writer.add_message(channel, stamp, content, stamp, self._number)
+        self._number += 1
+
+
+def _pose(rotation: Array, position: Array) -> Array:
+    """Position, then quaternion x, y, z, w as ROS has it, shape (7,)."""
+    w, x, y, z = to_quaternions(rotation[None])[0]
+    return np.array([*position, x, y, z, w])
+
+
+def _cdr(now: float, numbers: Array) -> bytes:
+    """A header and float64 numbers in CDR, little-endian."""
+    seconds = int(now)
+    frame = PATIENT.encode() + b"\0"
+    head = (
+        struct.pack("<iII", seconds, round(1e9 * (now - seconds)), len(frame)) + frame
+    )
+    head += bytes(-len(head) % 8)
+    return b"\0\1\0\0" + head + numbers.astype("<f8").tobytes()
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A session rendered again.
+
+    Attributes:
+        frames: Frames rendered [–].
+        identical: Those whose six numbers are the same bit by bit [–].
+        largest_difference: Of a component [N, N·m].
+        description: What made the operator.
+    """
+
+    frames: int
+    identical: int
+    largest_difference: float
+    description: Description
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+
+def frames_of(path: str | os.PathLike[str]) -> tuple[Description, Iterator[Frame]]:
+    """Description and frames of a recorded session.
+
+    Raises:
+        FileError: Not such a file, or a damaged one.
+        MissingPackageError: mcap is not installed.
+    """
+    reading = load("mcap.reader", "live")
+    file = io.existing_file(path, "recorded session")
+    try:
+        with file.open("rb") as stream:
+            described = [
+                m.metadata["json"]
+                for m in reading.make_reader(stream).iter_metadata()
+                if m.name == DESCRIPTION
+            ]
+        description = msgspec.json.decode(described[0], type=Description)
+    except Exception as error:
+        raise FileError(
+            f"{file} is not a session that ttus-opt live has recorded: {error}"
+        ) from error
+    return description, _frames(file)
+
+
+def _frames(file: Path) -> Iterator[Frame]:
+    reading, decoder = load("mcap.reader", "live"), msgspec.msgpack.Decoder(list[Frame])
+    with file.open("rb") as stream:
+        found = reading.make_reader(stream).iter_messages(topics=[FRAMES])
+        for _, _, message in found:
+            yield from decoder.decode(message.data)
+
+
+def replay(path: str | os.PathLike[str]) -> Replay:
+    """Render a recorded session again, from all that the operator was given.
+
+    Raises:
+        FileError: Not such a file, or a damaged one.
+    """
+    description, frames = frames_of(path)
+    operator = description.operator()
+    count = identical = 0
+    largest = 0.0
+    for frame in frames:
+        pose = np.frombuffer(frame.pose).copy()
+        rotation, position = pose[:9].reshape(3, 3), pose[9:]
+        operator.step(frame.time, frame.packets, rotation, position)
+        felt = operator.feel(frame.time, rotation, position)
+        count += 1
+        if felt.tobytes() == frame.felt:
+            identical += 1
+        else:
+            difference = np.abs(felt - np.frombuffer(frame.felt)).max()
+            largest = max(largest, float(difference))
+    return Replay(count, identical, largest, description)
