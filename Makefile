@@ -42,7 +42,7 @@ help:
 	@echo "make lab         open the notebooks in JupyterLab"
 	@echo "make docs        build the documentation into site/, notebooks included"
 	@echo "make docs-check  check pages, also in a browser, links, names, examples"
-	@echo "make picture     draw the README's picture, docs/overview.png"
+	@echo "make picture     draw the README's pictures"
 	@echo "make oldest      run the fast tests with the oldest versions allowed"
 	@echo "make newest      run the fast tests with the newest versions, pre-releases too"
 	@echo "make mutants     put small mistakes into the code, count those the tests find"
@@ -93,9 +93,9 @@ check: $(STAMP)
 	$(BIN)/mypy benchmarks
 	$(BIN)/lint-imports
 
-picture: demo
-	mkdir -p docs
+picture: demo $(DOCS_STAMP)
 	cp demo/overview.png docs/overview.png
+	$(BIN)/python docs/viewer_pictures.py
 
 docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py

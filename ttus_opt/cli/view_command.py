@@ -80,7 +80,8 @@ def view(
         raise InputError("--compare needs a field file, not --example")
     with Stages(3) as begin:
         if field is None:
-            shown, options = _example(begin)
+            begin("fitting the example")
+            shown, options = shown_example()
         else:
             tool = None
             if probe is not None:
@@ -144,8 +145,8 @@ def _read(
     }
 
 
-def _example(begin: Stages) -> tuple[list[PotentialField], dict[str, Any]]:
-    """The bundled example, fitted."""
+def shown_example() -> tuple[list[PotentialField], dict[str, Any]]:
+    """The bundled example, fitted, and what else of it is shown."""
     from ttus_opt import example
     from ttus_opt.contact.scene import Scene
     from ttus_opt.fitting.batch import fit
@@ -155,7 +156,6 @@ def _example(begin: Stages) -> tuple[list[PotentialField], dict[str, Any]]:
     from ttus_opt.scan.surface import Surface
     from ttus_opt.voxmap.voxmap import Voxmap
 
-    begin("fitting the example")
     surface = Surface.load(example.path("surface.nc"))
     shell = PointShell.from_spec(example.PROBE)
     fitted, shown = (

@@ -21,7 +21,8 @@ ON_CLICK = """
     chart.over.dataset.goes = "1";
     chart.over.style.cursor = "pointer";
     chart.over.addEventListener("click", () => {
-      const field = document.getElementById(input);
+      const slider = document.getElementById(input)?.parentElement;
+      const field = slider?.querySelector("input:not([type=hidden])");
       const frame = chart.cursor.idx;
       if (!field || frame == null) return;
       const set = Object.getOwnPropertyDescriptor(

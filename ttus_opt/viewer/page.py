@@ -38,6 +38,9 @@ AWAY = 2.7
 #: Intensity of the even light; π shows a surface in its own colour
 LIGHT = 2.1
 
+#: How long a message is shown [s]
+SHOWN = 8.0
+
 #: Width of the panel [px]
 WIDTH = 360
 
@@ -103,12 +106,13 @@ class Page:
         self.move()
         self.write()
 
-    def tell(self, line: str) -> None:
-        """Show a line on every page, until somebody closes it."""
+    def tell(self, line: str, seconds: float | None = SHOWN) -> None:
+        """Show a line on every page for some time [s], None until it is closed."""
         for client in self._server.get_clients().values():
             client.add_notification(
-                "ttus-opt", line, auto_close_seconds=8.0, color="orange"
+                "ttus-opt", line, auto_close_seconds=seconds, color="orange"
             )
+            client.flush()
 
     def move(self) -> None:
         """Draw probe and forces as they are now; 30 times a second or more."""
@@ -145,7 +149,7 @@ class Page:
         _light(scene, front)
         camera = self._server.initial_camera
         along = np.array([0.0, 0.0, 1.0])
-        away = 0.85 * front + 0.5 * np.cross(along, front) + 0.2 * along
+        away = 0.8 * front + 0.4 * np.cross(along, front) + 0.45 * along
         camera.position = tuple(middle + AWAY * size * away)
         camera.look_at = tuple(middle)
         camera.fov = float(np.radians(35.0))

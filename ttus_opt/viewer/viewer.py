@@ -27,6 +27,9 @@ MOVING, IDLE = 1.0 / 60.0, 1.0 / 20.0
 #: Time between updates of numbers and plots [s]
 WRITING = 0.1
 
+#: What pages say at the end, and the time that this may take [s]
+ENDED, GOODBYE = "the viewer has ended: this page no longer changes", 0.3
+
 #: Height of a page in a notebook [px]
 HEIGHT = 640
 
@@ -81,12 +84,15 @@ class Viewer:
             pass
 
     def close(self) -> None:
-        """End the page; what was shown stays in open browsers, without life."""
+        """End the page; open browsers keep what they show, and say so."""
         if self._closing.is_set():
             return
         self._closing.set()
         self._thread.join(timeout=5.0)
         self.page.jobs.close()
+        if self._server.get_clients():
+            self.page.tell(ENDED, None)
+            time.sleep(GOODBYE)
         with quiet():
             self._server.stop()
 

@@ -1,0 +1,103 @@
+"""Draws the pictures of the viewer's page, in a browser; `make picture` calls it.
+
+    python docs/viewer_pictures.py
+
+It shows the bundled example. Where no Chromium is installed, it says so and does nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from playwright.sync_api import Page, sync_playwright
+
+import ttus_opt as tt
+from ttus_opt.cli.view_command import shown_example
+from ttus_opt.viewer.viewer import Viewer
+
+FOLDER = Path(__file__).parent / "pictures"
+SIZE = {"width": 1000, "height": 610}  # [px]
+
+#: Software draws slowly: a frame is waited for [ms]
+PATIENCE, DRAWN = 240_000, 6_000
+
+
+def press(viewer: Viewer, page: Page) -> None:
+    """The probe pressed in where the skin is stiff."""
+    viewer.state.slide(1.45, 0.17)
+    viewer.state.press(0.012)
+
+
+def section(viewer: Viewer, page: Page) -> None:
+    """The patient cut open below the probe."""
+    page.get_by_role("tab", name="Section").click()
+    tab = viewer.page.section
+    tab.choice.value, tab.height.value = "axial", 165.0
+    tab.show()
+    viewer.page.jobs.wait(60.0)
+
+
+def recording(viewer: Viewer, page: Page) -> None:
+    """A recorded press."""
+    tab = viewer.page.section
+    tab.choice.value = "none"
+    tab.show()
+    page.get_by_role("tab", name="Recording").click()
+    shown = viewer.page.recording
+    assert shown is not None
+    shown.frame.value = 42
+    viewer.state.show_frame(42)
+
+
+VIEWS: dict[str, Callable[[Viewer, Page], None]] = {
+    "viewer_probe": press,
+    "viewer_section": section,
+    "viewer_recording": recording,
+}
+
+
+def main() -> int:
+    """Draw all; the exit status."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        print("no chromium here: the viewer's pictures were not drawn")
+        return 0
+    fields, shown = shown_example()
+    with tt.view(fields, port=0, **shown) as viewer, sync_playwright() as play:
+        browser = play.chromium.launch(
+            executable_path=chromium,
+            chromium_sandbox=os.geteuid() != 0,  # root has none
+            args=[
+                *("--use-gl=angle", "--use-angle=swiftshader"),
+                *("--enable-unsafe-swiftshader", "--disable-component-update"),
+            ],
+        )
+        page = browser.new_page(viewport=SIZE)
+        page.set_default_timeout(PATIENCE)
+        page.goto(viewer.url)
+        page.wait_for_selector("canvas")
+        viewer.page.jobs.wait(60.0)
+        page.wait_for_timeout(DRAWN)
+        note = page.locator(".mantine-Notification-closeButton")
+        if note.count():  # that software draws
+            note.first.click()
+        for name, show in VIEWS.items():
+            show(viewer, page)
+            page.wait_for_timeout(DRAWN)
+            pixels = np.frombuffer(page.screenshot(timeout=PATIENCE), np.uint8)
+            image = cv2.imdecode(pixels, cv2.IMREAD_COLOR)
+            best = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+            cv2.imwrite(str(FOLDER / f"{name}.png"), image, best)
+            print(FOLDER / f"{name}.png")
+        browser.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
