@@ -108,4 +108,4 @@ def _swatches(named: dict[str, tuple[int, int, int]]) -> str:
         f"{escape(word)}</span>"
         for word, colour in named.items()
     )
-    return f'<div style="font-size:12px;padding:2px 12px">{boxes}</div>'
+    return f'<div style="font-size:12px;padding:2px 12px 10px">{boxes}</div>'

@@ -14,7 +14,7 @@ from ttus_opt.probe.trajectory import Trajectory
 CONTACT = 0.2
 
 #: Most places shown on the skin [–]
-PLACES = 150
+PLACES = 60
 
 
 @dataclass(frozen=True)
