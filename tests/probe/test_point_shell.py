@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests.conftest import SHARED
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.probe import orientation
+from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell, ellipsoid_area
 
 PROBE = SHARED / "probe" / "Probe_L14-5_38_lowres.stl"
@@ -195,10 +197,41 @@ def test_a_missing_face_is_told_and_the_hull_closes_it():
     assert np.linalg.norm(closed.areas @ closed.normals) < 1e-15
 
 
+@pytest.mark.parametrize("end", [-1, 1])
+def test_a_hole_is_told_where_it_is(end):
+    """An opening of 5 cm² where the cable leaves is not one of the contact face."""
+    made = trimesh.creation.box((0.02, 0.08, 0.025)).subdivide_to_size(0.004)
+    middle = made.triangles_center
+    hole = np.abs(middle[:, 1] - end * 0.04) < 1e-6
+    faces = np.array(made.faces)[~hole]
+    sign = "+" if end > 0 else "-"
+    words = rf"open by 5 cm².*around \(-?0, {end * 40}, -?0\) mm, at the \{sign}y end"
+    with pytest.warns(TtusWarning, match=words):
+        PointShell.from_triangles(np.array(made.vertices), faces, 100)
+
+
+def test_a_fine_mesh_votes_by_groups_as_a_coarse_one_face_by_face():
+    """Turned faces, an inner wall and a torus: the same answer from fewer votes."""
+    made = trimesh.creation.torus(0.03, 0.01, major_sections=160, minor_sections=120)
+    mesh = TriangleMesh(np.array(made.vertices), np.array(made.faces, np.int64))
+    assert len(mesh.faces) > orientation.FINE_MESH
+    rng = np.random.default_rng(0)
+    turned = rng.random(len(mesh.faces)) < 0.3
+    found = orientation.orient_faces(mesh.flipped(turned), rng)
+    np.testing.assert_array_equal(found.flip, turned)
+    coarse = trimesh.creation.torus(0.03, 0.01, major_sections=40, minor_sections=30)
+    few = TriangleMesh(np.array(coarse.vertices), np.array(coarse.faces, np.int64))
+    whole = orientation.orient_faces(few, rng)
+    mean = np.average(found.exposure, weights=mesh.areas)
+    assert mean == pytest.approx(
+        np.average(whole.exposure, weights=few.areas), abs=0.01
+    )
+
+
 @pytest.mark.slow
 @needs_probe
 def test_real_probe():
-    with pytest.warns(TtusWarning, match="contact face is missing"):
+    with pytest.warns(TtusWarning, match="in many small holes: if its contact face is"):
         shell = PointShell.from_mesh(PROBE, 800)
     size = np.ptp(shell.points, axis=0)
     np.testing.assert_allclose(size, [0.058, 0.132, 0.0245], atol=1.5e-3)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +104,10 @@ class TriangleMesh:
         Raises:
             GeometryError: Nothing is left.
         """
-        unique, index = np.unique(self.vertices, axis=0, return_inverse=True)
-        faces = index.reshape(-1)[self.faces]
-        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        first, index = _unique_rows(self.vertices)
+        unique = self.vertices[first]
+        faces = index[self.faces]
+        first, _ = _unique_rows(np.sort(faces, axis=1))
         faces = faces[np.sort(first)]
         welded = TriangleMesh(unique, faces)
         alive = welded.areas > 1e-14 * welded.extent**2
@@ -139,6 +141,21 @@ class TriangleMesh:
         mesh = TriangleMesh(self.vertices, hull.simplices.astype(np.int64))
         outward = hull.equations[:, :3]
         return mesh.flipped((mesh.vector_areas * outward).sum(axis=1) < 0)
+
+
+def _unique_rows(rows: NDArray[Any]) -> tuple[IntArray, IntArray]:
+    """First places of the distinct rows (n, 3) in order, and which each row is.
+
+    As ``np.unique(axis=0)``, several times faster: columns are numbered one by one.
+    """
+    key = np.zeros(len(rows), np.int64)
+    for column in rows.T:
+        values, number = np.unique(column, return_inverse=True)
+        # numbered anew, so that the product of two counts never overflows
+        key = np.unique(key, return_inverse=True)[1] if key.any() else key
+        key = key.reshape(-1) * len(values) + number.reshape(-1)
+    _, first, index = np.unique(key, return_index=True, return_inverse=True)
+    return first.astype(np.int64), index.reshape(-1).astype(np.int64)
 
 
 def metres_per(unit: str) -> float:

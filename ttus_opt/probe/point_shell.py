@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ttus_opt.core.arguments import expect_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, warn
+from ttus_opt.probe.boundary_loops import largest_hole
 from ttus_opt.probe.even_sampling import (
     FINE,
     SurfaceSamples,
@@ -154,9 +155,7 @@ class PointShell:
             GeometryError: No area, no inside, or not the size of a probe.
         """
         mesh = read_mesh(path, unit=unit)
-        return cls.from_triangles(
-            mesh.vertices, mesh.faces, n_points, surface=surface, seed=seed
-        )
+        return _from_mesh(mesh, n_points, surface, seed)
 
     @classmethod
     def from_triangles(
@@ -181,25 +180,11 @@ class PointShell:
             InputError: Arrays that are not a mesh, or too few points.
             GeometryError: No area, no inside, or not the size of a probe.
         """
-        if surface not in get_args(SurfaceChoice):
-            raise InputError(
-                f"surface must be one of {', '.join(get_args(SurfaceChoice))}, got "
-                f"{surface!r}"
-            )
-        _require_points(n_points)
-        rng = np.random.default_rng(seed)
         mesh = TriangleMesh(
             np.asarray(vertices, float), np.asarray(faces, np.int64)
         ).cleaned()
         require_plausible_extent(mesh.extent, "the probe")
-        if surface == "hull":
-            mesh = mesh.convex_hull()
-        else:
-            orientation = orient_faces(mesh, rng)
-            mesh = mesh.flipped(orientation.flip)
-            if surface == "outer":
-                mesh = _outer(mesh, orientation.exposure)
-        return _from_outward_mesh(mesh, n_points, rng)
+        return _from_mesh(mesh, n_points, surface, seed)
 
     @classmethod
     def ellipsoid(
@@ -327,6 +312,27 @@ def ellipsoid_area(semi_axes: Array) -> float:
     return float(4.0 * np.pi * np.prod(semi_axes) * elliprg(a, b, c))
 
 
+def _from_mesh(
+    mesh: TriangleMesh, n_points: int, surface: SurfaceChoice, seed: Seed
+) -> PointShell:
+    """The shell of a cleaned mesh; errors as `PointShell.from_triangles`."""
+    if surface not in get_args(SurfaceChoice):
+        raise InputError(
+            f"surface must be one of {', '.join(get_args(SurfaceChoice))}, got "
+            f"{surface!r}"
+        )
+    _require_points(n_points)
+    rng = np.random.default_rng(seed)
+    if surface == "hull":
+        mesh = mesh.convex_hull()
+    else:
+        orientation = orient_faces(mesh, rng)
+        mesh = mesh.flipped(orientation.flip)
+        if surface == "outer":
+            mesh = _outer(mesh, orientation.exposure)
+    return _from_outward_mesh(mesh, n_points, rng)
+
+
 def _from_outward_mesh(
     mesh: TriangleMesh, n_points: int, rng: np.random.Generator
 ) -> PointShell:
@@ -351,11 +357,28 @@ def _outer(mesh: TriangleMesh, exposure: Array) -> TriangleMesh:
         x, y, z = -missing / size
         warn(
             f"the probe's outer surface is open by {1e4 * size:.3g} cm² "
-            f"({100 * size / outer.area:.1f} %) towards ({x:.2f}, {y:.2f}, {z:.2f}): "
-            "if its contact face is missing, close the mesh or use surface='hull'",
+            f"({100 * size / outer.area:.1f} %) towards ({x:.2f}, {y:.2f}, {z:.2f}), "
+            f"{_place_of_opening(outer)}: "
+            "if its contact face is there, close the mesh or use surface='hull'; "
+            "elsewhere, as where the cable leaves, it does not matter",
             2,
         )
     return outer
+
+
+def _place_of_opening(mesh: TriangleMesh) -> str:
+    """Where the largest hole of an outward mesh is, in words."""
+    hole = largest_hole(mesh)
+    if hole is None:
+        return "in many small holes"
+    low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
+    off = (hole - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
+    axis = int(np.argmax(np.abs(off)))
+    end = f"{'-+'[int(off[axis] > 0)]}{'xyz'[axis]}"
+    x, y, z = 1e3 * hole
+    return (
+        f"with its largest hole around ({x:.0f}, {y:.0f}, {z:.0f}) mm, at the {end} end"
+    )
 
 
 def _sphere_lattice(n: int) -> Array:

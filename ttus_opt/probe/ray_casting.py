@@ -98,8 +98,9 @@ def count_crossings(
     direction: Array,
     skip: int,
     tree: RayTree,
+    first_only: bool = False,
 ) -> int:
-    """Faces one ray crosses, all but face ``skip`` (compiled)."""
+    """Faces one ray crosses, all but face ``skip``, or 1 for the first (compiled)."""
     corner, edges, face, boxes, children = tree
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -151,4 +152,6 @@ def count_crossings(
                 continue
             if (vx * qx + vy * qy + vz * qz) / det > 0.0:
                 count += 1
+                if first_only:
+                    return count
     return count
