@@ -100,7 +100,7 @@ def count_crossings(
     tree: RayTree,
     first_only: bool = False,
 ) -> int:
-    """Faces one ray crosses, all but face ``skip``, or 1 for the first (compiled)."""
+    """Faces one ray crosses, all but face ``skip``, or any of them (compiled)."""
     corner, edges, face, boxes, children = tree
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
@@ -112,7 +112,7 @@ def count_crossings(
     stack[0] = 0
     top = 1
     count = 0
-    while top > 0:
+    while top > 0 and not (first_only and count > 0):
         top -= 1
         n = stack[top]
         t0 = (boxes[n, 0] - ox) * ix
@@ -152,6 +152,4 @@ def count_crossings(
                 continue
             if (vx * qx + vy * qy + vz * qz) / det > 0.0:
                 count += 1
-                if first_only:
-                    return count
     return count
