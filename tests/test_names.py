@@ -1,7 +1,5 @@
 """Every name the package gives is there, under the paths it has always had."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 
@@ -34,11 +32,11 @@ OTHERWISE = {
 
 
 @pytest.mark.parametrize("name", tt.__all__)
-def test_a_public_name_is_loaded_on_first_use(name: str) -> None:
+def test_a_public_name_is_loaded_on_first_use(name):
     assert getattr(tt, name).__name__ == OTHERWISE.get(name, name)
 
 
-def test_a_shelf_gives_its_classes_by_name() -> None:
+def test_a_shelf_gives_its_classes_by_name():
     from ttus_opt.problem.terms.laplace import LaplaceTerm
 
     assert tt.terms.LaplaceTerm is LaplaceTerm
@@ -48,16 +46,16 @@ def test_a_shelf_gives_its_classes_by_name() -> None:
         tt.terms.LaplaseTerm  # noqa: B018
 
 
-def test_the_version_is_that_of_the_package() -> None:
+def test_the_version_is_that_of_the_package():
     assert tt.__version__ == importlib.metadata.version("ttus-opt")
 
 
 @pytest.mark.parametrize("module", KEPT)
-def test_a_kept_path_gives_what_it_gave(module: str) -> None:
+def test_a_kept_path_gives_what_it_gave(module):
     assert hasattr(importlib.import_module(module), KEPT[module])
 
 
-def test_mutants_are_made_of_files_that_are_there() -> None:
+def test_mutants_are_made_of_files_that_are_there():
     listed = mutants.EQUIVALENT.read_text(encoding="utf-8").splitlines()[1:]
     code = {line.split(" | ")[0] for line in listed if line}
     for target in mutants.TARGETS:
@@ -68,6 +66,6 @@ def test_mutants_are_made_of_files_that_are_there() -> None:
         assert (mutants.ROOT / "ttus_opt" / module).is_file(), module
 
 
-def test_an_unknown_name_is_named() -> None:
+def test_an_unknown_name_is_named():
     with pytest.raises(AttributeError, match="no attribute 'Surfaces'"):
         tt.Surfaces  # noqa: B018

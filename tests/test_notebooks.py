@@ -1,12 +1,9 @@
 """The notebooks' form; `make notebooks` runs them."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,57 +24,57 @@ ABSOLUTE = re.compile(r"(?<![\w.)/])/(?:[\w.-]+/)+[\w.-]*|\b[A-Z]:\\\\|file://")
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+def cells(path, kind):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     return [cell for cell in notebook["cells"] if cell["cell_type"] == kind]
 
 
-def source(cell: dict[str, Any]) -> str:
+def source(cell):
     return "".join(cell["source"])
 
 
-def outputs(notebook_cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def outputs(notebook_cells):
     """What the cells show, by media type."""
     shown = (output for cell in notebook_cells for output in cell.get("outputs", []))
     return [output["data"] for output in shown if "data" in output]
 
 
-def python(cell: dict[str, Any]) -> ast.Module:
+def python(cell):
     """The cell without the notebook's own % lines."""
     lines = source(cell).splitlines()
     return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
 
 
-def numbers(tree: ast.AST) -> list[float]:
+def numbers(tree):
     values = (n.value for n in ast.walk(tree) if isinstance(n, ast.Constant))
     return [v for v in values if isinstance(v, (int, float))]
 
 
-def test_all_are_there() -> None:
+def test_all_are_there():
     assert [path.stem for path in NOTEBOOKS] == EXPECTED
 
 
 @every_notebook
-def test_outputs_are_of_one_run_from_the_top(path: Path) -> None:
+def test_outputs_are_of_one_run_from_the_top(path):
     code = cells(path, "code")
     assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
     assert any("image/png" in data for data in outputs(code))
 
 
 @every_notebook
-def test_a_web_view_shows_it(path: Path) -> None:
+def test_a_web_view_shows_it(path):
     assert path.stat().st_size <= 300_000  # [B]
 
 
 @every_notebook
-def test_outputs_say_nothing_of_the_run(path: Path) -> None:
+def test_outputs_say_nothing_of_the_run(path):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     assert notebook["metadata"]["language_info"] == {"name": "python"}
     assert all("execution" not in cell["metadata"] for cell in notebook["cells"])
 
 
 @every_notebook
-def test_no_path_of_a_machine_is_stored(path: Path) -> None:
+def test_no_path_of_a_machine_is_stored(path):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     for data in outputs(notebook["cells"]):
         data.pop("image/png", None)  # base64 has slashes
@@ -87,12 +84,12 @@ def test_no_path_of_a_machine_is_stored(path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["'/home/me/scan.ply'", '"C:\\\\scan.ply"', "file://x"]
 )
-def test_such_a_path_would_be_seen(text: str) -> None:
+def test_such_a_path_would_be_seen(text):
     assert ABSOLUTE.search(text)
 
 
 @every_notebook
-def test_it_begins_with_a_title(path: Path) -> None:
+def test_it_begins_with_a_title(path):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     first = notebook["cells"][0]
     assert first["cell_type"] == "markdown"
@@ -100,21 +97,21 @@ def test_it_begins_with_a_title(path: Path) -> None:
 
 
 @every_notebook
-def test_the_first_code_cell_only_imports(path: Path) -> None:
+def test_the_first_code_cell_only_imports(path):
     body = python(cells(path, "code")[0]).body
     assert body
     assert all(isinstance(node, (ast.Import, ast.ImportFrom)) for node in body)
 
 
 @every_notebook
-def test_nothing_is_imported_later(path: Path) -> None:
+def test_nothing_is_imported_later(path):
     for cell in cells(path, "code")[1:]:
         nodes = ast.walk(python(cell))
         assert not [n for n in nodes if isinstance(n, (ast.Import, ast.ImportFrom))]
 
 
 @every_notebook
-def test_it_ends_by_checking_a_number(path: Path) -> None:
+def test_it_ends_by_checking_a_number(path):
     last = python(cells(path, "code")[-1]).body[-1]
     assert isinstance(last, ast.Assert)
     assert any(isinstance(node, ast.Compare) for node in ast.walk(last.test))

@@ -1,7 +1,5 @@
 """What the README shows is what happens."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
@@ -16,17 +14,16 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def readme() -> str:
+def readme():
     return (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def numbers(text: str) -> list[float]:
+def numbers(text):
     return [float(n) for n in re.findall(r"-?\d+\.\d+", text)]
 
 
-def test_the_python_lines_print_what_is_said(readme: str) -> None:
+def test_the_python_lines_print_what_is_said(readme):
     found = re.search(r"```python\n(.*?)```\n\nprints\n\n```\n(.*?)\n```", readme, re.S)
-    assert found is not None
     code, said = found.groups()
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
@@ -41,9 +38,7 @@ def test_the_python_lines_print_what_is_said(readme: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_shown_commands_have_these_options(
-    readme: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_shown_commands_have_these_options(readme, capsys):
     joined = readme.replace("\\\n", " ")
     commands = re.findall(r"^ttus-opt (\w+) (.*)$", joined, re.M)
     assert [name for name, _ in commands] == [
@@ -65,7 +60,7 @@ def test_the_shown_commands_have_these_options(
             assert not word.startswith("-") or word in told
 
 
-def test_files_and_folders_it_names_are_there(readme: str) -> None:
+def test_files_and_folders_it_names_are_there(readme):
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     linked = re.findall(r"\]\(([\w./]+)\)", readme)
     named = re.findall(r"`(ttus_opt/[\w./]+|formulations/)`", readme + page)
@@ -74,5 +69,5 @@ def test_files_and_folders_it_names_are_there(readme: str) -> None:
         assert (ROOT / path).exists(), path
 
 
-def test_the_picture_is_small() -> None:
+def test_the_picture_is_small():
     assert (ROOT / "docs" / "overview.png").stat().st_size < 100_000

@@ -1,7 +1,5 @@
 """Fits as a whole: what is handed out, and what is not."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 
@@ -11,6 +9,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from tests.dragging import dragged_scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting import batch
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
@@ -36,18 +35,18 @@ TINY = small_scene("trilinear", shape=(6, 8, 5), n_poses=15)
 TIMES = Timings(0.0, 0.0, 0.0)
 
 
-def eq10(weight: float = 0.1, scene: tt.Scene = SCENE) -> Formulation:
+def eq10(weight=0.1, scene=SCENE):
     return Formulation([LaplaceTerm(scene), ForceTerm(scene, weight)], name="mine")
 
 
-def dense_minimum(weight: float, scene: tt.Scene = SCENE) -> np.ndarray:
+def dense_minimum(weight, scene=SCENE):
     L, N = scene.L.toarray(), scene.N.toarray()
     return np.linalg.solve(
         L.T @ L + weight * N.T @ N, L.T @ scene.b + weight * N.T @ scene.f
     )
 
 
-def test_bounded_fit_against_dense_bounded_least_squares() -> None:
+def test_bounded_fit_against_dense_bounded_least_squares():
     """eq10_sign on a handful of voxels, by an active-set method on dense rows."""
     from scipy.optimize import lsq_linear
 
@@ -55,10 +54,7 @@ def test_bounded_fit_against_dense_bounded_least_squares() -> None:
     rows = [scene.L.toarray(), np.sqrt(3.0) * scene.N.toarray()]
     target = np.concatenate([scene.b, np.sqrt(3.0) * scene.f])
     region = scene.voxmap.region.reshape(-1)
-    box = (
-        np.where(region > 0, 0.0, -np.inf),
-        np.where(region < 0, 0.0, np.inf),
-    )
+    box = (np.where(region > 0, 0.0, -np.inf), np.where(region < 0, 0.0, np.inf))
     dense = lsq_linear(np.vstack(rows), target, box, method="bvls", tol=1e-14)
     solution = fit(scene, "eq10_sign", force_weight=3.0, torque_weight=0.0)
     assert (np.abs(dense.x[region != 0]) < 1e-9).any()  # the sign does bind
@@ -68,9 +64,7 @@ def test_bounded_fit_against_dense_bounded_least_squares() -> None:
     assert solution.objective == pytest.approx(2.0 * dense.cost, rel=1e-7)
 
 
-def judge(
-    x: np.ndarray | None, claim: Claim = Claim.DONE, scene: tt.Scene = SCENE
-) -> tt.Solution:
+def judge(x, claim=Claim.DONE, scene=SCENE):
     declared = eq10(scene=scene)
     return judged(
         declared,
@@ -82,13 +76,12 @@ def judge(
     )
 
 
-def test_the_answer_is_the_dense_minimum() -> None:
+def test_the_answer_is_the_dense_minimum():
     solution = fit(SCENE, eq10())
     np.testing.assert_allclose(
         solution.field.values.reshape(-1), dense_minimum(0.1), atol=1e-8
     )
     assert solution.status is Status.SOLVED
-    assert solution.kkt is not None
     assert solution.kkt.worst_relative < 1e-6
     assert solution.objective == pytest.approx(sum(solution.costs.values()))
     assert solution.field.provenance["formulation"] == str(eq10())
@@ -97,7 +90,7 @@ def test_the_answer_is_the_dense_minimum() -> None:
 
 
 @pytest.mark.slow
-def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
+def test_a_candidate_that_fails_its_check_is_never_in_field():
     """However sure the solver is."""
     wrong = judge(dense_minimum(0.1) + 1e-3)
     assert wrong.status is Status.INACCURATE
@@ -111,19 +104,18 @@ def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
 
 
 @pytest.mark.slow
-def test_a_solvers_claim_is_checked_before_it_is_believed() -> None:
+def test_a_solvers_claim_is_checked_before_it_is_believed():
     """An answer that holds is a solution even when its solver gave up."""
     assert judge(dense_minimum(0.1), Claim.GAVE_UP).status is Status.SOLVED
     assert judge(dense_minimum(0.5), Claim.TIME_LIMIT).status is Status.TIME_LIMIT
     assert judge(None, Claim.GAVE_UP).status is Status.FAILED
     broken = judge(np.full(SCENE.n_voxels, np.nan))
     assert broken.status is Status.INACCURATE
-    assert broken.kkt is not None
     assert broken.kkt.primal == np.inf
 
 
 @pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.UNBOUNDED])
-def test_a_claim_without_a_proof_is_the_solvers_failure(claim: Claim) -> None:
+def test_a_claim_without_a_proof_is_the_solvers_failure(claim):
     """Eq. 10 has no constraints to contradict each other, and a sum of squares."""
     verdict = judge(None, claim)
     assert verdict.status is Status.FAILED
@@ -131,7 +123,7 @@ def test_a_claim_without_a_proof_is_the_solvers_failure(claim: Claim) -> None:
     assert "words" in verdict.detail
 
 
-def test_no_claim_takes_what_is_not_finite_for_an_answer() -> None:
+def test_no_claim_takes_what_is_not_finite_for_an_answer():
     x = dense_minimum(0.1)
     for huge in (1e155, -1e155, 1e200):
         assert judge(np.full(SCENE.n_voxels, huge)).status is Status.INACCURATE
@@ -144,13 +136,10 @@ def test_no_claim_takes_what_is_not_finite_for_an_answer() -> None:
                 declared, reduction, "by hand", answer, Request(1e-6), TIMES
             )
             assert solution.status is Status.INACCURATE
-            assert solution.kkt is not None
             assert solution.kkt.worst_relative == np.inf
 
 
-def test_an_answer_is_not_solved_where_nothing_bounds_its_gap(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_answer_is_not_solved_where_nothing_bounds_its_gap(monkeypatch):
     """Few squares, and a penalty that does not state its gauge: nothing bounds."""
     monkeypatch.setattr(Absolute, "gauge", Penalty.gauge)
     declared = load("sparse_sources", SCENE, force_weight=0.1)
@@ -169,7 +158,6 @@ def test_an_answer_is_not_solved_where_nothing_bounds_its_gap(
             Request(1e-6),
             TIMES,
         )
-        assert found.kkt is not None
         assert not found.kkt.is_bound
         assert found.status is status, found.kkt
     assert "the residuals hold, but nothing bounds the gap" in found.detail
@@ -177,12 +165,12 @@ def test_an_answer_is_not_solved_where_nothing_bounds_its_gap(
 
 @pytest.mark.parametrize("place", ["target", "rows"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -> None:
+def test_a_term_that_is_no_number_is_refused_by_name(place, value):
     @dataclass(frozen=True)
     class Own(ForceTerm):
         name = "own_idea"
 
-        def rows(self) -> AffineRows:
+        def rows(self):
             rows = super().rows()
             target, matrix = rows.target.copy(), rows.blocks["p"].copy()
             if place == "target":
@@ -197,15 +185,13 @@ def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -
             fit(SCENE, declared, solver=solver)
 
 
-def test_auto_goes_on_where_the_first_answer_does_not_hold(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_auto_goes_on_where_the_first_answer_does_not_hold(monkeypatch):
     """And says so; a solver named by the user is not replaced."""
     from ttus_opt.solvers import structured
 
     assert fit(TINY, eq10(scene=TINY)).attempts == ()
 
-    def gives_up(self: object) -> Candidate:
+    def gives_up(self):
         return Candidate(dense_minimum(0.5, TINY), claim=Claim.GAVE_UP, detail="tired")
 
     monkeypatch.setattr(structured._Loaded, "solve", gives_up)
@@ -222,7 +208,7 @@ def test_auto_goes_on_where_the_first_answer_does_not_hold(
     assert alone.detail == "tired"
 
 
-def test_of_two_answers_the_solved_one_is_kept_or_that_with_less_residual() -> None:
+def test_of_two_answers_the_solved_one_is_kept_or_that_with_less_residual():
     exact = dense_minimum(0.1, TINY)
     near, far = (judge(exact + error, scene=TINY) for error in (1e-3, 1e-2))
     none = judge(None, Claim.GAVE_UP, TINY)
@@ -233,18 +219,17 @@ def test_of_two_answers_the_solved_one_is_kept_or_that_with_less_residual() -> N
     assert _better(near, proved) is proved
 
 
-def test_a_contradiction_is_reported_by_name() -> None:
+def test_a_contradiction_is_reported_by_name():
     declared = eq10().with_constraints(
         Sign(SCENE), HardBoundary(SCENE), Monotone(SCENE, 1000.0)
     )
     solution = fit(SCENE, declared)
     assert solution.status is Status.INFEASIBLE
     assert solution.conflict == ("boundary", "monotone")
-    with pytest.raises(NoSolutionError, match="boundary against monotone"):
-        _ = solution.field
+    refuses(NoSolutionError, "boundary against monotone", lambda: solution.field)
 
 
-def test_slack_and_dual_of_every_constraint_by_name() -> None:
+def test_slack_and_dual_of_every_constraint_by_name():
     declared = eq10(3.0).with_constraints(Sign(SCENE), HardBoundary(SCENE))
     solution = fit(SCENE, declared)
     assert set(solution.slacks) == set(solution.duals_by_name) == {"sign", "boundary"}
@@ -255,7 +240,7 @@ def test_slack_and_dual_of_every_constraint_by_name() -> None:
     dual = solution.duals_by_name["boundary"]
     row = int(np.argmax(np.abs(dual)))
 
-    def minimum(shift: float) -> float:
+    def minimum(shift):
         moved = SCENE.b.copy()
         moved[fixed[row]] += shift
         other = replace(SCENE, b=moved)
@@ -271,13 +256,12 @@ def test_slack_and_dual_of_every_constraint_by_name() -> None:
 
 
 @pytest.mark.parametrize("solver", ["structured", "closed_form", "clarabel"])
-def test_solving_again_takes_the_new_data(solver: str) -> None:
+def test_solving_again_takes_the_new_data(solver):
     fitter = Fitter(eq10(), solver=solver)
     first = fitter.solve()
     assert first.timings.again is None
     fitter.update(eq10().with_weights(force=2.0))
     second = fitter.solve()
-    assert second.timings.again is not None
     assert second.timings.again > 0.0
     assert second.timings.solve == first.timings.solve
     np.testing.assert_allclose(
@@ -286,32 +270,31 @@ def test_solving_again_takes_the_new_data(solver: str) -> None:
     assert "again" in second.timings.as_dict()
 
 
-def test_terms_of_several_kinds_go_through_one_reduction() -> None:
+def test_terms_of_several_kinds_go_through_one_reduction():
     declared = eq10() + SparseSourcesTerm(SCENE, 0.01)
     solution = fit(SCENE, declared, tolerance=1e-5)
     assert set(solution.costs) == {"laplace", "force", "sparse_sources"}
-    assert solution.candidate is not None
     assert len(solution.candidate) == SCENE.n_voxels
     assert solution.field.values.shape == SCENE.voxmap.grid.shape
 
 
-def test_a_search_finds_the_least_objective() -> None:
+def test_a_search_finds_the_least_objective():
     """Over the torque weight's partner: a made-up parameter with a known best."""
 
     @dataclass(frozen=True)
     class Shifted(ForceTerm):
         value: float = 0.0
 
-        def rows(self) -> AffineRows:
+        def rows(self):
             rows = super().rows()
             return replace(rows, target=rows.target * (1.0 + (self.value - 0.3) ** 2))
 
-        def parameters(self, values: object) -> dict[str, float]:
+        def parameters(self, values):
             return {"value": self.value}
 
     silent = replace(SCENE, b=np.zeros_like(SCENE.b))  # then the cost grows with ‖f‖
 
-    def build(value: float) -> Formulation:
+    def build(value):
         return Formulation([LaplaceTerm(silent), Shifted(silent, 0.1, value)])
 
     declared = build(0.9).with_search(Search("value", 0.0, 1.0, build))
@@ -321,44 +304,41 @@ def test_a_search_finds_the_least_objective() -> None:
     assert min(grid) == pytest.approx(solution.objective, rel=1e-4)
 
 
-def test_a_search_that_finds_nothing_is_timed_too() -> None:
+def test_a_search_that_finds_nothing_is_timed_too():
     """The objective is the same whatever the value: neutral, named, and not free."""
 
     @dataclass(frozen=True)
     class Flat(ForceTerm):
         value: float = 0.0
 
-        def parameters(self, values: object) -> dict[str, float]:
+        def parameters(self, values):
             return {"value": self.value}
 
-    def build(value: float) -> Formulation:
+    def build(value):
         return Formulation([LaplaceTerm(TINY), Flat(TINY, 0.1, value)])
 
     found = fit(TINY, build(0.9).with_search(Search("value", 0.0, 1.0, build)))
     assert set(found.not_identified) == {"value"}
-    assert found.timings.search is not None
     assert found.timings.search > 0.0
 
 
-def test_what_cannot_be_fitted() -> None:
+def test_what_cannot_be_fitted():
     other = replace(SCENE)
-    with pytest.raises(InputError, match="belongs to another scene"):
-        fit(other, eq10())
+    refuses(InputError, "belongs to another scene", fit, other, eq10())
     with pytest.raises(InputError, match="force weight must be finite and not"):
         fit(SCENE, "eq10", force_weight=-1.0)
     with pytest.raises(InputError, match="unknown solver 'structred', did you mean"):
         fit(SCENE, "eq10", solver="structred")
     for word in ("Auto", "chosen"):
         with pytest.raises(InputError, match=f"weights='{word}' is not known: take"):
-            fit(SCENE, "eq10", weights=word)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="tolerance must lie between"):
-        fit(SCENE, "eq10", tolerance=0.0)
+            fit(SCENE, "eq10", weights=word)
+    refuses(InputError, "tolerance must lie between", fit, SCENE, "eq10", tolerance=0.0)
 
 
 @pytest.mark.parametrize("info", available(), ids=lambda info: info.name)
-def test_every_formulation_is_solved_by_what_auto_picks(info: object) -> None:
+def test_every_formulation_is_solved_by_what_auto_picks(info):
     """Verified, its objective no worse than that of the Laplace field."""
-    name = info.name  # type: ignore[attr-defined]
+    name = info.name
     scene = small_scene("trilinear", shape=(7, 14, 8))
     options = {} if name == "laplace_only" else {"force_weight": 0.1}
     declared = load(name, scene, **options)
@@ -372,7 +352,7 @@ def test_every_formulation_is_solved_by_what_auto_picks(info: object) -> None:
         assert slack.min() > -1e-5
 
 
-def test_compiling_is_no_part_of_the_other_times() -> None:
+def test_compiling_is_no_part_of_the_other_times():
     scene = replace(SCENE, seconds=2.0, compile_seconds=900.0)
     times = tt.fit(scene, "eq10").timings
     assert times.compile >= 900.0
@@ -380,14 +360,14 @@ def test_compiling_is_no_part_of_the_other_times() -> None:
     assert times.as_dict()["compile"] == times.compile
 
 
-def test_each_part_s_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_part_s_compiling_is_told_once(monkeypatch):
     """Every stopwatch that a fit with an estimated parameter starts is read once."""
     made = []
 
     class Watch:
         seconds, compile = 1.0, 100.0
 
-        def __init__(self) -> None:
+        def __init__(self):
             made.append(self)
 
     monkeypatch.setattr(batch, "Stopwatch", Watch)
@@ -398,7 +378,7 @@ def test_each_part_s_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert found.timings.compile == pytest.approx(own + 100.0 * len(made))
 
 
-def test_estimates_take_no_more_time_than_there_was() -> None:
+def test_estimates_take_no_more_time_than_there_was():
     """Beside a fit without a search, ``search`` is the time of its standard errors."""
     scene = dragged_scene("contact")
     declared = load("viscous_drag", scene)
@@ -406,14 +386,11 @@ def test_estimates_take_no_more_time_than_there_was() -> None:
     start = time.perf_counter()
     solution = fit(scene, declared, solver="structured")
     elapsed = time.perf_counter() - start
-    assert solution.timings.search is not None
     assert 0.0 < solution.timings.search < elapsed
 
 
 @pytest.mark.parametrize(("name", "seconds"), [("eq10", 1.0), ("viscous_drag", 2.0)])
-def test_the_choice_of_weights_counts_as_search(
-    name: str, seconds: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_choice_of_weights_counts_as_search(name, seconds, monkeypatch):
     """With the time of standard errors, where there are any."""
 
     class Watch:

@@ -1,7 +1,5 @@
 """What a solver's answer and its word come to: residuals decide, proofs are asked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -10,13 +8,14 @@ import pytest
 import scipy.sparse.linalg
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting import verdict
 from ttus_opt.fitting.verdict import CONFLICT_SECONDS, checked_candidate, judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import Reduction, reduce
-from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.problem.solution import Status, Timings
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 
@@ -26,7 +25,7 @@ TIMES = Timings(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def answer() -> np.ndarray:
+def answer():
     """The minimum of eq. 10, by one factorisation."""
     terms = EQ10.compile().terms
     A = sum(t.weight * (t.matrix.T @ t.matrix) for t in terms)
@@ -34,7 +33,7 @@ def answer() -> np.ndarray:
     return np.asarray(scipy.sparse.linalg.spsolve(A.tocsc(), b))
 
 
-def told(candidate: Candidate, reduction: Reduction | None = None) -> Solution:
+def told(candidate, reduction=None):
     return judged(
         EQ10,
         reduction or reduce(EQ10.compile()),
@@ -57,9 +56,7 @@ def told(candidate: Candidate, reduction: Reduction | None = None) -> Solution:
         (Claim.UNBOUNDED, 0.1, Status.INACCURATE, "solver's word, without a proof"),
     ],
 )
-def test_residuals_decide_not_the_claim(
-    answer: np.ndarray, claim: Claim, error: float, status: Status, remark: str
-) -> None:
+def test_residuals_decide_not_the_claim(answer, claim, error, status, remark):
     found = told(Candidate((1.0 + error) * answer, claim=claim, detail="its words"))
     assert found.status is status
     assert found.detail.startswith("its words")
@@ -67,14 +64,14 @@ def test_residuals_decide_not_the_claim(
     assert (found.verified_field is not None) == (status is Status.SOLVED)
 
 
-def test_no_answer_is_a_failure() -> None:
+def test_no_answer_is_a_failure():
     found = told(Candidate(None, claim=Claim.GAVE_UP))
     assert found.status is Status.FAILED
     assert found.kkt is None
     assert np.isnan(found.objective)
 
 
-def test_a_contradiction_needs_a_proof_and_is_named() -> None:
+def test_a_contradiction_needs_a_proof_and_is_named():
     """2 ≤ x₀ against x₀ ≤ 1; without the second, "infeasible" is a mere word."""
     reach = program(
         [term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2.0], [np.inf])]
@@ -93,7 +90,7 @@ def test_a_contradiction_needs_a_proof_and_is_named() -> None:
     assert "without a proof" in found.detail
 
 
-def test_a_solver_s_own_proof_names_the_conflict() -> None:
+def test_a_solver_s_own_proof_names_the_conflict():
     """Of two conflicts the one it proves; multipliers of an answer prove nothing."""
     both = program(
         [term(np.eye(2), [0.0, 0.0])],
@@ -114,12 +111,10 @@ def test_a_solver_s_own_proof_names_the_conflict() -> None:
         assert set(found.conflict) == {"reach", "limit", "rise", "fall"}
 
 
-def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(monkeypatch):
     given: list[float | None] = []
 
-    def sought(*_: object, time_limit: float | None, **__: object) -> None:
+    def sought(*_, time_limit, **__):
         given.append(time_limit)
 
     monkeypatch.setattr(verdict, "falling_ray", sought)
@@ -150,7 +145,7 @@ NO_VECTORS: tuple[Any, ...] = (
 )
 
 
-def test_an_answer_is_copied_once() -> None:
+def test_an_answer_is_copied_once():
     """A solver may use its arrays again."""
     small = program([term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2], [3])])
     x, y, z = np.zeros(2), np.zeros(1), np.zeros(2, np.float32)
@@ -182,15 +177,14 @@ def test_an_answer_is_copied_once() -> None:
             )
             for x in (None, *NO_VECTORS)
         ),
-        (Candidate(ZERO, Duals({}, None, {"f": "a"})), r"its duals\.terms\['f'\] must"),  # type: ignore[dict-item]
-        (Candidate(ZERO, None), "its duals must be Duals, got NoneType"),  # type: ignore[arg-type]
-        (Candidate(ZERO, Duals(None)), r"its duals\.rows must be vectors by con"),  # type: ignore[arg-type]
-        (Candidate(ZERO, detail=3), "its detail must be a text, got int"),  # type: ignore[arg-type]
-        (Candidate(ZERO, claim="done"), "its claim must be a Claim, got str"),  # type: ignore[arg-type]
-        (Candidate(ZERO, iterations=1.5), "its iterations must be a whole"),  # type: ignore[arg-type]
+        (Candidate(ZERO, Duals({}, None, {"f": "a"})), r"its duals\.terms\['f'\] must"),
+        (Candidate(ZERO, None), "its duals must be Duals, got NoneType"),
+        (Candidate(ZERO, Duals(None)), r"its duals\.rows must be vectors by con"),
+        (Candidate(ZERO, detail=3), "its detail must be a text, got int"),
+        (Candidate(ZERO, claim="done"), "its claim must be a Claim, got str"),
+        (Candidate(ZERO, iterations=1.5), "its iterations must be a whole"),
     ],
 )
-def test_the_form_of_an_answer_is_checked(candidate: Any, words: str) -> None:
+def test_the_form_of_an_answer_is_checked(candidate, words):
     small = program([term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2], [3])])
-    with pytest.raises(InputError, match=words):
-        checked_candidate(candidate, small, "mine")
+    refuses(InputError, words, checked_candidate, candidate, small, "mine")

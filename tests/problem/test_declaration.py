@@ -45,12 +45,8 @@ def test_repr_of_a_search_and_of_more_variables():
 def test_plus_adds_a_term_and_leaves_the_first_alone():
     first = eq10()
     both = first + TorqueTerm(SCENE, 0.2) + SparseSourcesTerm(SCENE, 0.3)
-    assert [t.name for t in both.terms] == [
-        "laplace",
-        "force",
-        "torque",
-        "sparse_sources",
-    ]
+    names = [term.name for term in both.terms]
+    assert names == ["laplace", "force", "torque", "sparse_sources"]
     assert len(first.terms) == 2
     assert both.name == "mine"
 

@@ -41,18 +41,13 @@ def test_a_quadratic_program_is_left_alone():
 def test_names_of_what_is_added():
     reduced = reduce(bent()).program
     assert reduced.is_quadratic
-    assert [t.name for t in reduced.terms] == [
-        "laplace",
-        "robust_force",
-        "robust_force:excess",
-        "sparse_sources",
-    ]
-    assert [c.name for c in reduced.constraints] == ["boundary", "sparse_sources:split"]
-    assert [b.name for b in reduced.bounds] == [
-        "sign",
-        "robust_force:excess",
-        "sparse_sources:excess",
-    ]
+    terms, held, limits = (
+        [member.name for member in members]
+        for members in (reduced.terms, reduced.constraints, reduced.bounds)
+    )
+    assert terms == ["laplace", "robust_force", "robust_force:excess", "sparse_sources"]
+    assert held == ["boundary", "sparse_sources:split"]
+    assert limits == ["sign", "robust_force:excess", "sparse_sources:excess"]
     assert list(reduced.variables)[1] == "robust_force:above"
 
 

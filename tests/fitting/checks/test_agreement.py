@@ -1,7 +1,5 @@
 """Agreement with the geometry against SciPy; torques about an exactly known point."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,15 +19,14 @@ FORCE = RNG.normal(0.0, 3.0, (N, 3))
 EXPECTED = RNG.normal(0.0, 0.1, (N, 3))
 
 
-def left(expected: np.ndarray, measured: np.ndarray) -> tuple[float, float]:
+def left(expected, measured):
     """The best scale that is not negative, and ‖rest‖²/‖measured‖²."""
     (scale,), rest = scipy.optimize.nnls(expected[:, None], measured)
     return float(scale), float(rest**2 / (measured @ measured))
 
 
-def test_it_is_the_root_of_what_both_leave() -> None:
+def test_it_is_the_root_of_what_both_leave():
     frames = SCENE.trajectory
-    assert frames.force is not None and frames.torque is not None
     found = agreement(SCENE, PRIOR, frames)
     s, of_forces = left(SCENE.N @ PRIOR, frames.force.ravel())
     k, of_torques = left(SCENE.W @ PRIOR, frames.torque.ravel())
@@ -40,7 +37,7 @@ def test_it_is_the_root_of_what_both_leave() -> None:
     assert (alone.disagreement, alone.torque_ratio) == pytest.approx((of_forces, 0.0))
 
 
-def test_wrenches_of_the_field_agree_and_their_opposites_not_at_all() -> None:
+def test_wrenches_of_the_field_agree_and_their_opposites_not_at_all():
     force, torque = ((M @ PRIOR).reshape(-1, 3) for M in (SCENE.N, SCENE.W))
     for sign, disagreement in ((2.0, 0.0), (-1.0, 1.0)):
         frames = replace(SCENE.trajectory, force=sign * force, torque=sign * torque)
@@ -49,18 +46,17 @@ def test_wrenches_of_the_field_agree_and_their_opposites_not_at_all() -> None:
         assert found.torque_ratio == pytest.approx(max(sign, 0.0) / 2.0)
 
 
-def test_where_nothing_is_expected_all_disagrees_that_is_measured() -> None:
+def test_where_nothing_is_expected_all_disagrees_that_is_measured():
     none = 0.0 * PRIOR
     frames = SCENE.trajectory
     assert agreement(SCENE, none, frames).disagreement == 1.0
-    assert frames.force is not None and frames.torque is not None
     silent = replace(frames, force=0.0 * frames.force, torque=0.0 * frames.torque)
     assert agreement(SCENE, PRIOR, silent).disagreement == 0.0
     assert agreement(SCENE, none, silent).torque_ratio == 0.0
 
 
 @pytest.mark.parametrize("factor", [1.0, 7.0])
-def test_an_offset_is_found_beside_any_factor(factor: float) -> None:
+def test_an_offset_is_found_beside_any_factor(factor):
     c = np.array([0.01, -0.03, 0.08])
     torque = factor * EXPECTED - np.cross(TURN @ c, FORCE)
     assert torque_offset(torque, EXPECTED, FORCE, TURN) == pytest.approx(c)
@@ -69,7 +65,7 @@ def test_an_offset_is_found_beside_any_factor(factor: float) -> None:
     )
 
 
-def test_pushes_along_one_axis_tell_nothing_along_it() -> None:
+def test_pushes_along_one_axis_tell_nothing_along_it():
     force = 3.0 * TURN[:, :, 2]
     c = np.array([0.01, -0.03, 0.08])
     torque = -np.cross(TURN @ c, force)

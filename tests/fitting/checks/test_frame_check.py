@@ -1,7 +1,5 @@
 """Recordings that lie on the skin only in another frame are told."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 
@@ -19,7 +17,6 @@ from ttus_opt.fitting.checks.frame_check import (
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 
 TURN = Rotation.from_rotvec([1.0, 0.5, -2.0]).as_matrix()
@@ -29,12 +26,12 @@ OWN = presses(SKIN, 12, np.random.default_rng(5))
 PLACE = SKIN.axis.scan_to_patient
 
 
-def told(written: Trajectory, conventions: Conventions) -> None:
+def told(written, conventions):
     read = conventions.read(written, SHELL.reference, PLACE)
     warn_of_another_frame(written, read, SHELL, SKIN, conventions)
 
 
-def test_the_share_is_that_of_frames_near_the_skin() -> None:
+def test_the_share_is_that_of_frames_near_the_skin():
     assert share_near_skin(OWN, SHELL, SKIN) == 1.0
     away = OWN.position.copy()
     away[:3] *= 5.0  # out
@@ -43,7 +40,7 @@ def test_the_share_is_that_of_frames_near_the_skin() -> None:
     assert share_near_skin(there, SHELL, SKIN) == pytest.approx(0.5)
 
 
-def test_nothing_is_said_of_the_right_frame() -> None:
+def test_nothing_is_said_of_the_right_frame():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         told(OWN, Conventions())
@@ -53,7 +50,7 @@ def test_nothing_is_said_of_the_right_frame() -> None:
         warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
 
 
-def test_the_frame_that_fits_is_named() -> None:
+def test_the_frame_that_fits_is_named():
     with pytest.warns(
         MistakeWarning, match=r"100 % .* in the scan frame: .*--frame scan"
     ):
@@ -62,7 +59,7 @@ def test_the_frame_that_fits_is_named() -> None:
         told(OWN, Conventions(frame="scan"))
 
 
-def test_recordings_near_no_skin_at_all() -> None:
+def test_recordings_near_no_skin_at_all():
     away = replace(OWN, position=OWN.position + 3.0)
     with pytest.warns(
         MistakeWarning, match="only 0 % .* within 10 cm .*--base-to-scan"
@@ -73,7 +70,7 @@ def test_recordings_near_no_skin_at_all() -> None:
         told(away, Conventions(frame="base", base_to_scan=motion))
 
 
-def test_a_motion_the_wrong_way_round_is_told() -> None:
+def test_a_motion_the_wrong_way_round_is_told():
     base_to_scan = np.eye(4)
     base_to_scan[:3, :3] = TURN.T
     base_to_scan[:3, 3] = 0.7, 0.2, -0.5
@@ -85,7 +82,7 @@ def test_a_motion_the_wrong_way_round_is_told() -> None:
         told(written, wrong)
 
 
-def path(n: int, step: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+def path(n, step=0.01):
     """A slow circle of 5 cm, in n frames with jitter of a tenth of a millimetre."""
     time = step * np.arange(n)
     turned = np.stack([np.cos(time), np.sin(time), 0.0 * time], axis=1)
@@ -93,7 +90,7 @@ def path(n: int, step: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
     return 0.05 * turned + noise, time
 
 
-def test_a_jump_is_where_it_is_and_as_large() -> None:
+def test_a_jump_is_where_it_is_and_as_large():
     position, time = path(100)
     position[40:] += [0.0, 0.02, 0.0]
     at, size = jumps(position, time)
@@ -101,7 +98,7 @@ def test_a_jump_is_where_it_is_and_as_large() -> None:
     assert size[40] == pytest.approx(0.02, rel=0.1)
 
 
-def test_what_is_no_jump() -> None:
+def test_what_is_no_jump():
     """A few frames, a brisk start between sparse frames, and steps as all others."""
     for n in (1, 3):
         assert not jumps(*path(n))[0].any()

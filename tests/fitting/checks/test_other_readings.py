@@ -1,7 +1,5 @@
 """Recordings read otherwise, and what the session's own readings tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +9,11 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.fitting.checks.test_sanity import geometry, recording
 from ttus_opt.fitting.checks.other_readings import _other_conventions, contact_readings
-from ttus_opt.fitting.checks.sanity import Mistake, likely_mistake
+from ttus_opt.fitting.checks.sanity import likely_mistake
 from ttus_opt.probe.conventions import Conventions
-from ttus_opt.probe.trajectory import Trajectory
 
 
-def test_delays_are_tried_both_ways_in_even_steps() -> None:
+def test_delays_are_tried_both_ways_in_even_steps():
     recorded = recording("press_fit")
     usual = Conventions(), np.zeros(3)
     tried = [c.wrench_delay for c in _other_conventions(*usual, recorded)]
@@ -27,13 +24,13 @@ def test_delays_are_tried_both_ways_in_even_steps() -> None:
     assert max(c.wrench_delay for c in _other_conventions(*usual, short)) == 0.2
 
 
-def named(recorded: Trajectory) -> Mistake | None:
+def named(recorded):
     scene = tt.Scene.assemble(*geometry(), recorded, inner=10.0, sampling="trilinear")
     return likely_mistake(scene, recorded, Conventions(), contact_readings(scene))
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
-def test_turned_axes_are_told() -> None:
+def test_turned_axes_are_told():
     """Of probe and wrenches, of the probe alone, of wrenches alone; not of neither."""
     own = recording("press_fit")
     assert named(own) is None
@@ -53,7 +50,6 @@ def test_turned_axes_are_told() -> None:
         (replace(own, force=force, torque=torque), "wrench_axes", "wrenches turned"),
     ):
         found = named(wrong)
-        assert found is not None
         assert found.cause == cause
         assert found.what.startswith(what)
         assert found.after < 0.5 * found.before

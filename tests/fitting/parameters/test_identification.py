@@ -1,10 +1,6 @@
 """Parameters beside the field: standard errors, and what the data do not bear."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +28,7 @@ NEUTRAL = {
 each_drag = pytest.mark.parametrize("name", sorted(NEUTRAL))
 
 
-def recorded(scene: Scene, trajectory: Trajectory) -> Scene:
+def recorded(scene, trajectory):
     """The same torso with another recording."""
     return Scene.assemble(
         scene.voxmap,
@@ -44,11 +40,11 @@ def recorded(scene: Scene, trajectory: Trajectory) -> Scene:
     )
 
 
-def away(given: Trajectory) -> Trajectory:
+def away(given):
     return replace(given, position=given.position * [1.3, 1.3, 1.0])
 
 
-def still(given: Trajectory) -> Trajectory:
+def still(given):
     n = len(given)
     return replace(
         given,
@@ -57,9 +53,7 @@ def still(given: Trajectory) -> Trajectory:
     )
 
 
-def alone(given: Trajectory) -> Trajectory:
-    assert given.force is not None
-    assert given.torque is not None
+def alone(given):
     return Trajectory(
         given.time[:1],
         given.position[:1],
@@ -69,7 +63,7 @@ def alone(given: Trajectory) -> Trajectory:
     )
 
 
-def dragged() -> Scene:
+def dragged():
     return dragged_scene("contact", shape=SMALL)
 
 
@@ -80,9 +74,7 @@ def dragged() -> Scene:
     ids=["away", "still", "alone"],
 )
 @each_drag
-def test_nothing_slides_and_nothing_is_invented(
-    name: str, change: Callable[[Trajectory], Trajectory], reason: str
-) -> None:
+def test_nothing_slides_and_nothing_is_invented(name, change, reason):
     """It gave μ = 0.9996, 0.59 and 0.9996, solved and silent."""
     scene = recorded(dragged(), change(dragged().trajectory))
     solution = tt.fit(scene, name, **WEIGHTS)
@@ -101,7 +93,7 @@ def test_nothing_slides_and_nothing_is_invented(
 
 
 @each_drag
-def test_a_pure_press_tells_no_drag(name: str) -> None:
+def test_a_pure_press_tells_no_drag(name):
     """Up and down along the probe's axis, a tracker's 2 µm to the sides."""
     given = still(dragged().trajectory)
     sliding = Sliding.of(dragged().voxmap, dragged().shell, given, "reference")
@@ -131,7 +123,7 @@ def test_a_pure_press_tells_no_drag(name: str) -> None:
         ("viscous_drag", "viscous_coefficient", 20.0),
     ],
 )
-def test_a_good_sweep_tells_drag(name: str, parameter: str, truth: float) -> None:
+def test_a_good_sweep_tells_drag(name, parameter, truth):
     viscous = name == "viscous_drag"
     scene = noisy(made(viscous), 1e-3, np.random.default_rng(1))
     solution = tt.fit(scene, name, acts_at="contact", **WEIGHTS)
@@ -142,20 +134,18 @@ def test_a_good_sweep_tells_drag(name: str, parameter: str, truth: float) -> Non
     assert solution.field.standard_errors == solution.standard_errors
 
 
-def made(viscous: bool) -> Scene:
+def made(viscous):
     drag = {"mu": 0.0, "viscous": 20.0} if viscous else {"mu": 0.3}
     return dragged_scene("contact", shape=SMALL, **drag)
 
 
-def noisy(scene: Scene, sigma: float, rng: np.random.Generator) -> Scene:
+def noisy(scene, sigma, rng):
     """A draw from the model: a field from its prior, measurements with their noise.
 
     The drag of the scene's own wrenches acts on the Laplace field, its part on the
     rest of the drawn field is left out.
     """
     given = scene.trajectory
-    assert given.force is not None
-    assert given.torque is not None
     shift = scene.laplace.solve(sigma * rng.normal(size=scene.n_voxels))
     noise = sigma / np.sqrt(WEIGHTS["force_weight"])
     shape = given.force.shape
@@ -171,7 +161,7 @@ def noisy(scene: Scene, sigma: float, rng: np.random.Generator) -> Scene:
     )
 
 
-def test_the_noise_is_estimated_from_what_is_left() -> None:
+def test_the_noise_is_estimated_from_what_is_left():
     """σ̂² has the expectation σ² whatever λ says, frames off the skin left out."""
     sigma, scene = 1e-3, made(viscous=True)
     far = scene.trajectory.position.copy()
@@ -199,11 +189,10 @@ def test_the_noise_is_estimated_from_what_is_left() -> None:
 
 
 @pytest.mark.slow
-def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
+def test_a_viscous_standard_error_is_that_of_dense_least_squares():
     """With all rows in one matrix, one patch and several."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
     given, place = scene.trajectory, frame_places(scene)
-    assert given.force is not None
     alike = np.random.default_rng(6).normal(0.0, 0.03, (len(given), 3))[place]
     scene = replace(scene, trajectory=replace(given, force=given.force + alike))
     for patches in (1, 12):
@@ -227,7 +216,6 @@ def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
         G, B = A[:, slid], A[:, :V]
         along = G - B @ np.linalg.solve(B.T @ B, B.T @ G)
         rows = PlaceRows.of(scene, program)
-        assert rows is not None
         own = np.concatenate([V + rows.rows, V + 3 * len(scene.trajectory) + rows.rows])
         expected = rows.errors(
             usual, -rest[own], along[own] @ (0.5 * inverse), 0.5 * np.diagonal(inverse)
@@ -250,16 +238,15 @@ def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
 
 
 @pytest.mark.slow
-def test_a_searched_standard_error_is_that_of_the_dense_profile() -> None:
+def test_a_searched_standard_error_is_that_of_the_dense_profile():
     """J(μ) by dense least squares at other places, its second difference by hand."""
     scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(3))
     solution = tt.fit(scene, "coulomb_global", acts_at="contact", **WEIGHTS)
     found = solution.parameters["friction_coefficient"]
     declared = load("coulomb_global", scene, acts_at="contact", **WEIGHTS)
-    assert declared.search is not None
     build = declared.search.build
 
-    def least(mu: float) -> float:
+    def least(mu):
         terms = build(mu).compile().terms
         A = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in terms])
         t = np.concatenate([np.sqrt(t.weight) * t.target for t in terms])
@@ -276,7 +263,7 @@ def test_a_searched_standard_error_is_that_of_the_dense_profile() -> None:
     assert told == pytest.approx(expected, rel=0.02)
 
 
-def spread_of(name: str, parameter: str, draws: int) -> tuple[float, float, float]:
+def spread_of(name, parameter, draws):
     """Spread and mean of an estimate over draws, and the standard error it tells."""
     scene, rng = made(name == "viscous_drag"), np.random.default_rng(7)
     values, errors = [], []
@@ -289,7 +276,7 @@ def spread_of(name: str, parameter: str, draws: int) -> tuple[float, float, floa
 
 
 @pytest.mark.slow
-def test_viscous_estimates_spread_as_told() -> None:
+def test_viscous_estimates_spread_as_told():
     spread, mean, told = spread_of("viscous_drag", "viscous_coefficient", 40)
     assert told / 1.5 < spread < told * 1.5
     assert abs(mean - 20.0) < 4.0 * told / np.sqrt(40)
@@ -304,17 +291,16 @@ def test_viscous_estimates_spread_as_told() -> None:
         ("coulomb_drag", "mean_friction_coefficient"),
     ],
 )
-def test_friction_estimates_spread_as_told(name: str, parameter: str) -> None:
+def test_friction_estimates_spread_as_told(name, parameter):
     spread, mean, told = spread_of(name, parameter, 40)
     assert told / 1.5 < spread < told * 1.5
     assert abs(mean - 0.3) < 4.0 * told / np.sqrt(40)
 
 
-def test_several_patches_are_doubted_one_by_one() -> None:
+def test_several_patches_are_doubted_one_by_one():
     """A patch that is hardly slid on has 0, the others are as they were without it."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
     given = scene.trajectory
-    assert given.force is not None
     louder = given.force.copy()
     rng = np.random.default_rng(0)
     angle = np.arctan2(given.position[:, 1], given.position[:, 0])
@@ -332,7 +318,7 @@ def test_several_patches_are_doubted_one_by_one() -> None:
 
 
 @pytest.mark.slow
-def test_a_value_at_its_lower_limit_is_a_statement() -> None:
+def test_a_value_at_its_lower_limit_is_a_statement():
     """Frictionless data with good sliding: μ = 0, told, with its standard error."""
     scene = dragged_scene("contact", mu=-0.1, shape=SMALL)  # it pushes along
     scene = noisy(scene, 1e-3, np.random.default_rng(4))
@@ -352,7 +338,7 @@ def test_a_value_at_its_lower_limit_is_a_statement() -> None:
 
 
 @pytest.mark.parametrize("name", some(["coulomb_global", "coulomb_drag"], 1))
-def test_a_value_at_its_upper_limit_is_none(name: str) -> None:
+def test_a_value_at_its_upper_limit_is_none(name):
     """True μ is 0.3, at most 0.2 is allowed: named, and neutral."""
     scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(4))
     solution = tt.fit(scene, name, acts_at="contact", largest_friction=0.2, **WEIGHTS)
@@ -365,7 +351,7 @@ def test_a_value_at_its_upper_limit_is_none(name: str) -> None:
     assert solution.status is tt.Status.SOLVED
 
 
-def test_standard_errors_go_through_the_file(tmp_path: Path) -> None:
+def test_standard_errors_go_through_the_file(tmp_path):
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(1))
     field = tt.fit(scene, "viscous_drag", **WEIGHTS).field
     field.save(tmp_path / "field.nc")
@@ -375,7 +361,7 @@ def test_standard_errors_go_through_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_general_solver_tells_the_same() -> None:
+def test_a_general_solver_tells_the_same():
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(1))
     ours, theirs = (
         tt.fit(scene, "viscous_drag", solver=solver, tolerance=1e-7, **WEIGHTS)
@@ -388,7 +374,7 @@ def test_a_general_solver_tells_the_same() -> None:
     )
 
 
-def test_without_weight_nothing_is_told() -> None:
+def test_without_weight_nothing_is_told():
     scene = made(viscous=True)
     for name in ("coulomb_global", "viscous_drag"):
         solution = tt.fit(scene, name, force_weight=0.0, torque_weight=0.0)
@@ -397,7 +383,7 @@ def test_without_weight_nothing_is_told() -> None:
 
 
 @each_drag
-def test_forces_that_are_all_zero_do_not_trouble_it(name: str) -> None:
+def test_forces_that_are_all_zero_do_not_trouble_it(name):
     given = dragged().trajectory
     nothing = np.zeros((len(given), 3))
     scene = replace(dragged(), trajectory=replace(given, force=nothing, torque=nothing))
@@ -410,9 +396,7 @@ def test_forces_that_are_all_zero_do_not_trouble_it(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_standard_error_is_that_of_a_cold_start(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_standard_error_is_that_of_a_cold_start(monkeypatch):
     """Only the way to the fits with pseudo-measurements is shorter."""
     scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(1))
     warm = tt.fit(scene, "coulomb_drag", acts_at="contact", **WEIGHTS)
@@ -423,7 +407,7 @@ def test_a_standard_error_is_that_of_a_cold_start(
         assert warm.standard_errors[name] == pytest.approx(error, rel=1e-4)
 
 
-def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use() -> None:
+def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use():
     scene = small_scene("trilinear", n_poses=30)
     fitted = Scene.assemble(
         scene.voxmap, scene.shell, scene.trajectory, inner="fit", sampling="trilinear"

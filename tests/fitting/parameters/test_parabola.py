@@ -1,14 +1,11 @@
 """The parabola through fits, of objectives that are given."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array
+from tests.refusals import refuses
 from ttus_opt.fitting.parameters.identification import NO_SLOPE
 from ttus_opt.fitting.parameters.parabola import ROUNDING, Parabola, UnsolvedError
 from ttus_opt.problem.solution import Status
@@ -18,23 +15,21 @@ BENT = np.array([[6.0, 1.0], [1.0, 2.0]])
 LEAST = np.array([0.35, -1.5])
 
 
-def bowl(v: Array) -> float:
+def bowl(v):
     return 10.0 + 0.5 * float((v - LEAST) @ BENT @ (v - LEAST))
 
 
-def fits(
-    objective: Callable[[Array], float], gap: float = 0.0
-) -> Callable[[Array], SimpleNamespace]:
+def fits(objective, gap=0.0):
     """Solved fits with an objective and a gap."""
 
-    def fitted(v: Array) -> SimpleNamespace:
+    def fitted(v):
         kkt = SimpleNamespace(gap=gap)
         return SimpleNamespace(status=Status.SOLVED, kkt=kkt, objective=objective(v))
 
     return fitted
 
 
-def test_a_parabola_is_found_exactly() -> None:
+def test_a_parabola_is_found_exactly():
     found = Parabola.through(fits(bowl), CENTRE, STEP)
     np.testing.assert_allclose(found.curvature, BENT, rtol=1e-9)
     np.testing.assert_allclose(found.gradient, BENT @ (CENTRE - LEAST), rtol=1e-9)
@@ -43,7 +38,7 @@ def test_a_parabola_is_found_exactly() -> None:
     assert not found.flat.any()
 
 
-def test_errors_are_those_of_weighted_least_squares() -> None:
+def test_errors_are_those_of_weighted_least_squares():
     """J = ‖A v − t‖² has curvature 2 AᵀA and covariance σ² (AᵀA)⁻¹."""
     A = np.random.default_rng(0).normal(size=(9, 2))
     found = Parabola.through(fits(lambda v: float(np.sum((A @ v) ** 2))), CENTRE, STEP)
@@ -51,7 +46,7 @@ def test_errors_are_those_of_weighted_least_squares() -> None:
     np.testing.assert_allclose(found.errors(0.04), expected, rtol=1e-8)
 
 
-def test_noise_is_what_gaps_and_rounding_make() -> None:
+def test_noise_is_what_gaps_and_rounding_make():
     found = Parabola.through(fits(bowl, gap=1e-3), CENTRE, STEP)
     largest = max(bowl(CENTRE + s * STEP) for s in ([-1, 0], [0, -1], [1, 1]))
     expected = 4.0 * (1e-3 + ROUNDING * largest) / STEP**2
@@ -59,7 +54,7 @@ def test_noise_is_what_gaps_and_rounding_make() -> None:
 
 
 @pytest.mark.parametrize("at", [0, 1])
-def test_a_curvature_within_the_noise_is_flat(at: int) -> None:
+def test_a_curvature_within_the_noise_is_flat(at):
     """Just above and just below twice the noise, the other far above."""
     gap = 1e-4
     for factor, is_flat in ((1.9, True), (2.1, False)):
@@ -77,7 +72,7 @@ def test_a_curvature_within_the_noise_is_flat(at: int) -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0])
-def test_a_saddle_has_no_least_value(scale: float) -> None:
+def test_a_saddle_has_no_least_value(scale):
     """Also one that no parameter alone shows."""
     found = Parabola.through(fits(lambda v: -scale * bowl(v)), CENTRE, STEP)
     assert found.flat.all()
@@ -88,15 +83,14 @@ def test_a_saddle_has_no_least_value(scale: float) -> None:
 
 
 @pytest.mark.parametrize("place", [(0, 0), (1, 0), (-1, 0), (0, -1), (1, 1)])
-def test_a_fit_that_is_not_solved_is_not_used(place: tuple[int, int]) -> None:
+def test_a_fit_that_is_not_solved_is_not_used(place):
     """Its objective would fit the parabola best of all."""
     solved = fits(bowl)
 
-    def fitted(v: Array) -> SimpleNamespace:
+    def fitted(v):
         found = solved(v)
         if np.allclose(v, CENTRE + np.array(place) * STEP):
             found.status = Status.INACCURATE
         return found
 
-    with pytest.raises(UnsolvedError, match="not solved"):
-        Parabola.through(fitted, CENTRE, STEP)
+    refuses(UnsolvedError, "not solved", Parabola.through, fitted, CENTRE, STEP)

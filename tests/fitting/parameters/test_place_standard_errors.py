@@ -1,7 +1,5 @@
 """Standard errors of real fits against dense fits with one place left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +10,13 @@ from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.frame_places import frame_places
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
 NOISE = 0.02
 
 
-def recorded(viscous: bool, shared: float) -> Scene:
+def recorded(viscous, shared):
     """Drag that is a part stronger or weaker at every place, and sensor noise."""
     own = {"mu": 0.0, "viscous": 20.0} if viscous else {"mu": 0.3}
     whole = dragged_scene("contact", shape=(8, 18, 9), n=90, **own)
@@ -27,10 +24,6 @@ def recorded(viscous: bool, shared: float) -> Scene:
     place, rng = frame_places(whole), np.random.default_rng(11)
     part = 1.0 + shared * rng.standard_normal(int(place.max()) + 1)[place, None]
     given, still = whole.trajectory, bare.trajectory
-    assert given.force is not None
-    assert given.torque is not None
-    assert still.force is not None
-    assert still.torque is not None
     force = still.force + part * (given.force - still.force)
     torque = still.torque + part * (given.torque - still.torque)
     force += NOISE * rng.normal(size=force.shape)
@@ -38,7 +31,7 @@ def recorded(viscous: bool, shared: float) -> Scene:
     return replace(whole, trajectory=replace(given, force=force, torque=torque))
 
 
-def left_out(terms: list[ProgramTerm], kept: np.ndarray, n: int) -> np.ndarray:
+def left_out(terms, kept, n):
     """The least-squares solution, and the objective, without some frames' rows."""
     rows, targets = [], []
     for term in terms:
@@ -50,12 +43,12 @@ def left_out(terms: list[ProgramTerm], kept: np.ndarray, n: int) -> np.ndarray:
     return np.append(x, (A @ x - t) @ (A @ x - t))
 
 
-def jackknifed(found: list[float]) -> float:
+def jackknifed(found):
     return float(np.sqrt(len(found) - 1) * np.std(found))
 
 
 @pytest.mark.slow
-def test_viscous_drag_varies_as_without_a_place() -> None:
+def test_viscous_drag_varies_as_without_a_place():
     scene = recorded(viscous=True, shared=0.1)
     solution = tt.fit(scene, "viscous_drag", acts_at="contact", **WEIGHTS)
     terms, V = list(solution.program.terms), scene.n_voxels
@@ -70,11 +63,10 @@ def test_viscous_drag_varies_as_without_a_place() -> None:
 
 
 @pytest.mark.slow
-def test_friction_varies_as_without_a_place() -> None:
+def test_friction_varies_as_without_a_place():
     scene = recorded(viscous=False, shared=0.3)
     solution = tt.fit(scene, "coulomb_global", acts_at="contact", **WEIGHTS)
     declared = load("coulomb_global", scene, acts_at="contact", **WEIGHTS)
-    assert declared.search is not None
     at, h = solution.parameters["friction_coefficient"], 0.02
     place, V, found = frame_places(scene), scene.n_voxels, []
     terms = [list(declared.search.build(at + d).compile().terms) for d in (-h, 0.0, h)]
@@ -85,7 +77,7 @@ def test_friction_varies_as_without_a_place() -> None:
     assert told == pytest.approx(jackknifed(found), rel=0.25)
 
 
-def test_rows_are_those_in_contact_by_place() -> None:
+def test_rows_are_those_in_contact_by_place():
     scene = recorded(viscous=False, shared=0.0)
     far = scene.trajectory.position.copy()
     far[10:14] *= [1.3, 1.3, 1.0]
@@ -93,7 +85,6 @@ def test_rows_are_those_in_contact_by_place() -> None:
     scene = Scene.assemble(scene.voxmap, scene.shell, away, inner=3.0, outer=3.0)
     program = load("eq10", scene, **WEIGHTS).compile()
     rows = PlaceRows.of(scene, program)
-    assert rows is not None
     assert rows.names == ("force", "torque")
     touching = scene.rows.contact_points > 0
     assert 0 < touching.sum() < len(touching)

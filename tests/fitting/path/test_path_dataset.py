@@ -1,9 +1,6 @@
 """What a path notes of its points: against fits noted by hand, to a file and back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +8,7 @@ import xarray as xr
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
-from ttus_opt.contact.scene import Scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError
 from ttus_opt.fitting.path.path_dataset import (
     PathRecord,
@@ -20,36 +17,35 @@ from ttus_opt.fitting.path.path_dataset import (
     write_solution_path,
 )
 from ttus_opt.fitting.path.weight_grid import WeightGrid
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.formulation import Formulation, load
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.solution import Solution, Status, Timings
 
 FORCE, TORQUE = [0.1, 10.0], [0.5, 5.0]
 TWO = np.arange(12) >= 7  # frames of the second recording
 
 
-def scene() -> Scene:
+def scene():
     """Two recordings, numbers 3 and 8."""
     whole = small_scene("trilinear", shape=(6, 9, 6))
     segments = np.where(TWO, 8, 3)
     return replace(whole, trajectory=replace(whole.trajectory, segment=segments))
 
 
-def unseen(seed: int) -> Trajectory:
+def unseen(seed):
     return presses(torso(), 5, np.random.default_rng(seed))
 
 
-def formulation() -> Formulation:
+def formulation():
     return load("eq10", scene())
 
 
-def solved(index: tuple[int, int]) -> Solution:
+def solved(index):
     weights = {"force": FORCE[index[0]], "torque": TORQUE[index[1]]}
     return tt.Fitter(formulation().with_weights(**weights)).solve()
 
 
 @pytest.fixture(scope="module")
-def noted() -> tuple[xr.Dataset, dict[tuple[int, int], Solution]]:
+def noted():
     """Four points: solved, solved again, refused by its check, not reached."""
     declared = formulation()
     grid = WeightGrid.of({"force": FORCE, "torque": TORQUE}, ["force", "torque"])
@@ -74,7 +70,7 @@ def noted() -> tuple[xr.Dataset, dict[tuple[int, int], Solution]]:
 Noted = tuple[xr.Dataset, dict[tuple[int, int], Solution]]
 
 
-def test_every_point_has_its_status(noted: Noted) -> None:
+def test_every_point_has_its_status(noted):
     found, points = noted
     flags = found["status"].attrs
     names = dict(zip(flags["flag_values"], flags["flag_meanings"].split(), strict=True))
@@ -84,22 +80,22 @@ def test_every_point_has_its_status(noted: Noted) -> None:
     assert found.attrs["solver"] == f"{points[0, 0].solver}, another"
 
 
-def test_times_are_those_of_the_point_alone(noted: Noted) -> None:
+def test_times_are_those_of_the_point_alone(noted):
     seconds = noted[0]["seconds"].to_numpy()
     np.testing.assert_array_equal(seconds[0], [3.0, 0.75])
     assert np.isnan(seconds[1, 1])
 
 
-def test_a_point_that_failed_its_check_has_its_residual_alone(noted: Noted) -> None:
+def test_a_point_that_failed_its_check_has_its_residual_alone(noted):
     found, points = noted
     at = found.isel(force_weight=1, torque_weight=0)
-    assert float(at["kkt_residual"]) == points[1, 0].kkt.worst_relative  # type: ignore[union-attr]
+    assert float(at["kkt_residual"]) == points[1, 0].kkt.worst_relative
     for name in found.data_vars:
         if name not in ("status", "kkt_residual", "seconds"):
             assert at[name].isnull().all(), name
 
 
-def test_terms_and_residuals_are_those_of_the_fields(noted: Noted) -> None:
+def test_terms_and_residuals_are_those_of_the_fields(noted):
     """By the matrices, without their weights, recording by recording."""
     found, points = noted
     declared, own = formulation(), scene()
@@ -128,7 +124,7 @@ def test_terms_and_residuals_are_those_of_the_fields(noted: Noted) -> None:
             assert float(told) == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_only_some_points_have_is_missing_elsewhere(noted: Noted) -> None:
+def test_what_only_some_points_have_is_missing_elsewhere(noted):
     for name, value in (("parameter_viscous_coefficient", 4.0), ("gcv", 11.0)):
         values = noted[0][name].to_numpy()
         assert values[0, 1] == value
@@ -136,7 +132,7 @@ def test_what_only_some_points_have_is_missing_elsewhere(noted: Noted) -> None:
     assert noted[0]["parameter_viscous_coefficient"].attrs["units"] == "N s m-1"
 
 
-def test_a_term_without_weight_has_no_value() -> None:
+def test_a_term_without_weight_has_no_value():
     grid = WeightGrid.of({"force": [1.0]}, ["force", "torque"])
     declared = formulation().with_weights(torque=0.0)
     record = PathRecord(declared, grid, {}, 1e-6)
@@ -145,7 +141,7 @@ def test_a_term_without_weight_has_no_value() -> None:
     assert np.isnan(values.sel(term="torque")) and values.sel(term="force") > 0.0
 
 
-def test_forces_alone_leave_torques_out() -> None:
+def test_forces_alone_leave_torques_out():
     own = scene()
     bare = replace(own, trajectory=replace(own.trajectory, torque=None))
     grid = WeightGrid.of({"force": [1.0]}, ["force"])
@@ -157,7 +153,7 @@ def test_forces_alone_leave_torques_out() -> None:
     assert np.isnan(found["torque_residual"]).all()
 
 
-def test_everything_has_a_unit_and_says_where_it_is_from(noted: Noted) -> None:
+def test_everything_has_a_unit_and_says_where_it_is_from(noted):
     found = noted[0]
     assert all("units" in variable.attrs for variable in found.variables.values())
     assert found["r"].attrs["units"] == "m" and found["theta"].attrs["units"] == "rad"
@@ -165,7 +161,7 @@ def test_everything_has_a_unit_and_says_where_it_is_from(noted: Noted) -> None:
     assert found.attrs["tolerance"] == 1e-6
 
 
-def test_a_common_weight_stands_on_one_axis() -> None:
+def test_a_common_weight_stands_on_one_axis():
     names = ("force", "torque")
     grid = WeightGrid.of({names: FORCE}, names)
     found = PathRecord(formulation(), grid, {}, 1e-6).dataset()
@@ -173,7 +169,7 @@ def test_a_common_weight_stands_on_one_axis() -> None:
     np.testing.assert_array_equal(found["torque_weight"], FORCE)
 
 
-def test_a_file_gives_it_back(noted: Noted, tmp_path: Path) -> None:
+def test_a_file_gives_it_back(noted, tmp_path):
     found, file = noted[0], tmp_path / "path.nc"
     write_solution_path(found, file)
     again = read_solution_path(file)
@@ -183,11 +179,10 @@ def test_a_file_gives_it_back(noted: Noted, tmp_path: Path) -> None:
     assert again.attrs["formulation"] == found.attrs["formulation"]
     for lost in ("objective", "status", "term_value"):
         write_solution_path(found.drop_vars(lost), file)
-        with pytest.raises(FileError, match="damaged solution path"):
-            read_solution_path(file)
+        refuses(FileError, "damaged solution path", read_solution_path, file)
 
 
-def test_the_best_weights_have_the_smallest_mean_error(noted: Noted) -> None:
+def test_the_best_weights_have_the_smallest_mean_error(noted):
     found = noted[0]
     assert "two" in found["held_out"]
     name = "held_out_force_magnitude_error"

@@ -1,20 +1,16 @@
 """A path that was stopped: another call ends with what one call would have found."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.path import path_file, path_solvers
 from ttus_opt.fitting.path.path_dataset import PathRecord
-from ttus_opt.problem.solution import Solution
 
 WEIGHTS = np.geomspace(1e-3, 10.0, 4)
 
@@ -22,23 +18,23 @@ WEIGHTS = np.geomspace(1e-3, 10.0, 4)
 EVERY_KIND = ("eq10", "eq10_sign", "coulomb_global")
 
 
-def scene() -> tt.Scene:
+def scene():
     return small_scene("trilinear", shape=(6, 9, 6), n_poses=12)
 
 
-def solve(file: Path | None, name: str = "eq10", **given: Any) -> xr.Dataset:
+def solve(file, name="eq10", **given):
     asked: dict[str, Any] = {"weights": {("force", "torque"): WEIGHTS}, **given}
     asked.setdefault("held_out", presses(torso(), 5, np.random.default_rng(3)))
     return tt.solution_path(name, asked.pop("scene", scene()), file=file, **asked)
 
 
 @pytest.fixture
-def solved(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+def solved(monkeypatch):
     """The points that were computed."""
     seen: list[object] = []
     plain = PathRecord.add
 
-    def counted(self: PathRecord, at: Any, solution: Solution, *more: Any) -> None:
+    def counted(self, at, solution, *more):
         plain(self, at, solution, *more)
         seen.append(at)
 
@@ -46,13 +42,11 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return seen
 
 
-def stopped(
-    monkeypatch: pytest.MonkeyPatch, after: int, error: type[BaseException]
-) -> pytest.MonkeyPatch:
+def stopped(monkeypatch, after, error):
     """Let an error end the path in the middle of a point."""
     plain, count = PathRecord._judge, 0
 
-    def stops(self: PathRecord, *given: Any) -> None:
+    def stops(self, *given):
         nonlocal count
         count += 1
         if count > after:
@@ -63,7 +57,7 @@ def stopped(
     return monkeypatch
 
 
-def same(one: xr.Dataset, other: xr.Dataset, rtol: float) -> None:
+def same(one, other, rtol):
     """All but times: how long it took, and when it was written."""
     assert set(one.variables) == set(other.variables)
     for name in set(one.variables) - {"seconds", "kkt_residual"}:
@@ -80,9 +74,7 @@ def same(one: xr.Dataset, other: xr.Dataset, rtol: float) -> None:
 
 
 @pytest.mark.parametrize("name", EVERY_KIND)
-def test_a_stopped_path_ends_like_one_that_was_not(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, solved: list[object]
-) -> None:
+def test_a_stopped_path_ends_like_one_that_was_not(name, tmp_path, monkeypatch, solved):
     more: dict[str, Any] = {"extras": ["potential"]}
     if name == "eq10":
         more["extras"] = ["potential", "criteria"]
@@ -106,9 +98,7 @@ def test_a_stopped_path_ends_like_one_that_was_not(
     same(found, again, 0.0)
 
 
-def test_a_crash_keeps_what_was_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, solved: list[object]
-) -> None:
+def test_a_crash_keeps_what_was_done(tmp_path, monkeypatch, solved):
     file = tmp_path / "path.nc"
     with monkeypatch.context() as patch:
         stopped(patch, 3, MemoryError)
@@ -119,14 +109,12 @@ def test_a_crash_keeps_what_was_done(
     assert len(solved) == 4
 
 
-def test_points_are_kept_while_the_path_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_points_are_kept_while_the_path_goes_on(tmp_path, monkeypatch):
     """What a call that is killed leaves: no ``finally`` helps it."""
     file, seen = tmp_path / "path.nc", []
     plain = path_file.PathFile.save_now_and_then
 
-    def look(self: path_file.PathFile) -> None:
+    def look(self):
         plain(self)
         seen.append(tt.read_solution_path(file).attrs["points_done"])
 
@@ -150,9 +138,7 @@ def test_points_are_kept_while_the_path_goes_on(
         ({"extras": ["potential"]}, "extras"),
     ],
 )
-def test_a_path_of_other_inputs_is_not_mixed_in(
-    tmp_path: Path, solved: list[object], other: dict[str, Any], told: str
-) -> None:
+def test_a_path_of_other_inputs_is_not_mixed_in(tmp_path, solved, other, told):
     file = tmp_path / "path.nc"
     given = dict(other)
     if "laplace" in given:  # a weight that the path does not vary
@@ -167,9 +153,7 @@ def test_a_path_of_other_inputs_is_not_mixed_in(
     same(found, solve(None, **given), 0.0)
 
 
-def test_a_file_that_cannot_be_continued_is_named(
-    tmp_path: Path, solved: list[object]
-) -> None:
+def test_a_file_that_cannot_be_continued_is_named(tmp_path, solved):
     file = tmp_path / "path.nc"
     file.write_text("something else")
     with pytest.warns(TtusWarning, match="all points are computed.*path.nc"):
@@ -180,7 +164,7 @@ def test_a_file_that_cannot_be_continued_is_named(
     assert len(solved) == 8
 
 
-def test_several_at_a_time_find_the_same(tmp_path: Path) -> None:
+def test_several_at_a_time_find_the_same(tmp_path):
     pytest.importorskip("joblib")
     for name, rtol in (("coulomb_global", 0.0), ("robust", 2e-5)):
         weights = {"torque": WEIGHTS[:3]}
@@ -190,7 +174,7 @@ def test_several_at_a_time_find_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_dask_cluster_finds_the_same() -> None:
+def test_a_dask_cluster_finds_the_same():
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
@@ -199,16 +183,15 @@ def test_a_dask_cluster_finds_the_same() -> None:
     same(solve(None, "coulomb_global"), found, 0.0)
 
 
-def test_a_shared_basis_says_that_jobs_are_not_used() -> None:
+def test_a_shared_basis_says_that_jobs_are_not_used():
     one = solve(None)
     with pytest.warns(TtusWarning, match="eq10 share their work: one process"):
         two = solve(None, jobs=2)
     same(one, two, 0.0)
-    with pytest.raises(InputError, match="jobs must be at least 1, got 0"):
-        solve(None, jobs=0)
+    refuses(InputError, "jobs must be at least 1, got 0", solve, None, jobs=0)
 
 
-def test_points_on_their_own_are_those_of_solvers_that_share_nothing() -> None:
+def test_points_on_their_own_are_those_of_solvers_that_share_nothing():
     shares = {"eq10": False, "eq10_sign": False, "coulomb_global": True, "robust": True}
     for name, independent in shares.items():
         declared = tt.load_formulation(name, scene())

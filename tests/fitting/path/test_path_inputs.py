@@ -1,12 +1,8 @@
 """Checksums of a path's inputs: alike for alike inputs, in every process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +11,6 @@ import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.fitting.path.path_inputs import inputs_of
 from ttus_opt.fitting.path.weight_grid import WeightGrid
-from ttus_opt.problem.formulation import Formulation
 
 SCRIPT = """
 from tests.fitting.path.test_path_inputs import checksums
@@ -23,9 +18,7 @@ print(checksums("coulomb_global"))
 """
 
 
-def checksums(
-    given: str | Formulation, scene: tt.Scene | None = None, **options: Any
-) -> dict[str, str]:
+def checksums(given, scene=None, **options):
     solver = options.pop("solver", "auto")
     scene = scene or small_scene("trilinear", shape=(6, 9, 6), n_poses=6)
     declared = tt.load_formulation(given, scene, **options)
@@ -34,14 +27,14 @@ def checksums(
 
 
 @pytest.mark.slow
-def test_another_process_finds_the_same() -> None:
+def test_another_process_finds_the_same():
     found = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
     )
     assert found.stdout.strip() == str(checksums("coulomb_global"))
 
 
-def test_last_digits_of_computed_numbers_do_not_count() -> None:
+def test_last_digits_of_computed_numbers_do_not_count():
     """They differ with the number of threads; a change of data is larger."""
     scene = small_scene("trilinear", shape=(6, 9, 6), n_poses=6)
     plain = checksums("eq10", scene)
@@ -52,7 +45,7 @@ def test_last_digits_of_computed_numbers_do_not_count() -> None:
         assert {k for k in plain if plain[k] != other[k]} == {"scene", "formulation"}
 
 
-def test_a_penalty_and_a_searched_range_count() -> None:
+def test_a_penalty_and_a_searched_range_count():
     assert checksums("robust") == checksums("robust")
     robust, finer = checksums("robust"), checksums("robust", limit=0.6)
     assert {k for k in robust if robust[k] != finer[k]} == {"formulation"}
@@ -67,7 +60,7 @@ def test_a_penalty_and_a_searched_range_count() -> None:
     assert len(set(found)) == 3
 
 
-def test_the_text_of_a_solver_counts(tmp_path: Path) -> None:
+def test_the_text_of_a_solver_counts(tmp_path):
     file = tmp_path / "own.py"
     found = []
     for text in ("SOLVERS = ()", "SOLVERS = []"):

@@ -1,7 +1,5 @@
 """Points of a path in several processes."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -11,15 +9,15 @@ from ttus_opt.core.errors import TtusWarning
 from ttus_opt.fitting.path.path_points import several_at_a_time
 
 
-def warned(declared: Any) -> str:
+def warned(declared):
     warnings.warn("of one place", TtusWarning, stacklevel=1)
     warnings.warn(f"only of {declared}", TtusWarning, stacklevel=1)
     return f"fit of {declared}"
 
 
-def test_a_warning_of_several_points_is_told_once() -> None:
+def test_a_warning_of_several_points_is_told_once():
     points = [(0,), (1,), (2,)]
-    found: Any = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")  # type: ignore[arg-type, return-value]
+    found: Any = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")
     with pytest.warns(TtusWarning) as told:
         by_point = {index: fit for index, fit, _ in found}
     assert by_point == {(i,): f"fit of {i % 2}" for i in range(3)}

@@ -1,22 +1,20 @@
 """How the points of a path are solved: each the minimiser of its own weights."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from tests.solvers.dual.test_weight_sweep import exact
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import Differences
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.path import path_solvers
-from ttus_opt.fitting.path.path_solvers import PointSolver, point_solver
+from ttus_opt.fitting.path.path_solvers import point_solver
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.solvers.base import Request
@@ -26,33 +24,33 @@ WEIGHTS = ((1e-3, 1e-2), (1.0, 1e-2), (30.0, 10.0))
 
 
 @functools.cache
-def eq10() -> Formulation:
+def eq10():
     return load("eq10", small_scene("trilinear", shape=(6, 9, 6), n_poses=6))
 
 
 @functools.cache
-def signed() -> Formulation:
+def signed():
     """Reversed forces pull: limits hold at large weights, and do nothing at small."""
     return load("eq10_sign", contested(1, (6, 9, 6), scale=-3.0))
 
 
-def weighted(declared: Formulation, force: float, torque: float) -> Formulation:
+def weighted(declared, force, torque):
     return declared.with_weights(force=force, torque=torque)
 
 
-def in_basis(declared: Formulation, request: Request | None = None) -> PointSolver:
+def in_basis(declared, request=None):
     found = point_solver(declared, "structured", request or Request(1e-8))
     assert isinstance(found, path_solvers._CommonBasis)
     return found
 
 
 @pytest.fixture
-def singly(monkeypatch: pytest.MonkeyPatch) -> list[Formulation]:
+def singly(monkeypatch):
     """Formulations that were solved by fits of their own."""
     seen: list[Formulation] = []
     plain: Callable[..., Solution] = path_solvers._InTurn.__call__
 
-    def counted(self: Any, declared: Formulation) -> Solution:
+    def counted(self, declared):
         seen.append(declared)
         return plain(self, declared)
 
@@ -61,12 +59,12 @@ def singly(monkeypatch: pytest.MonkeyPatch) -> list[Formulation]:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+def asked(monkeypatch):
     """Accuracies that the basis was asked for."""
     seen: list[float] = []
     plain = WeightSweep.solve
 
-    def told(self: WeightSweep, root: Any, rtol: float, *more: Any) -> Any:
+    def told(self, root, rtol, *more):
         seen.append(rtol)
         return plain(self, root, rtol, *more)
 
@@ -75,9 +73,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
-def test_points_in_a_common_basis_are_the_dense_minimisers(
-    name: str, singly: list[Formulation]
-) -> None:
+def test_points_in_a_common_basis_are_the_dense_minimisers(name, singly):
     declared = load(name, eq10().scene)
     solve = in_basis(declared)
     assert solve.common
@@ -92,9 +88,7 @@ def test_points_in_a_common_basis_are_the_dense_minimisers(
     assert not singly
 
 
-def test_where_limits_hold_a_point_is_fitted_alone(
-    singly: list[Formulation], asked: list[float]
-) -> None:
+def test_where_limits_hold_a_point_is_fitted_alone(singly, asked):
     declared = signed()
     solve = in_basis(declared)
     assert not solve.common
@@ -117,9 +111,7 @@ def test_where_limits_hold_a_point_is_fitted_alone(
     assert held == [False, True]
 
 
-def test_a_residual_that_does_not_hold_is_tightened(
-    monkeypatch: pytest.MonkeyPatch, asked: list[float], singly: list[Formulation]
-) -> None:
+def test_a_residual_that_does_not_hold_is_tightened(monkeypatch, asked, singly):
     monkeypatch.setattr(path_solvers, "ENERGY", 1e3)
     own = weighted(eq10(), 1.0, 0.1)
     assert in_basis(own, Request(1e-6))(own).status is Status.SOLVED
@@ -127,9 +119,7 @@ def test_a_residual_that_does_not_hold_is_tightened(
     assert len(asked) > 1 and not singly
 
 
-def test_what_the_basis_cannot_reach_is_fitted_alone(
-    monkeypatch: pytest.MonkeyPatch, asked: list[float], singly: list[Formulation]
-) -> None:
+def test_what_the_basis_cannot_reach_is_fitted_alone(monkeypatch, asked, singly):
     monkeypatch.setattr(path_solvers, "ENERGY", 1e12)
     own = weighted(eq10(), 1.0, 0.1)
     assert in_basis(own, Request(1e-6))(own).status is Status.SOLVED
@@ -137,13 +127,13 @@ def test_what_the_basis_cannot_reach_is_fitted_alone(
     assert singly == [own]
 
 
-def test_out_of_time_it_says_so(singly: list[Formulation]) -> None:
+def test_out_of_time_it_says_so(singly):
     own = weighted(eq10(), 1.0, 0.1)
     assert in_basis(own, Request(1e-8, 1e-9))(own).status is Status.TIME_LIMIT
     assert not singly
 
 
-def test_the_cheapest_way_is_chosen() -> None:
+def test_the_cheapest_way_is_chosen():
     declared, request = weighted(eq10(), 1.0, 1.0), Request()
     ways = {
         "auto": path_solvers._CommonBasis,
@@ -158,11 +148,10 @@ def test_the_cheapest_way_is_chosen() -> None:
     assert type(point_solver(robust, "auto", request)) is path_solvers._InTurn
     searching = load("coulomb_global", declared.scene)
     assert type(point_solver(searching, "auto", request)) is path_solvers._Searching
-    with pytest.raises(InputError, match="unknown solver"):
-        point_solver(declared, "none", request)
+    refuses(InputError, "unknown solver", point_solver, declared, "none", request)
 
 
-def test_criteria_need_a_basis_without_limits() -> None:
+def test_criteria_need_a_basis_without_limits():
     declared = weighted(eq10(), 1.0, 1.0)
     with pytest.raises(InputError, match=r"no criteria for eq10.*without limits"):
         point_solver(declared, "closed_form", Request()).prepare_criteria(declared)

@@ -1,9 +1,5 @@
 """A path of weights: every point is the fit of its weights, in an annotated dataset."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,18 +8,17 @@ from tests.conftest import presses, small_scene, torso
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.path import path_solvers
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.solution import Solution, Status
+from ttus_opt.problem.solution import Status
 
 WEIGHTS = np.geomspace(1e-4, 1e2, 4)
 
 
-def unseen() -> Trajectory:
+def unseen():
     return presses(torso(), 6, np.random.default_rng(9))
 
 
 @pytest.fixture(scope="module")
-def path() -> Any:
+def path():
     return tt.solution_path(
         "eq10",
         small_scene("trilinear"),
@@ -33,7 +28,7 @@ def path() -> Any:
     )
 
 
-def test_every_point_is_a_fit(path: Any) -> None:
+def test_every_point_is_a_fit(path):
     scene = small_scene("trilinear")
     for k, weight in enumerate(WEIGHTS):
         alone = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight)
@@ -63,7 +58,7 @@ def test_every_point_is_a_fit(path: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_grid_with_limits_carries_working_sets_over() -> None:
+def test_a_grid_with_limits_carries_working_sets_over():
     scene = small_scene("trilinear")
     weights = {"force": [1e-2, 1.0], "torque": [1e-1, 10.0]}
     path = tt.solution_path("eq10_sign", scene, weights=weights)
@@ -76,7 +71,7 @@ def test_a_grid_with_limits_carries_working_sets_over() -> None:
     assert path.attrs["solver"] == "structured"
 
 
-def test_what_structured_does_not_take_is_solved_by_another() -> None:
+def test_what_structured_does_not_take_is_solved_by_another():
     scene = small_scene("trilinear", shape=(6, 8, 5), n_poses=4)
     declared = tt.load_formulation("robust", scene)
     path = tt.solution_path(
@@ -87,7 +82,7 @@ def test_what_structured_does_not_take_is_solved_by_another() -> None:
     assert float(path["objective"][1]) == pytest.approx(alone.objective, rel=1e-5)
 
 
-def test_a_drag_coefficient_is_a_variable() -> None:
+def test_a_drag_coefficient_is_a_variable():
     scene = small_scene("trilinear")
     path = tt.solution_path("viscous_drag", scene, weights={"force": [1e-2, 1.0]})
     found = path["parameter_viscous_coefficient"]
@@ -101,25 +96,25 @@ def test_a_drag_coefficient_is_a_variable() -> None:
 class Stumbling(path_solvers.PointSolver):
     """Solves until a point, where it does something else."""
 
-    def __init__(self, solve: Any, at: int, what: Any) -> None:
+    def __init__(self, solve, at, what):
         self._solve, self._left, self._what = solve, at, what
 
-    def __call__(self, declared: Formulation) -> Solution:
+    def __call__(self, declared):
         self._left -= 1
         return self._what(declared) if self._left < 0 else self._solve(declared)
 
 
-def stumbling(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
+def stumbling(monkeypatch, what):
     plain = path_solvers.point_solver
 
-    def instead(*given: Any) -> Stumbling:
+    def instead(*given):
         return Stumbling(plain(*given), 2, what)
 
     monkeypatch.setattr("ttus_opt.fitting.path.solution_path.point_solver", instead)
 
 
-def test_an_interrupt_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(declared: Formulation) -> Solution:
+def test_an_interrupt_keeps_what_is_done(monkeypatch):
+    def interrupt(declared):
         raise KeyboardInterrupt
 
     stumbling(monkeypatch, interrupt)
@@ -132,10 +127,8 @@ def test_an_interrupt_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "missing" in path["status"].attrs["flag_meanings"].split()[0]
 
 
-def test_a_point_that_fails_leaves_nan_and_its_status(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fails(declared: Formulation) -> Solution:
+def test_a_point_that_fails_leaves_nan_and_its_status(monkeypatch):
+    def fails(declared):
         request = path_solvers.Request(1e-14)
         return path_solvers._InTurn("structured", request)(declared)
 
@@ -165,12 +158,12 @@ def test_a_point_that_fails_leaves_nan_and_its_status(
         ({"weights": {"force": [1.0]}, "tolerance": 2.0}, "tolerance"),
     ],
 )
-def test_bad_input_is_one_line(given: dict[str, Any], words: str) -> None:
+def test_bad_input_is_one_line(given, words):
     with pytest.raises(InputError, match=words):
         tt.solution_path("eq10", small_scene("trilinear"), **given)
 
 
-def test_a_name_needs_a_scene_and_a_recording_a_wrench() -> None:
+def test_a_name_needs_a_scene_and_a_recording_a_wrench():
     with pytest.raises(InputError, match="needs a scene"):
         tt.solution_path("eq10", weights={"force": [1.0]})
     one = unseen()
@@ -182,7 +175,7 @@ def test_a_name_needs_a_scene_and_a_recording_a_wrench() -> None:
 
 
 @pytest.mark.slow
-def test_a_searched_coefficient_is_found_at_every_point() -> None:
+def test_a_searched_coefficient_is_found_at_every_point():
     scene = small_scene("trilinear")
     path = tt.solution_path("coulomb_global", scene, weights={"force": [1e-2, 1.0]})
     alone = tt.fit(scene, "coulomb_global", force_weight=1.0)

@@ -1,17 +1,11 @@
 """Tasks side by side, started in whatever folder."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from ttus_opt.fitting.path.task_pool import task_pool
 
 
-def test_a_worker_executes_no_file_of_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_executes_no_file_of_the_current_folder(tmp_path, monkeypatch):
     joblib = pytest.importorskip("joblib", reason="needs ttus-opt[parallel]")
     executor = pytest.importorskip("joblib.externals.loky").get_reusable_executor
     executor().shutdown(wait=True)  # workers of other tests began elsewhere

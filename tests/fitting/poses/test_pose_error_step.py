@@ -1,7 +1,5 @@
 """Places left out in closed form, shared errors, and one shift of all frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from ttus_opt.fitting.poses.pose_error_step import PoseErrorProblem
 from ttus_opt.probe.trajectory import Trajectory
 
 
-def test_places_left_out_are_not_known() -> None:
+def test_places_left_out_are_not_known():
     """Predictions equal those of the normal equations without the place's rows."""
     problem = PoseErrorProblem.of(examined()[0], NOISE)
     state = problem.step(problem.start(), estimate=False)
@@ -33,7 +31,7 @@ def test_places_left_out_are_not_known() -> None:
         np.testing.assert_allclose(found[own], np.abs(error), rtol=1e-6)
 
 
-def test_frames_of_a_press_share_errors() -> None:
+def test_frames_of_a_press_share_errors():
     problem = PoseErrorProblem.of(examined()[0], NOISE)
     own = {"shared_error": 0.1, "sensor_noise": 0.2, "relative_noise": 0.01}
     depth_map = replace(problem.start().depth_map, **own)
@@ -47,7 +45,7 @@ def test_frames_of_a_press_share_errors() -> None:
     assert noise[at, other] == 0.0
 
 
-def test_one_shift_for_all_frames() -> None:
+def test_one_shift_for_all_frames():
     """Of more than 800 frames in contact only some are used, but all are shifted."""
     own = Trajectory.concatenate([sweep(1, 480), sweep(2, 480)])
     force = np.tile([0.0, 3.0, 0.0], (len(own), 1))

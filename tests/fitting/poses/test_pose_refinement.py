@@ -1,7 +1,5 @@
 """Poses refined by forces of a known field, whose true poses are known."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -16,12 +14,13 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, torso
+from tests.refusals import refuses
 from ttus_opt.contact.pose_rows import PoseRows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, MistakeWarning, NumericalError, TtusWarning
 from ttus_opt.fitting.poses import pose_refinement
 from ttus_opt.fitting.poses.pose_error_step import Check, PoseErrorProblem
-from ttus_opt.fitting.poses.pose_refinement import RefinedPoses, refine_poses
+from ttus_opt.fitting.poses.pose_refinement import refine_poses
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
@@ -30,7 +29,7 @@ NOISE = TrackerNoise()
 SHAPE = (16, 48, 20)
 
 
-def sweep(seed: int, n: int = 120) -> Trajectory:
+def sweep(seed, n=120):
     """A sweep that presses and releases, across the front."""
     rng = np.random.default_rng(seed)
     time = 0.1 * np.arange(n)
@@ -47,7 +46,7 @@ def sweep(seed: int, n: int = 120) -> Trajectory:
 
 
 @cache
-def examined(size: float = 1.0) -> tuple[Scene, Trajectory]:
+def examined(size=1.0):
     """A scene with errors of poses of ``size`` times the noise, and the true poses."""
     true = Trajectory.concatenate([sweep(1), sweep(2)])
     rng = np.random.default_rng(5)
@@ -83,14 +82,14 @@ def examined(size: float = 1.0) -> tuple[Scene, Trajectory]:
 
 
 @cache
-def refined() -> RefinedPoses:
+def refined():
     """Estimated errors; two short sweeps are too few for the check by places."""
     with warnings.catch_warnings(), patch.object(Check, "better", True):
         warnings.simplefilter("error", TtusWarning)
         return refine_poses(examined()[0], NOISE)
 
 
-def depths(found: Trajectory, true: Trajectory, force: np.ndarray) -> np.ndarray:
+def depths(found, true, force):
     """By how much poses lie too deep, in frames with force [m]."""
     size = np.linalg.norm(force, axis=1)
     pressed = size > 0.5
@@ -98,7 +97,7 @@ def depths(found: Trajectory, true: Trajectory, force: np.ndarray) -> np.ndarray
     return np.asarray(((found.position - true.position)[pressed] * into).sum(axis=1))
 
 
-def test_errors_of_depth_are_found() -> None:
+def test_errors_of_depth_are_found():
     scene, true = examined()
     force = scene.trajectory.force
     assert force is not None
@@ -111,14 +110,14 @@ def test_errors_of_depth_are_found() -> None:
     assert check is not None and check.places >= 3
 
 
-def test_stated_errors_are_as_large_as_the_true_ones() -> None:
+def test_stated_errors_are_as_large_as_the_true_ones():
     scene, true = examined()
     rest = (refined().trajectory.position - true.position) / refined().std[:, :3]
     pressed = np.linalg.norm(scene.f.reshape(-1, 3), axis=1) > 0.5
     assert 0.7 < np.sqrt(np.mean(rest[pressed] ** 2)) < 1.3
 
 
-def test_what_was_taken_off_is_told() -> None:
+def test_what_was_taken_off_is_told():
     scene, _ = examined()
     moved = scene.trajectory.position - refined().trajectory.position
     np.testing.assert_allclose(refined().errors[:, :3], moved, atol=1e-15)
@@ -133,7 +132,7 @@ def test_what_was_taken_off_is_told() -> None:
     np.testing.assert_array_equal(second.position, refined().trajectory.position[120:])
 
 
-def test_a_field_for_refined_poses_predicts_no_worse() -> None:
+def test_a_field_for_refined_poses_predicts_no_worse():
     """Forces at exact poses; a depth map itself allows for errors of depth (8.5)."""
     scene, true = examined()
     exact = replace(true, force=scene.trajectory.force, torque=scene.trajectory.torque)
@@ -147,7 +146,7 @@ def test_a_field_for_refined_poses_predicts_no_worse() -> None:
     assert errors[1] < 1.02 * errors[0]
 
 
-def test_exact_poses_stay_as_reported() -> None:
+def test_exact_poses_stay_as_reported():
     scene, true = examined(0.0)
     with pytest.warns(TtusWarning, match=r"show no errors of poses of 0.5 mm and 0.5°"):
         found = refine_poses(scene, NOISE)
@@ -159,7 +158,7 @@ def test_exact_poses_stay_as_reported() -> None:
 
 
 @pytest.mark.slow
-def test_a_shifted_recording_is_no_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shifted_recording_is_no_noise(monkeypatch):
     scene, _ = examined()
     own = scene.trajectory
     outward = own.position * [1.0, 1.0, 0.0]
@@ -172,7 +171,7 @@ def test_a_shifted_recording_is_no_noise(monkeypatch: pytest.MonkeyPatch) -> Non
         refine_poses(off, NOISE)
 
 
-def standing(deep: list[float], segment: list[int]) -> Any:
+def standing(deep, segment):
     """A problem whose forces push along z, and errors of its depths [–]."""
     n = len(deep)
     time = np.arange(n, dtype=float)
@@ -190,7 +189,7 @@ def standing(deep: list[float], segment: list[int]) -> Any:
     return PoseErrorProblem(scene, noise, *at), xi
 
 
-def test_the_recording_that_differs_most_is_named() -> None:
+def test_the_recording_that_differs_most_is_named():
     """Means 0, 6 and -1 against the others' -0.5, -0.5 and 3; variances 1/2 + 1/4."""
     problem, xi = standing([0.5, -0.5, 6.5, 5.5, -1.0, -1.0], [4, 4, 5, 5, 7, 7])
     words = r"recording 2 seems reported 13.00 mm deeper than the others, 8 standard"
@@ -201,18 +200,17 @@ def test_the_recording_that_differs_most_is_named() -> None:
     pose_refinement._warn_of_offset(problem, 0.5 * xi)  # 3.8 standard deviations
 
 
-def test_one_recording_differs_from_none() -> None:
+def test_one_recording_differs_from_none():
     pose_refinement._warn_of_offset(*standing([90.0, 110.0], [0, 0]))
 
 
-def test_no_forces_refine_nothing() -> None:
+def test_no_forces_refine_nothing():
     scene, true = examined()
     without = Scene.assemble(scene.voxmap, scene.shell, true)
-    with pytest.raises(InputError, match="poses are refined by measured forces"):
-        refine_poses(without)
+    refuses(InputError, "poses are refined by measured forces", refine_poses, without)
 
 
-def test_steps_that_do_not_end_give_no_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_that_do_not_end_give_no_poses(monkeypatch):
     monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
     begun: list[int] = []
     with pytest.raises(NumericalError, match=r"still move by .* after 2 steps"):
@@ -220,9 +218,7 @@ def test_steps_that_do_not_end_give_no_poses(monkeypatch: pytest.MonkeyPatch) ->
     assert len(begun) == 2
 
 
-def test_exact_poses_stay_where_the_evidence_is_not_asked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_exact_poses_stay_where_the_evidence_is_not_asked(monkeypatch):
     """Places left out tell that the field of moved poses is a worse one."""
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     scene, _ = examined(0.0)
@@ -235,13 +231,13 @@ def test_exact_poses_stay_where_the_evidence_is_not_asked(
     assert check is not None and check.places >= 3 and not check.better
 
 
-def test_a_gain_within_its_standard_error_is_none() -> None:
+def test_a_gain_within_its_standard_error_is_none():
     assert Check(3, 1.0, 1.2, 0.1).better
     assert not Check(3, 1.0, 1.2, 0.3).better
     assert not Check(2, 1.0, 1.2, 0.1).better
 
 
-def test_too_few_places_to_check_move_no_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_places_to_check_move_no_pose(monkeypatch):
     monkeypatch.setattr(PoseErrorProblem, "check", lambda *_: Check(2, 1.0, 2.0, 0.1))
     with pytest.warns(TtusWarning, match="2 places are too few to check"):
         assert not refine_poses(examined()[0], NOISE).errors.any()

@@ -53,11 +53,8 @@ def test_squares_are_an_integral():
     """∇² r²/4 = 1 exactly on the grid: a row's square is ℓ⁴ of its volume over ℓ³."""
     surface = Surface.from_radius(np.full((24, 9), 0.09), np.linspace(0.0, 0.2, 9))
     voxmap = Voxmap.from_surface(surface, shape=(13, 24, 9), r_inner=0.03, r_outer=0.12)
-    shell, rng = (
-        PointShell.ellipsoid((0.02, 0.015, 0.015), 100),
-        np.random.default_rng(0),
-    )
-    poses = presses(surface, 3, rng, depth=0.012)
+    shell = PointShell.ellipsoid((0.02, 0.015, 0.015), 100)
+    poses = presses(surface, 3, np.random.default_rng(0), depth=0.012)
     scene = Scene.assemble(voxmap, shell, poses, inner=1.0, sampling="trilinear")
     grid, length = voxmap.grid, volume_weighted.LENGTH
     p = np.broadcast_to(grid.r[:, None, None] ** 2 / 4.0, grid.shape).reshape(-1)

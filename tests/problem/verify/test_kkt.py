@@ -24,6 +24,7 @@ from ttus_opt.problem.verify.distance import CLOSE
 from ttus_opt.problem.verify.gradient_blocks import _least_gradient
 from ttus_opt.problem.verify.kkt import Duals, _held, bound_duals, kkt_residuals
 
+ZERO = np.zeros(1)
 LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
 
 
@@ -57,19 +58,19 @@ def test_upper_row_has_a_positive_multiplier():
     assert min(wrong_sign.dual_relative, wrong_sign.gap_relative) >= 0.5
 
 
-def test_lower_row_has_a_negative_multiplier():
-    """min x² + y², x + y ≥ 2: x = y = 1, y = -2."""
-    problem = program(2, [squares([0, 0])], (rows("sum", [[1, 1]], 2.0, np.inf),))
-    x = np.array([1.0, 1.0])
-    assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])})))
-
-
-def test_equality_row_has_a_multiplier_of_either_sign():
-    """min x² + y², x - y = ±2: x = -y = ±1, y = ∓2."""
-    for value in (2.0, -2.0):
-        problem = program(2, [squares([0, 0])], (rows("tie", [[1, -1]], value, value),))
-        x = np.array([value / 2, -value / 2])
-        assert_optimal(kkt_residuals(problem, x, Duals({"tie": np.array([-value])})))
+@pytest.mark.parametrize(
+    ("target", "row", "low", "high", "x", "y"),
+    [
+        ([0, 0], [1, 1], 2.0, np.inf, [1.0, 1.0], -2.0),  # a lower limit
+        ([0, 0], [1, -1], 2.0, 2.0, [1.0, -1.0], -2.0),  # an equality, either sign
+        ([0, 0], [1, -1], -2.0, -2.0, [-1.0, 1.0], 2.0),
+    ],
+)
+def test_lower_rows_and_equalities(target, row, low, high, x, y):
+    """min x² + y² under one row: its multiplier by hand."""
+    problem = program(2, [squares(target)], (rows("row", [row], low, high),))
+    duals = Duals({"row": np.array([y])})
+    assert_optimal(kkt_residuals(problem, np.array(x), duals))
 
 
 def test_bounds_have_multipliers_of_their_own():
@@ -112,10 +113,10 @@ def test_a_point_is_judged_anew_where_the_program_has_changed():
     of.constraints[0].upper[:] = 0.5
     assert kkt_residuals(of, x, duals).primal == 0.5
     box = ProgramBounds("box", np.array([-9.0]), np.array([1.0]))
-    of = program(1, [squares([3.0])], (), (box,))
-    assert_optimal(kkt_residuals(of, x, Duals({}, np.array([4.0]))))
+    of, duals = program(1, [squares([3.0])], (), (box,)), Duals({}, np.array([4.0]))
+    assert_optimal(kkt_residuals(of, x, duals))
     box.upper[:] = 0.5
-    assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
+    assert kkt_residuals(of, x, duals).primal == 0.5
 
 
 def test_a_point_is_judged_anew_where_a_matrix_has_changed():
@@ -171,10 +172,7 @@ def test_absolute_penalty_has_a_multiplier_within_one():
     """min ½·2|x| + (x - 0.3)²: x = 0 with g = 0.6; (x - 3)²: x = 2.5 with g = 1."""
     eye = sp.csr_array(sp.eye_array(1))
     for target, solution, g in ((0.3, 0.0, 0.6), (3.0, 2.5, 1.0)):
-        terms = [
-            squares([target]),
-            ProgramTerm("size", 1.0, eye, np.zeros(1), Absolute()),
-        ]
+        terms = [squares([target]), ProgramTerm("size", 1.0, eye, ZERO, Absolute())]
         problem = program(1, terms)
         x = np.array([solution])
         duals = Duals(terms={"size": np.array([g])})
@@ -260,18 +258,15 @@ def test_rounding_of_rows_that_cancel_is_no_error():
 
 def test_every_block_is_judged_by_its_own_summands():
     """A small parameter beside a large field: its wrong value is no rounding."""
-    field = sp.csr_array(np.array([[1e6, 0.0]]))
-    small = sp.csr_array(np.array([[0.0, 1e-3]]))
-    problem = Program(
-        {"p": slice(0, 1), "c": slice(1, 2)},
-        (
-            ProgramTerm("field", 1.0, field, np.array([1e6])),
-            ProgramTerm("parameter", 1.0, small, np.array([1e-3])),
-        ),
-        (),
-        (),
-        LAPLACE,
+    members = (
+        ProgramTerm(name, 1.0, sp.csr_array(np.array([row])), np.array([target]))
+        for name, row, target in (
+            ("field", [1e6, 0.0], 1e6),
+            ("parameter", [0.0, 1e-3], 1e-3),
+        )
     )
+    both = {"p": slice(0, 1), "c": slice(1, 2)}
+    problem = Program(both, tuple(members), (), (), LAPLACE)
     assert_optimal(kkt_residuals(problem, np.array([1.0, 1.0]), Duals()))
     wrong = kkt_residuals(problem, np.array([1.0, 0.5]), Duals())
     assert wrong.dual_relative == pytest.approx(0.5)
