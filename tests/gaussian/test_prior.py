@@ -76,7 +76,11 @@ def some_rows() -> sp.csr_array:
 @every
 def test_products_are_those_of_the_covariance(name: str) -> None:
     values = np.random.default_rng(6).normal(size=V)
-    close(prior_of(name).times(values), dense(name) @ values)
+    expected = dense(name) @ values
+    close(prior_of(name).times(values), expected)
+    assert prior_of(name).square(values) == pytest.approx(values @ expected, rel=1e-8)
+    rough = prior_of(name).within(1e-3).times(values)
+    assert np.linalg.norm(rough - expected) < 0.02 * np.linalg.norm(expected)
 
 
 @every

@@ -10,6 +10,7 @@ from tests.conftest import small_scene
 from ttus_opt import fit
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
+from ttus_opt.gaussian.prior import square_root
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.constraints.viscous_sign import ViscousSign
 from ttus_opt.problem.formulation import Formulation
@@ -22,7 +23,6 @@ from ttus_opt.problem.terms.torque import TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request
-from ttus_opt.solvers.covariance import square_root
 
 
 def scene() -> Scene:

@@ -6,7 +6,8 @@ constant. Its covariance C = L⁻¹ω L⁻ᵀ takes a solve with Lᵀ and one wi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -34,6 +35,15 @@ class LaplacePrior(Prior):
         """Implements `Prior`, by two solves."""
         slope = self.laplace.solve_adjoint(values, rtol=self.rtol)
         return self.laplace.solve(self.compliance * slope, rtol=self.rtol)
+
+    def square(self, values: Array) -> float:
+        """Implements `Prior`, by one solve."""
+        slope = self.laplace.solve_adjoint(values, rtol=self.rtol)
+        return float((self.compliance * slope) @ slope)
+
+    def within(self, rtol: float) -> Self:
+        """Implements `Prior`."""
+        return replace(self, rtol=rtol)
 
     def among_rows(self, rows: sp.csr_array, height: int) -> Array:
         """Implements `Prior`, by a solve per nonempty row."""

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import conditioned
-from ttus_opt.gaussian.prior import Columns
+from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
@@ -228,23 +228,6 @@ def _touched(program: Program, prior: ProgramTerm) -> IntArray:
     columns = [t.matrix.indices for t in _measured(program, prior)]
     touched = np.unique(np.concatenate([*columns, np.zeros(0, dtype=np.int64)]))
     return np.asarray(touched[touched < V], dtype=np.int64)
-
-
-def square_root(matrix: Array, neglected: float = 0.0) -> Array:
-    """F with F Fᵀ = matrix, positive semidefinite, without rounding errors.
-
-    By Cholesky's decomposition with pivots, which ends where nothing is left: a
-    twentieth of the time of an eigendecomposition.
-
-    Args:
-        matrix: Shape (n, n).
-        neglected: Part of the largest diagonal entry that may be left.
-    """
-    least = neglected * float(np.diag(matrix).max(initial=0.0)) if neglected else -1.0
-    factor, order, rank, _ = scipy.linalg.lapack.dpstrf(matrix, tol=least, lower=1)
-    root = np.empty((len(matrix), rank))
-    root[order - 1] = np.tril(factor[:, :rank])
-    return root
 
 
 SOLVERS = [Covariance()]

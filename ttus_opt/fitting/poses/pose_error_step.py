@@ -39,7 +39,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.part_noise import contact_directions
+from ttus_opt.problem.terms.part_noise import contact_directions, normal_rows
 
 #: Relative standard deviation of the whole profile φ [–]
 PROFILE_SPREAD = 0.5
@@ -139,9 +139,7 @@ class PoseErrorProblem:
         if drag.is_shown:
             rubbed = drag.friction_coefficient * drag.drag.rows.force
             reported = sp.csr_array(reported - rubbed)
-        u, n = contact_directions(scene).ravel(), len(own)
-        starts = 3 * np.arange(n + 1)
-        normal = sp.csr_array((u, np.arange(3 * n), starts), shape=(n, 3 * n))
+        normal = normal_rows(contact_directions(scene))
         return cls(scene, noise, rows, frames, place, alike, reported, normal)
 
     def start(self) -> State:

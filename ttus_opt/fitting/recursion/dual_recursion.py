@@ -45,6 +45,7 @@ from ttus_opt.fitting.recursion.field_refinement import (
 )
 from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel, Projection
 from ttus_opt.fitting.recursion.measured_rows import Block, MeasuredRows
+from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 
 #: Largest residual variance of a dependent row, over that of its noise
@@ -103,7 +104,7 @@ class DualRecursion:
             height: Rows per block [–].
         """
         self.height = height
-        self._laplace = laplace
+        self._prior = LaplacePrior(laplace, np.ones(laplace.grid.n_voxels))
         self._D = MeasuredRows(laplace.grid.n_voxels, height)
         self._kernel = LowRankKernel()
         # above `DEPENDENT` where weights are too large for the solves
@@ -265,10 +266,10 @@ class DualRecursion:
     def _refined(self) -> float:
         """Refine the last field; return its relative residual."""
         if self._shift is None:
-            self._shift = np.zeros(self._laplace.grid.n_voxels)
+            self._shift = np.zeros_like(self.prior_field)
             self._y = np.zeros_like(self._d0)
         found = refined(
-            self._laplace, self._D, self._kernel, self._d0, self._shift, self._y
+            self._prior, self._D, self._kernel, self._d0, self._shift, self._y
         )
         self._shift, self._y = found.shift, found.y
         return found.residual
@@ -349,12 +350,12 @@ class DualRecursion:
             rtol: Relative residual of the solves.
             take: Called with a row's number and vector, from several threads.
         """
-        laplace = self._laplace
+        prior = self._prior.within(rtol)
 
         def chain(c: int) -> None:
-            row = np.zeros(laplace.grid.n_voxels)
+            row = np.zeros(len(self.prior_field))
             row[entries[c][0]] = entries[c][1]
-            take(c, laplace.solve(laplace.solve_adjoint(row, rtol=rtol), rtol=rtol))
+            take(c, prior.times(row))
 
         side_by_side(chain, range(len(entries)))
 

@@ -15,7 +15,8 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel
 from ttus_opt.fitting.recursion.measured_rows import MeasuredRows
-from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.gaussian.laplace_prior import LaplacePrior
+from ttus_opt.laplace.system import RTOL
 
 #: Relative residual of (I + K) y = d₀ to which the field is refined; most iterations
 FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
@@ -36,7 +37,7 @@ class Refined(NamedTuple):
 
 
 def refined(
-    laplace: LaplaceSystem,
+    prior: LaplacePrior,
     D: MeasuredRows,
     kernel: LowRankKernel,
     d0: Array,
@@ -49,7 +50,7 @@ def refined(
     Sci. Comput. 22 (2000) 1444-1460.
 
     Args:
-        laplace: L.
+        prior: That of the field.
         D: Measured rows.
         kernel: R, the preconditioner.
         d0: Misfit of p₀, shape (n,).
@@ -68,8 +69,7 @@ def refined(
         before, fall = residual, float(step @ residual)
         # a small correction needs less accuracy
         rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
-        source = laplace.solve_adjoint(D.adjoint(direction), rtol=rtol)
-        response = laplace.solve(source, rtol=rtol)
+        response = prior.within(rtol).times(D.adjoint(direction))
         length = direction @ (direction + D.times(response))
         if not (fall > 0.0 and length > 0.0):
             break

@@ -18,10 +18,9 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.fitting.uncertainty.posterior import Posterior
 from ttus_opt.gaussian.conditioned import conditioned
-from ttus_opt.gaussian.prior import Columns
+from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.structure import known_covariance
-from ttus_opt.solvers.covariance import square_root
 
 #: Rows whose covariance with all measured voxels is formed at once
 AT_ONCE = 6

@@ -9,7 +9,7 @@ a very large coefficient.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -73,7 +73,7 @@ class LaplacePosterior(Posterior):
             base = SCALE_DEVIATION * sweep.base
             images = np.concatenate([images, (rows @ base)[None]])
         measured = ByImages.of(images, own * sweep.misfit)
-        prior = replace(data.system.field_prior, rtol=RTOL)
+        prior = data.system.field_prior.within(RTOL)
         return cls(prior, told, rows, images, measured, base, fields, voxels)
 
     @cached_property

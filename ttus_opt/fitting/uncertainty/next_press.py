@@ -38,6 +38,7 @@ from ttus_opt.fitting.uncertainty.skin_uncertainty import (
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
+from ttus_opt.problem.terms.part_noise import normal_rows
 from ttus_opt.scan.box import inside
 from ttus_opt.voxmap.sector import Sector, checked_sector, holds
 
@@ -238,12 +239,10 @@ def normal_forces(
     forces = sp.csr_array(rows[(6 * frame + np.arange(3)).ravel()])
     u = (forces @ np.maximum(voxel_depths(scene.voxmap), 0.0)).reshape(k, 3)
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
-    columns = (3 * frame + np.arange(3)).ravel()
-    along = sp.csr_array((u.ravel(), columns, 3 * np.arange(k + 1)), (k, 3 * k))
     noise = uncertainty.noise.covariance(rendered(uncertainty.potential, rows))[
         :, :3, :3
     ]
-    return sp.csr_array(along @ forces), np.einsum("ti,tij,tj->t", u, noise, u)
+    return sp.csr_array(normal_rows(u) @ forces), np.einsum("ti,tij,tj->t", u, noise, u)
 
 
 def _region(

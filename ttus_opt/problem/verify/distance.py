@@ -34,7 +34,8 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import NumericalError
-from ttus_opt.gaussian.prior import KnownPrior
+from ttus_opt.gaussian.laplace_prior import LaplacePrior
+from ttus_opt.gaussian.prior import Prior
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
@@ -106,49 +107,28 @@ def energy(
 
 @dataclass(frozen=True)
 class _Field:
-    """A variable over the voxels and the Laplace term that determines it.
+    """A variable over the voxels and the term that determines it.
 
     Attributes:
         part: Its place in x.
         term: The term.
-        laplace: Solves with L.
-        compliance: Ω, inverse squares of the factors on L's rows, zero at fixed values,
-            shape (V,) [–].
+        laplace: The L of its rows, if these are L's.
+        prior: The prior of the term: (RᵀR)⁻¹ of its rows R, zero at fixed values.
     """
 
     part: slice
     term: ProgramTerm
     laplace: LaplaceSystem
-    compliance: Array = field(repr=False)
+    prior: Prior = field(repr=False)
 
     def square(self, r: Array, rtol: float) -> float:
         """The field's part of rᵀA⁻¹r."""
-        u = self.laplace.solve_adjoint(r[self.part], rtol=rtol)
-        return float((self.compliance * u) @ u) / (2.0 * self.term.weight)
+        square = self.prior.within(rtol).square(r[self.part])
+        return square / (2.0 * self.term.weight)
 
     def inverse(self, r: Array, rtol: float) -> Array:
         """The field's part of A⁻¹r, shape (V,)."""
-        u = self.compliance * self.laplace.solve_adjoint(r[self.part], rtol=rtol)
-        return self.laplace.solve(u, rtol=rtol) / (2.0 * self.term.weight)
-
-
-@dataclass(frozen=True)
-class _KnownField(_Field):
-    """A variable over the voxels and a term of known covariance.
-
-    Attributes:
-        covariance: (RᵀR)⁻¹ of the term's rows.
-    """
-
-    covariance: KnownPrior = field(repr=False)
-
-    def square(self, r: Array, rtol: float) -> float:
-        """The field's part of rᵀA⁻¹r; ``rtol`` is ignored."""
-        return float(r[self.part] @ self.inverse(r, rtol))
-
-    def inverse(self, r: Array, rtol: float) -> Array:
-        """The field's part of A⁻¹r, shape (V,)."""
-        return self.covariance.times(r[self.part]) / (2.0 * self.term.weight)
+        return self.prior.within(rtol).times(r[self.part]) / (2.0 * self.term.weight)
 
 
 def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
@@ -183,13 +163,14 @@ def field_of(
     known, rows = known_covariance(term.tags), term.laplace_rows
     compliance = np.ones(len(fixed))
     if known is not None and name == "p" and not fixed.any():
-        return _KnownField(part, term, laplace, compliance, known.covariance)
+        return _Field(part, term, laplace, known.covariance)
     if rows is None or not _holds(term, rows, name, fixed, laplace):
         return None
     if rows.scale is not None:
         compliance /= rows.scale**2
     compliance[fixed] = 0.0
-    return _Field(part, term, rows.system or laplace, compliance)
+    own = rows.system or laplace
+    return _Field(part, term, own, LaplacePrior(own, compliance))
 
 
 def _holds(

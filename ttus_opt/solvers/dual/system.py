@@ -14,7 +14,7 @@ positive definite; a product with it takes one solve with Lᵀ and one with L.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -105,7 +105,7 @@ class DualSystem(SchurComplement):
 
     def prior(self, r: Array, rtol: float = RTOL) -> Array:
         """L⁻¹ ω L⁻ᵀ r, shape (V,)."""
-        return replace(self.field_prior, rtol=rtol).times(r)
+        return self.field_prior.within(rtol).times(r)
 
     def same_rows(self, other: DualSystem) -> bool:
         """Whether two systems differ at most by the weights of their rows."""
