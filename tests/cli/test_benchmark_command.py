@@ -124,7 +124,7 @@ def test_perturbed_cases_by_either_name(tmp_path, capsys, monkeypatch):
         (["--contest", "loud"], "unknown perturbation 'loud': choose noise or"),
         (["--parts", "riple"], "unknown part 'riple': choose from solvers, assembly"),
         (["--parts", "ripple", "--export", "here"], "leave --parts out"),
-        (["--sampling", "cubic"], "unknown sampling 'cubic': choose voxel-mean or"),
+        (["--sampling", "cubic"], "sampling must be one of voxel-mean"),
         (["--weight", "-1"], "weight must be positive"),
         (["--tolerance", "2"], "tolerance must lie between 1e-14"),
     ],

@@ -58,9 +58,19 @@ JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render, 
 LONG, USUAL = 3600.0, 600.0
 MANY_SOLVES = (refine_poses, tune, path, session, experiment)
 
-#: A benchmark limits every solve, a recording lasts as long as is asked for, a page is
-#: open until it is closed, and the others are over in a moment
-UNLIMITED = (benchmark, record, view, solvers, formulations, warm_up)
+#: A benchmark limits every solve, a recording or a live session lasts as long as is
+#: asked for, a page is open until it is closed, and the others are over in a moment
+UNLIMITED = (
+    benchmark,
+    record,
+    view,
+    live_commands.follower,
+    live_commands.operator,
+    live_commands.key,
+    solvers,
+    formulations,
+    warm_up,
+)
 
 # in the order in which help lists them
 for function in (
