@@ -226,7 +226,7 @@ def main() -> None:
     rooms_picture(FOLDER / "rooms.svg")
     next_press_picture(FOLDER / "next_press.png")
     demo.run(FOLDER)
-    for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("*.md")):
+    for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("report.*")):
         data.unlink()
 
 

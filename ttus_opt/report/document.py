@@ -20,7 +20,9 @@ COLOURS = 96
 
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:64em;margin:2em auto;"
-    "padding:0 1em}table{border-collapse:collapse;font-size:13px;margin:1em 0}"
+    "padding:0 1em;overflow-wrap:break-word}"
+    "table{border-collapse:collapse;font-size:13px;margin:1em 0;display:block;"
+    "overflow-x:auto}"
     "td,th{border:1px solid #ccc;padding:.25em .6em;text-align:left}"
     "th{background:#f3f3f3}img{max-width:100%}figcaption{color:#555}"
 )
