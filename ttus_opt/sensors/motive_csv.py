@@ -97,7 +97,7 @@ def _sheet(file: Path) -> _Sheet:
     last = next((i for i, row in enumerate(rows) if row[:1] == [FRAME]), None)
     if last is None:
         raise FileError(f"{file} has no line that begins with {FRAME}: export it again")
-    header: dict[str, Sequence[str]] = {"axis": rows[last]}
+    header = {"axis": rows[last]}
     for row in rows[1:last]:
         word = row[1] if len(row) > 1 else ""
         if word in ("Type", "Name"):
@@ -109,6 +109,8 @@ def _sheet(file: Path) -> _Sheet:
     if missing := [word for word in ("Type", "Name", "kind") if word not in header]:
         raise FileError(f"{file} has no header line of {missing[0]}: export it again")
     width = len(rows[last])
+    for word, row in header.items():
+        header[word] = [*row[:width], *[""] * (width - len(row))]
     lines = [i for i, row in enumerate(rows) if i > last and any(row)]
     if not lines:
         raise FileError(

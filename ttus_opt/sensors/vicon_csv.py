@@ -94,8 +94,10 @@ def _sections(file: Path) -> Iterator[_Section]:
         if end == head + 2:
             raise FileError(f"{file}, line {head + 1}: a section without rows")
         columns, width = rows[head], len(rows[head])
+        if width < 3:
+            raise FileError(f"{file}, line {head + 1}: no columns beside the frame's")
         values = numbers(rows[head + 2 : end], width)
-        per_frame = int(np.nan_to_num(values[:, 1]).max()) + 1 if width > 1 else 1
+        per_frame = int(np.nan_to_num(values[:, 1]).max()) + 1
         steps = values[:, 0] * per_frame + np.nan_to_num(values[:, 1])
         time = (steps - per_frame) / rate  # the first frame is 1
         line = np.arange(head + 3, end + 1)
