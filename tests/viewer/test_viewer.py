@@ -17,8 +17,11 @@ import ttus_opt as tt
 from tests.conftest import torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
+from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours
+from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.page import front_of
+from ttus_opt.viewer.skin import SkinMesh
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -127,6 +130,50 @@ def test_what_a_colouring_needs_is_said(viewer: Viewer) -> None:
     until(lambda: "of its force [%]" in viewer.page.skin._legend.content)
     viewer.page.skin.show("Seen")
     until(lambda: "filled in" in viewer.page.skin._legend.content)
+
+
+def test_where_to_press_next_is_computed_when_it_is_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[object] = []
+
+    def found(stated: object, skin: SkinMesh) -> tuple[Colouring, None]:
+        values, marks = np.ones(len(skin.theta)), skin.vertices[:2]
+        return Colouring("Next press", "spread", "N", values, marks=marks), None
+
+    def stated() -> object:
+        asked.append("once")
+        return object()
+
+    monkeypatch.setattr(colouring, "next_presses", found)
+    with tt.view(field(), probe(), port=0, uncertainty=stated) as one:
+        assert one.page.jobs.wait(30.0)
+        assert asked == []
+        for name, shown in (("Next press", 2), ("Seen", 0), ("Next press", 2)):
+            one.page.skin.show(name)
+            assert one.page.jobs.wait(30.0)
+            marks = one.page.stage.nodes[0]._marks
+            assert len(marks) == shown
+            assert ("1 to 2: press" in one.page.skin._legend.content) == bool(shown)
+        assert asked == ["once"]
+
+
+def test_the_running_plot_is_level_while_nothing_moves() -> None:
+    with tt.view(field(), probe(), port=0) as one:
+        until(lambda: bool(one.page.probe._points))
+        tab, points = one.page.probe, one.page.probe._points
+        points.clear()
+        points.append((100.0, [1.0]))
+        tab.add_point(100.03)  # too soon
+        tab.add_point(104.0)
+        time, force = tab._columns()
+        np.testing.assert_allclose(time, [-4.0, -0.05, 0.0], atol=1e-9)
+        now = np.linalg.norm(one.state.touches[0].wrench.force)
+        assert force.tolist() == [1.0, 1.0, now]
+        tab.add_point(113.99)
+        time, force = tab._columns()
+        np.testing.assert_allclose(time, [-10.0, -9.99, -0.05, 0.0], atol=1e-9)
+        assert force[0] == 1.0
 
 
 def test_a_fault_is_told_and_the_page_goes_on(

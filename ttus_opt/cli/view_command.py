@@ -150,6 +150,7 @@ def shown_example() -> tuple[list[PotentialField], dict[str, Any]]:
     from ttus_opt import example
     from ttus_opt.contact.scene import Scene
     from ttus_opt.fitting.batch import fit
+    from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
     from ttus_opt.fitting.weights.weight_choice import default_model
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -166,9 +167,15 @@ def shown_example() -> tuple[list[PotentialField], dict[str, Any]]:
     )
     voxmap = Voxmap.from_surface(surface, shape=EXAMPLE_SHAPE, r_inner=0.03)
     model = default_model(Scene.assemble(voxmap, shell, fitted))
-    found = fit(model.scene, model.formulation).field
+    solution = fit(model.scene, model.formulation)
+    found = solution.field
     named = replace(found, provenance={**found.provenance, "probe": example.PROBE})
-    return [named], {"shell": shell, "trajectory": shown, "names": ["example"]}
+    return [named], {
+        "shell": shell,
+        "trajectory": shown,
+        "names": ["example"],
+        "uncertainty": lambda: uncertainty(solution, model.scene),
+    }
 
 
 def _open(url: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from html import escape
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,9 @@ SKIN_MAP, SECTION_MAP = "viridis", "YlGnBu"
 
 #: Skin without a number; classes: filled in, seen
 UNKNOWN, CLASSES = (196, 190, 184), ((222, 165, 120), (126, 172, 206))
+
+#: Numbered places on the skin
+MARK = (208, 49, 45)
 
 #: Isolines of a section
 LINE = (40, 60, 90)
@@ -38,6 +40,8 @@ def colours(values: Array, span: tuple[float, float], name: str) -> Pixels:
     Returns:
         One more axis, red, green and blue.
     """
+    import matplotlib  # takes a while to load: the page is up before
+
     low, high = span
     share = np.clip((values - low) / max(high - low, np.finfo(float).tiny), 0.0, 1.0)
     out = matplotlib.colormaps[name](np.nan_to_num(share), bytes=True)[..., :3]
@@ -73,8 +77,11 @@ def skin_legend(colouring: Colouring, span: tuple[float, float]) -> str:
         return _swatches(dict(zip(colouring.classes, CLASSES, strict=True)))
     low, high = span
     unknown = np.isnan(colouring.values).any()
-    rest = _swatches({"not known here": UNKNOWN}) if unknown else ""
-    return _bar(colouring.title, colouring.unit, low, high, SKIN_MAP) + rest
+    rest = {"not known here": UNKNOWN} if unknown else {}
+    if len(colouring.marks):
+        rest[f"1 to {len(colouring.marks)}: press here next"] = MARK
+    bar = _bar(colouring.title, colouring.unit, low, high, SKIN_MAP)
+    return bar + (_swatches(rest) if rest else "")
 
 
 def section_legend(section: Section, unit: str) -> str:

@@ -2,7 +2,7 @@
 
 - *Stiffness*: force of a light reference press at every node, as the renderer gives it.
 - *Uncertainty*: standard deviation of a press's force over that force, from the map
-  that ``ttus-opt fit --uncertainty`` stores with a field.
+  that ``ttus-opt fit --uncertainty`` stores with a field, or from the fit itself.
 - *Seen*: whether the scan saw the skin, or it was filled in.
 - *Next press*: standard deviation of a press's force before further presses, and the
   places where these would tell most (`ttus_opt.fitting.uncertainty.next_press`).
@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,12 +19,14 @@ from scipy.spatial import cKDTree
 from ttus_opt.contact.standing import standing
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
-from ttus_opt.fitting.uncertainty.next_press import NextPresses, next_press
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.viewer.skin import SPACING, SkinMesh
 from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+    from ttus_opt.fitting.uncertainty.next_press import NextPresses
 
 #: Depth of the reference press: a light one, about 1 to 3 N on soft tissue [m]
 LIGHT = 0.005
@@ -31,6 +34,10 @@ LIGHT = 0.005
 #: Share of the nodes that the colour scale covers: a few outliers do not darken the
 #: rest [–]
 COVERED = 0.98
+
+
+#: Places over whose numbers a node's is interpolated, the nearest most [–]
+NEAR = 4
 
 
 @dataclass(frozen=True)
@@ -92,17 +99,29 @@ def stiffness(
     return Colouring("Stiffness", title, "N", force)
 
 
-def uncertainty(field: PotentialField, skin: SkinMesh) -> Colouring:
+def uncertainty(
+    field: PotentialField, skin: SkinMesh, stated: Uncertainty | None = None
+) -> Colouring:
     """Relative standard deviation of a press's force at every node.
 
+    Args:
+        field: What is shown.
+        skin: The nodes.
+        stated: Uncertainty of the field's fit, where the field holds no map.
+
     Raises:
-        InputError: The field has no map.
+        InputError: Neither a map nor a fit's uncertainty.
     """
-    if field.uncertainty is None:
+    known = field.uncertainty
+    if known is None and stated is not None:
+        from ttus_opt.fitting.uncertainty.skin_uncertainty import uncertainty_map
+
+        known = uncertainty_map(stated.sampled(), field)
+    if known is None:
         raise InputError(
             "this field holds no uncertainty: fit with ttus-opt fit --uncertainty"
         )
-    values = [field.uncertainty.at(*point) for point in skin.vertices.tolist()]
+    values = [known.at(*point) for point in skin.vertices.tolist()]
     title = "standard deviation of a press, of its force"
     return Colouring("Uncertainty", title, "%", 100.0 * np.array(values))
 
@@ -116,9 +135,13 @@ def seen(field: PotentialField, skin: SkinMesh) -> Colouring:
 
 def next_presses(stated: Uncertainty, skin: SkinMesh) -> tuple[Colouring, NextPresses]:
     """Standard deviation of a press, and the places where to press next."""
+    from ttus_opt.fitting.uncertainty.next_press import next_press
+
     found = next_press(stated)
-    far, nearest = cKDTree(found.points).query(skin.vertices)
-    values = np.where(far < 3.0 * SPACING, found.before[nearest], np.nan)
+    far, near = cKDTree(found.points).query(skin.vertices, k=NEAR)
+    weight = 1.0 / np.maximum(far, 1e-9) ** 2
+    mean = (weight * found.before[near]).sum(axis=1) / weight.sum(axis=1)
+    values = np.where(far[:, 0] < 3.0 * SPACING, mean, np.nan)
     title = f"standard deviation of a press {1e3 * found.depth:.1f} mm deep"
     marks = found.points[found.node]
     return Colouring("Next press", title, "N", values, marks=marks), found

@@ -57,7 +57,7 @@ def axes() -> Any:
     """Seconds below, newtons on the left."""
     small = {"font": "11px sans-serif", "labelFont": "11px sans-serif"}
     return (
-        {**small, "size": 28},
+        {**small, "size": 24, "label": "time [s]", "labelSize": 14},
         {**small, "size": 36, "label": "force [N]", "labelSize": 14},
     )
 
@@ -72,6 +72,7 @@ def add_plot(
         told,
         axes=axes(),
         scales={"x": {"time": False, "auto": True}, "y": upright},
+        legend={"show": False},  # the numbers above have the colours
         height=HEIGHT,
         cursor={"drag": {"x": False, "y": False}},
     )

@@ -1,4 +1,4 @@
-"""Work beside the page: one thread, the latest of each kind, errors told."""
+"""Work beside the page: a thread a kind, the latest of each kind, errors told."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from ttus_opt.core.errors import TtusError
 
 
 class Jobs:
-    """A thread that does what is asked for; a newer job of a name replaces an older.
+    """Does what is asked for, each kind in a thread of its own.
+
+    A newer job of a kind replaces one that has not begun; a long one of another kind
+    is not waited for.
 
     Args:
         tell: Called with one line where a job fails.
@@ -18,42 +21,41 @@ class Jobs:
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._wanted: dict[str, Callable[[], None]] = {}
+        self._working: set[str] = set()
         self._changed = threading.Condition()
-        self._open, self._busy = True, False
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        self._open = True
 
     def post(self, name: str, job: Callable[[], None]) -> None:
         """Do a job soon, instead of one of the same name that has not begun."""
         with self._changed:
+            if not self._open:
+                return
             self._wanted[name] = job
-            self._changed.notify_all()
+            if name in self._working:
+                return
+            self._working.add(name)
+        threading.Thread(target=self._work, args=(name,), daemon=True).start()
 
     def wait(self, seconds: float) -> bool:
         """Wait until nothing is left to do; False if that takes longer."""
         with self._changed:
-            return self._changed.wait_for(
-                lambda: not (self._wanted or self._busy), seconds
-            )
+            return self._changed.wait_for(lambda: not self._working, seconds)
 
-    def close(self) -> None:
-        """Leave out what has not begun and end the thread."""
+    def close(self, seconds: float = 5.0) -> None:
+        """Leave out what has not begun, and wait some time for the rest."""
         with self._changed:
             self._open = False
             self._wanted.clear()
-            self._changed.notify_all()
-        self._thread.join(timeout=5.0)
+        self.wait(seconds)
 
-    def _work(self) -> None:
+    def _work(self, name: str) -> None:
         while True:
             with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._wanted or not self._open)
-                if not self._open:
+                job = self._wanted.pop(name, None)
+                if job is None:
+                    self._working.remove(name)
+                    self._changed.notify_all()
                     return
-                name = next(iter(self._wanted))
-                job, self._busy = self._wanted.pop(name), True
             try:
                 job()
             except TtusError as error:

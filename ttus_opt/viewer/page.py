@@ -9,7 +9,6 @@ import numpy as np
 
 from ttus_opt.contact.standing import skin_points
 from ttus_opt.core.arrays import Array
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
@@ -29,11 +28,17 @@ from ttus_opt.viewer.state import ViewState
 if TYPE_CHECKING:
     import viser
 
+    from ttus_opt.viewer.skin_tab import Stated
+
 #: Distance between two patients, of a body's length [–]
 APART = 1.15
 
 #: Distance of the camera, of what is shown [–]
 AWAY = 2.7
+
+#: The same on a page that is higher than wide, and how far up the picture what is
+#: shown is then moved, of its size: the panel covers the lower half [–]
+NARROW_AWAY, NARROW_UP = 5.0, 0.95
 
 #: Intensity of the even light; π shows a surface in its own colour
 LIGHT = 2.1
@@ -65,7 +70,7 @@ class Page:
         state: ViewState,
         names: Sequence[str],
         mesh: TriangleMesh | None = None,
-        stated: Uncertainty | None = None,
+        stated: Stated | None = None,
     ) -> None:
         self._server, self.state = server, state
         self.jobs = Jobs(self.tell)
@@ -153,6 +158,16 @@ class Page:
         camera.position = tuple(middle + AWAY * size * away)
         camera.look_at = tuple(middle)
         camera.fov = float(np.radians(35.0))
+
+        @self._server.on_client_connect
+        def connected(client: Any) -> None:
+            if client.camera.aspect < 1.0:
+                up = front - (front @ away) * away / (away @ away)
+                below = middle - NARROW_UP * size * up / np.linalg.norm(up)
+                with client.atomic():
+                    client.camera.position = below + NARROW_AWAY * size * away
+                    client.camera.look_at = below
+
         gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="medium",
             brand_color=(11, 79, 156),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import trimesh
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import to_quaternions
-from ttus_opt.viewer.colour_map import MEASURED, Pixels, section_pixels
+from ttus_opt.viewer.colour_map import MARK, MEASURED, Pixels, section_pixels
 from ttus_opt.viewer.section import Section
 from ttus_opt.viewer.skin import SkinMesh
 from ttus_opt.viewer.touch import Touch
@@ -28,8 +29,8 @@ LEAST_FORCE, LEAST_TORQUE = 0.02, 2e-4
 ARROW = {"shaft_radius": 0.0018, "head_radius": 0.0045, "head_length": 0.011}
 SMALL = {"shaft_radius": 0.0007, "head_radius": 0.0016, "head_length": 0.004}
 
-#: Colours of probe, torque, marks
-PROBE, TORQUE, MARK = (238, 240, 244), (28, 122, 92), (208, 49, 45)
+#: Colours of probe and torque
+PROBE, TORQUE = (238, 240, 244), (28, 122, 92)
 
 
 class PatientNodes:
@@ -60,6 +61,7 @@ class PatientNodes:
         self.offset, self._colour = offset, colour
         self._colours = np.full((len(skin.theta), 3), 196, dtype=np.uint8)
         self._faces: IntArray = skin.faces
+        self._painting = threading.Lock()  # colours and cuts come from two threads
         self._image: Any = None
         self._marks: list[Any] = []
         scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
@@ -88,18 +90,16 @@ class PatientNodes:
 
     def colour(self, colours: Pixels, marks: Array) -> None:
         """Colour the nodes, shape (n, 3), and number places, shape (k, 3) [m]."""
-        self._colours = colours
-        self._mesh.glb_data = self._glb()
+        self._paint(colours, None)
         for old in self._marks:
-            old.remove()
+            old.remove()  # and its number
         self._marks = []
         for k, place in enumerate(marks):
             one = f"/{self._name}/mark{k + 1}"
             at = tuple(place.tolist())
-            self._marks += [
-                self._scene.add_icosphere(one, 0.004, color=MARK, position=at),
-                self._scene.add_label(f"{one}/number", str(k + 1)),
-            ]
+            ball = self._scene.add_icosphere(one, 0.004, color=MARK, position=at)
+            self._scene.add_label(f"{one}/number", str(k + 1))
+            self._marks.append(ball)
 
     def show_section(self, shown: Section | None) -> None:
         """Draw a section and cut the skin open there; None closes it."""
@@ -107,9 +107,8 @@ class PatientNodes:
         if shown is not None:
             normal = shown.normal * (1.0 if shown.normal @ self._towards > 0 else -1.0)
             faces = self._skin.cut(normal, float(shown.origin @ normal))
-        if len(faces) != len(self._faces) or (faces != self._faces).any():
-            self._faces = faces
-            self._mesh.glb_data = self._glb()
+        if not np.array_equal(faces, self._faces):
+            self._paint(None, faces)
         if shown is None:
             if self._image is not None:
                 self._image.visible = False
@@ -165,6 +164,13 @@ class PatientNodes:
             arrow.visible = long
         if long:
             arrow.points = np.stack([start, start + way])[None].astype(np.float32)
+
+    def _paint(self, colours: Pixels | None, faces: IntArray | None) -> None:
+        """Draw the skin with other colours or faces, None for those it has."""
+        with self._painting:
+            self._colours = self._colours if colours is None else colours
+            self._faces = self._faces if faces is None else faces
+            self._mesh.glb_data = self._glb()
 
     def _glb(self) -> bytes:
         """The skin with its colours, as glTF: a rough material, and linear colours."""

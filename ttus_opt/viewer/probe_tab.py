@@ -47,8 +47,7 @@ class ProbeTab:
 
     def __init__(self, stage: Stage) -> None:
         self._stage, gui = stage, stage.server.gui
-        self._times: deque[float] = deque(maxlen=round(SHOWN / EVERY))
-        self._sizes: deque[list[float]] = deque(maxlen=round(SHOWN / EVERY))
+        self._points: deque[tuple[float, list[float]]] = deque()
         self._depth = gui.add_slider(
             "depth [mm]", min=1e3 * LEAST, max=1e3 * MOST, step=0.1, initial_value=0.0
         )
@@ -81,21 +80,26 @@ class ProbeTab:
 
     def add_point(self, time: float) -> None:
         """Take what is felt now into the running plot, every `EVERY`."""
-        if self._times and time - self._times[-1] < EVERY:
+        points = self._points
+        if points and time - points[-1][0] < EVERY:
             return
-        sizes = [np.linalg.norm(t.wrench.force) for t in self._stage.state.touches]
-        self._times.append(time)
-        self._sizes.append([float(size) for size in sizes])
+        if points and time - points[-1][0] > 2.0 * EVERY:  # it rested
+            points.append((time - EVERY, points[-1][1]))
+        forces = [touch.wrench.force for touch in self._stage.state.touches]
+        points.append((time, [float(np.linalg.norm(force)) for force in forces]))
+        while len(points) > 2 and points[1][0] < time - SHOWN:
+            points.popleft()
 
     def draw(self) -> None:
         """Draw the running plot."""
         self._plot.data = self._columns()
 
     def _columns(self) -> tuple[Any, ...]:
-        time, n = np.array(self._times), len(self._stage.names)
-        if len(time) < 2:
-            return tuple(np.zeros(2) for _ in range(n + 1))
-        return (time - time[-1], *np.array(self._sizes).T)
+        if len(self._points) < 2:
+            return tuple(np.zeros(2) for _ in range(len(self._stage.names) + 1))
+        times, sizes = zip(*self._points, strict=True)
+        time = np.array(times) - times[-1]
+        return (np.maximum(time, -SHOWN), *np.array(sizes).T)
 
     def _step(self, way: tuple[int, int, int], sign: int) -> None:
         around, along, deeper = (STEP * sign * w for w in way)

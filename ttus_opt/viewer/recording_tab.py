@@ -34,7 +34,8 @@ class RecordingTab:
         told = series(stage.names, measured=self._has_force, marker=True)
         most = max(float(np.nanmax(one, initial=0.1)) for one in recording.sizes)
         self.plot = add_plot(gui, self._columns(None), told, (0.0, 1.05 * most))
-        gui.add_markdown("A click on the plot goes to that pose.")
+        grey = "Grey is the measured force. " if self._has_force else ""
+        gui.add_markdown(f"{grey}A click on the plot goes to that pose.")
         go_on_click(stage.server, self.plot, self.frame)
         by_hand(self.frame, self._go, stage.tell)
         by_hand(self.playing, self._start, stage.tell)

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours, skin_legend
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.stage import Stage, by_hand
 
+if TYPE_CHECKING:
+    from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+
+    #: The uncertainty of a fit, or what gives it when somebody looks
+    Stated = Uncertainty | Callable[[], Uncertainty]
+
 NEEDS_FIT = (
-    "where to press next follows from a fit and its recordings: pass "
-    "tt.view(..., uncertainty=tt.uncertainty(solution, scene))"
+    "where to press next follows from a fit and its recordings: ttus-opt next-press "
+    "names the places, tt.view(..., uncertainty=tt.uncertainty(solution, scene)) "
+    "shows them"
 )
 
 
@@ -28,7 +34,7 @@ class SkinTab:
         stated: Uncertainty of the first field's fit, for where to press next.
     """
 
-    def __init__(self, stage: Stage, legend: Any, stated: Uncertainty | None) -> None:
+    def __init__(self, stage: Stage, legend: Any, stated: Stated | None) -> None:
         self._stage, self._legend, self._stated = stage, legend, stated
         self._known: dict[str, list[Colouring]] = {}
         self._ways: dict[str, Callable[[], list[Colouring]]] = {
@@ -87,18 +93,29 @@ class SkinTab:
         ]
 
     def _uncertainty(self) -> list[Colouring]:
-        skin = self._stage.skin
-        return [colouring.uncertainty(one, skin) for one in self._stage.state.fields]
+        skin, (first, *rest) = self._stage.skin, self._stage.state.fields
+        stated = self._statement() if first.uncertainty is None else None
+        return [
+            colouring.uncertainty(first, skin, stated),
+            *(colouring.uncertainty(one, skin) for one in rest),
+        ]
 
     def _seen(self) -> list[Colouring]:
         skin = self._stage.skin
         return [colouring.seen(one, skin) for one in self._stage.state.fields]
 
     def _next(self) -> list[Colouring]:
-        if self._stated is None:
+        stated = self._statement()
+        if stated is None:
             raise InputError(NEEDS_FIT)
-        found, _ = colouring.next_presses(self._stated, self._stage.skin)
+        found, _ = colouring.next_presses(stated, self._stage.skin)
         return [found] * len(self._stage.nodes)
+
+    def _statement(self) -> Uncertainty | None:
+        """The fit's uncertainty, computed when it is first looked at."""
+        if callable(self._stated):
+            self._stated = self._stated()
+        return self._stated
 
 
 def _plain(text: str) -> str:

@@ -78,6 +78,7 @@ class ViewState:
         self.measured: Array | None = None
         self.hold = USUAL
         self._clock, self._left = 0.0, REST
+        self._known: tuple[object, tuple[float, float]] = (None, (0.0, 0.0))
         self._renderers: tuple[Renderer, ...] = ()
         if shell is None:
             return
@@ -115,7 +116,10 @@ class ViewState:
     @property
     def place(self) -> tuple[float, float]:
         """Angle [rad] and height [m] below the probe's reference point."""
-        return self._below(*self.pose)
+        pose = self.pose
+        if self._known[0] is not pose:
+            self._known = pose, self._below(*pose)
+        return self._known[1]
 
     @property
     def depth(self) -> float:

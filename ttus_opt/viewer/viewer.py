@@ -6,10 +6,10 @@ import threading
 import time
 from collections.abc import Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.errors import InputError, TtusError
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -17,6 +17,9 @@ from ttus_opt.viewer.guarded_server import guarded_server, quiet
 from ttus_opt.viewer.page import Page
 from ttus_opt.viewer.state import ViewState
 from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.viewer.skin_tab import Stated
 
 #: Where a page is looked for first
 PORT = 8050
@@ -58,7 +61,7 @@ class Viewer:
         names: Sequence[str],
         *,
         mesh: TriangleMesh | None = None,
-        uncertainty: Uncertainty | None = None,
+        uncertainty: Stated | None = None,
         port: int = PORT,
     ) -> None:
         self.state = state
@@ -160,7 +163,7 @@ def view(
     *,
     names: Sequence[str] = (),
     mesh: TriangleMesh | None = None,
-    uncertainty: Uncertainty | None = None,
+    uncertainty: Stated | None = None,
     port: int = PORT,
 ) -> Viewer:
     """Open a page that shows a field and lets one press it.
@@ -176,7 +179,7 @@ def view(
         names: Of the fields.
         mesh: The probe's own mesh, probe frame; by default the hull of its points.
         uncertainty: Of the first field's fit (`ttus_opt.uncertainty`), for where to
-            press next.
+            press next; or a function that gives it, called when somebody looks.
         port: Where to serve; the next free one if it is taken.
 
     Raises:
