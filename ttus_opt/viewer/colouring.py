@@ -138,7 +138,8 @@ def next_presses(stated: Uncertainty, skin: SkinMesh) -> tuple[Colouring, NextPr
     from ttus_opt.fitting.uncertainty.next_press import next_press
 
     found = next_press(stated)
-    far, near = cKDTree(found.points).query(skin.vertices, k=NEAR)
+    query = cKDTree(found.points).query(skin.vertices, k=NEAR)
+    far, near = np.asarray(query[0]), np.asarray(query[1])
     weight = 1.0 / np.maximum(far, 1e-9) ** 2
     mean = (weight * found.before[near]).sum(axis=1) / weight.sum(axis=1)
     values = np.where(far[:, 0] < 3.0 * SPACING, mean, np.nan)
