@@ -25,10 +25,10 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.torque import TorqueTerm
 from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers import algebraic
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.primal import sparse_inverse
 from ttus_opt.solvers.primal.sparse_inverse import Estimate, SparseInverse
+from ttus_opt.solvers.proximal import field_newton
 from ttus_opt.solvers.registry import solvers
 
 SCENE, SOLVER = small_scene("trilinear"), solvers()["algebraic"]
@@ -85,7 +85,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_differences_between_given_values_are_a_network(
     weight: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(algebraic, "NETWORK", 0)
+    monkeypatch.setattr(field_newton, "NETWORK", 0)
     program = declared(SCENE, "differences", weight).compile()
     found = solved(program)
     assert found.x is not None

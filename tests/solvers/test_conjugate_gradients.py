@@ -97,6 +97,21 @@ def test_directions_are_limited_and_nonsense_is_not_kept() -> None:
     assert len(subspace) == 3
 
 
+@pytest.mark.parametrize("kept_as", [np.float64, np.float32])
+def test_a_step_of_exact_products_is_along_the_last_direction(kept_as: type) -> None:
+    """And takes what a projection onto all does, as the rest is off the others."""
+    subspace = RecycledSubspace(Dense(np.ones(M)), kept_as, exact=True)
+    rng, r = np.random.default_rng(5), np.random.default_rng(6).normal(size=M)
+    for direction in rng.normal(size=(4, M)):
+        subspace.extend(direction, 0.0)
+        step, rest = subspace.step(r)
+        part = step @ subspace.directions[-1] / np.sum(subspace.directions[-1] ** 2.0)
+        np.testing.assert_allclose(step, part * subspace.directions[-1], rtol=1e-5)
+        every = subspace.project(r)
+        np.testing.assert_allclose(rest, every[1], atol=1e-5 * np.linalg.norm(r))
+        r = rest
+
+
 def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
     system = Dense(np.full(M, 1e20))
     subspace = RecycledSubspace(system, np.float32)
@@ -192,8 +207,8 @@ def test_the_best_so_far_is_the_answer_where_no_direction_is_left() -> None:
     given: list[Array] = []
 
     class Wild(RecycledSubspace):
-        def project(self, right_side: Array) -> tuple[Array, Array]:
-            step, rest = super().project(right_side)
+        def step(self, rest: Array) -> tuple[Array, Array]:
+            step, rest = super().step(rest)
             return (1e3 * step, 1e3 * rest) if len(given) == 3 else (step, rest)
 
     def precondition(rest: Array) -> Array:
@@ -210,9 +225,9 @@ def test_it_ends_where_residuals_explode() -> None:
     system, t = Diagonal(), np.ones(50)
 
     class Wild(RecycledSubspace):
-        def project(self, right_side: Array) -> tuple[Array, Array]:
-            step, rest = super().project(right_side)
-            return step, rest if not len(self) else 1e7 * rest
+        def step(self, rest: Array) -> tuple[Array, Array]:
+            step, rest = super().step(rest)
+            return step, 1e7 * rest
 
     run = conjugate_gradients(Wild(system), t, np.copy, lambda _, rest: False, 200)
     assert run.steps == 1 and not run.y.any()

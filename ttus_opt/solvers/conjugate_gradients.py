@@ -52,6 +52,9 @@ class Directions(Protocol):
     def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate and keep it; False if nothing is left of it."""
 
+    def step(self, rest: Array) -> tuple[Array, Array]:
+        """The step after a direction was added, and the residual that it leaves."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -101,7 +104,7 @@ def conjugate_gradients(
             direction, rtol(rest)
         ):
             return Run(*best, steps)
-        step, rest = directions.project(rest)
+        step, rest = directions.step(rest)
         y, steps = y + step, steps + 1
     return Run(y, rest, steps)
 
@@ -140,6 +143,8 @@ class LastDirection:
         direction, image, curvature = self._kept
         part = self._pairing(right_side, direction) / curvature
         return part * direction, right_side - part * image
+
+    step = project
 
     def extend(self, direction: Array, rtol: float) -> bool:
         """Replace it by a new one, conjugate to it where that adds a part of it."""
@@ -243,15 +248,20 @@ class RecycledSubspace:
     """
 
     def __init__(
-        self, system: DualOperator, kept_as: type[np.floating[Any]] = np.float64
+        self,
+        system: DualOperator,
+        kept_as: type[np.floating[Any]] = np.float64,
+        exact: bool = False,
     ) -> None:
         """Start without directions.
 
         Args:
             system: The operator.
             kept_as: Precision in which directions are stored.
+            exact: Whether its products are a fixed linear map, so that a step along the
+                last direction leaves no rest on the others.
         """
-        self.system = system
+        self.system, self._exact = system, exact
         #: Directions and their images, with space for more, shape (2, k, m)
         self._store: Kept = np.empty((2, 16, len(system.root_weights)), kept_as)
         self._count = 0
@@ -303,9 +313,16 @@ class RecycledSubspace:
         Returns:
             y and right_side - S y, shape (m,) each.
         """
-        d, images = self._kept
-        parts = _products(d, right_side)
-        return _combination(parts, d), right_side - _combination(parts, images)
+        return self._projected(right_side, 0)
+
+    def step(self, rest: Array) -> tuple[Array, Array]:
+        """`project`; onto the last direction alone where products are exact."""
+        return self._projected(rest, self._count - 1 if self._exact else 0)
+
+    def _projected(self, rest: Array, first: int) -> tuple[Array, Array]:
+        d, images = (rows[first:] for rows in self._kept)
+        parts = _products(d, rest)
+        return _combination(parts, d), rest - _combination(parts, images)
 
     def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate to the others, normalise and store it.

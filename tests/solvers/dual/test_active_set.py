@@ -14,6 +14,7 @@ from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.solvers.dual import active_set
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair
@@ -75,7 +76,7 @@ def test_no_violation_at_the_last_accuracy_settles_it() -> None:
 
 def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
     """Two are allowed; the third settles it, as any after it."""
-    at = iteration(Accuracy(1e-8), tolerance=1e6, acceptable_sets=2)
+    at = iteration(Accuracy(1e-8), tolerance=1e6)
     at.solve(at.active, 1e-3)  # solved less exactly than it is to be: not counted
     settled = []
     for _ in range(4):
@@ -84,13 +85,16 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
     assert settled == [False, False, True, True]
 
 
-def test_what_may_remain_is_a_part_of_the_tolerance() -> None:
-    """By default a tenth, and of one field all of it."""
+def test_what_may_remain_is_a_part_of_the_tolerance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A tenth, and of one field all of it."""
+    monkeypatch.setattr(active_set, "ACCEPTABLE_SETS", 0)
     first = iteration(Accuracy(1e-8))
     worst = first.solve(first.active, 1e-8).worst
     settled = []
     for tolerance in (9.9 * worst, 10.1 * worst):
-        at = iteration(Accuracy(1e-8), tolerance=tolerance, acceptable_sets=0)
+        at = iteration(Accuracy(1e-8), tolerance=tolerance)
         at.solve(at.active, 1e-8)
         settled.append(at.settled)
     assert settled == [False, True]

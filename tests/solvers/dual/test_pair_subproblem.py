@@ -124,27 +124,6 @@ def test_equals_dense_least_squares(kind: str, hard: bool) -> None:
         assert of.variables(found)[of.others] == pytest.approx(c, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("share", "kind"),
-    [(0.02, "links"), (1.0, "both")],
-    ids=["c at its bound", "c within"],
-)
-def test_the_nearer_a_guess_the_fewer_directions(share: float, kind: str) -> None:
-    """A guess of nothing but ones tells no more than c."""
-    of = pair(1.0, 1.0, share, hard=False)
-    own = active(of, *KINDS[kind], seed=3)
-    first = of.subproblem(own).solve(Accuracy(1e-9), None)
-    assert (first.c[0] in of.bounds) == (share == 0.02)
-    size = np.abs(first.p).max()
-    noise = np.random.default_rng(0).standard_normal(first.p.shape)
-    guesses = np.ones_like(noise), first.p + 1e-5 * size * noise, first.p
-    answers = [of.subproblem(own).solve(Accuracy(1e-9), guess) for guess in guesses]
-    steps = [first.steps, *(answer.steps for answer in answers)]
-    assert steps == sorted(steps, reverse=True) and len(set(steps)) == 4
-    for answer in answers:
-        np.testing.assert_allclose(answer.p, first.p, rtol=0.0, atol=1e-7 * size)
-
-
 def test_the_best_beside_two_fields_is_that_of_least_squares() -> None:
     """Between its bounds; 0, or the bound next to it, where nothing tells."""
     rows = replace(pair(1.0, 1.0, 1.0, hard=True).rows, bounds=(-INF, INF))

@@ -28,13 +28,14 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import active_set
+from ttus_opt.solvers.dual import primal_dual_active_set as module
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.primal_dual_active_set import (
-    _Choice,
-    _near_worst,
+    _chosen,
     _peak,
     _Progress,
     _Safeguard,
@@ -147,14 +148,19 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
 
 
 @pytest.mark.slow
-def test_limits_that_hardly_matter_end_the_iteration() -> None:
+def test_limits_that_hardly_matter_end_the_iteration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What may remain is within the tolerance, also if it may remain at once."""
-    soon = DualOptions(acceptable=1.0, acceptable_sets=0)
     sets = []
     for seed in (2, 4, 5):
         scene = contested(seed, (12, 24, 14), noise=4.0)
         program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
-        whole, cut = solved(program, 1e-2), solved(program, 1e-2, soon)
+        whole = solved(program, 1e-2)
+        with monkeypatch.context() as soon:
+            soon.setattr(active_set, "ACCEPTABLE", 1.0)
+            soon.setattr(active_set, "ACCEPTABLE_SETS", 0)
+            cut = solved(program, 1e-2)
         assert cut.claim is Claim.DONE
         assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
         sets.append((working_sets(cut), working_sets(whole)))
@@ -594,7 +600,9 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
     assert risen.bounds.tolist() == [-1, -1, 0, 0, 0, 0]
 
 
-def test_patience_ends_where_nothing_gets_better() -> None:
+def test_patience_ends_where_nothing_gets_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Better: the worst or the number falls by a part, or more limits are active."""
 
     def violations(worst: float, count: int) -> Violations:
@@ -604,7 +612,8 @@ def test_patience_ends_where_nothing_gets_better() -> None:
     def active(count: int) -> WorkingSet:
         return WorkingSet((np.arange(9) < count).astype(np.int8), np.zeros(9, bool))
 
-    progress = _Progress(DualOptions(patience=2, progress=0.5))
+    monkeypatch.setattr(module, "PROGRESS", 0.5)
+    progress = _Progress(DualOptions(patience=2))
     told = []
     for worst, count, size in (
         (1.0, 8, 1),
@@ -644,7 +653,7 @@ def test_links_of_every_field_join_by_their_peaks() -> None:
     links[0, :, 0, 0], links[1, :, 1, 1] = [0.1, 0.3, 0.2], [0.5, 0.4, 0.5]
     n = links.size
     found = Violations(np.full(n, -INF), np.ones(n, np.int8), links.reshape(-1))
-    chosen = _Choice(cast(LimitedProblem, problem)).peaks(found, WorkingSet.empty(n))
+    chosen = _chosen(cast(LimitedProblem, problem), found, WorkingSet.empty(n))
     assert sorted(chosen.links[chosen.links > 0.0]) == [0.3, 0.5, 0.5]
 
 
@@ -742,31 +751,3 @@ def test_around_is_so_many_voxels_each_way(reach: int) -> None:
         expected[field, i, j, k] = sizes[field, i, j, k] >= 0.75 * worst
     options = DualOptions(share=0.75, neighbourhood=reach)
     np.testing.assert_array_equal(_strong(sizes, options), expected)
-    np.testing.assert_array_equal(_near_worst(sizes, 0.75, options), expected)
-
-
-def test_bounds_near_the_peaks_join_as_long_as_signs_stay_right() -> None:
-    shape, n = (7, 14, 8), 7 * 14 * 8
-    problem = SimpleNamespace(
-        options=DualOptions(), shape=shape, alone=False, links_along_spokes=True
-    )
-    choice = _Choice(cast(LimitedProblem, problem))
-    sizes = np.zeros(shape)
-    sizes[3, 4:9, 4] = [0.5, 0.8, 1.0, 0.7, 0.05]  # a peak, and its flanks
-    none = np.full(n, -np.inf)
-    found = Violations(sizes.reshape(-1), np.ones(n, np.int8), none)
-    active = WorkingSet.empty(n)
-    joined = [int((choice.many(found, active).bounds > 0).sum()) for _ in range(4)]
-    assert joined == [1, 2, 3, 4]  # at shares of 1, 0.75, 0.56 and 0.42
-    active.bounds[np.flatnonzero(sizes == 0.8)] = -1  # two in four are wrong now
-    active.bounds[np.flatnonzero(sizes == 0.7)] = -1
-    kept = choice.many(found, active)
-    assert sorted(kept.bounds[kept.bounds > 0]) == [0.7, 0.8, 1.0]
-    assert sorted(choice.peaks(found, active).bounds)[-3:] == [0.7, 0.8, 1.0]
-
-
-def test_far_from_the_worst_none_joins_but_peaks() -> None:
-    sizes = np.zeros((1, 24, 8, 4))
-    sizes[0, 2, 2, 2], sizes[0, 20, 2, 2], sizes[0, 20, 3, 2] = 1.0, 0.09, 0.08
-    near = _near_worst(sizes, 0.5, DualOptions())
-    assert np.argwhere(near).tolist() == [[0, 2, 2, 2]]

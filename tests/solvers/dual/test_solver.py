@@ -75,52 +75,11 @@ def test_what_is_exact_enough_is_not_refined(taken: list[int]) -> None:
     assert taken == [answer.steps]
 
 
-@pytest.mark.parametrize(("rtol", "is_used"), [(1e-2, False), (1e-4, True)])
-def test_a_guess_is_used_where_much_is_asked_for(rtol: float, is_used: bool) -> None:
-    """It costs a response; where less is asked for it gains less than that."""
-    data = data_of(1.0)
-    cold = DualSolver(data.system).solve(data.b, data.t, Accuracy(rtol))
-    guess = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-9)).p
-    warm = DualSolver(data.system).solve(data.b, data.t, Accuracy(rtol), guess)
-    assert (warm.steps < cold.steps) == is_used
-    assert np.array_equal(warm.p, cold.p) != is_used
-
-
 def test_out_of_time_there_is_one_refinement(taken: list[int]) -> None:
     data = data_of(1.0)
     late = Accuracy(1e-9, deadline=0.0)
     answer = DualSolver(data.system).solve(data.b, data.t, late)
     assert answer.late and len(taken) == 1
-
-
-def test_a_guess_near_the_answer_saves_steps_and_changes_nothing(
-    taken: list[int],
-) -> None:
-    """Also where an unknown beside the field has a value that is given."""
-    data = data_of(1.0)
-    rng = np.random.default_rng(3)
-    E, reach = rng.normal(size=(len(data.t), 2)), np.array([1e-3, np.inf])
-    beside = LinearParameters(E, -reach, reach)
-    cold = DualSolver(data.system, beside).solve(data.b, data.t, Accuracy(1e-9))
-    assert abs(cold.c[0]) == reach[0]
-    guess = cold.p * (1.0 + 1e-6 * rng.normal(size=len(cold.p)))
-    taken.clear()
-    warm = DualSolver(data.system, beside).solve(
-        data.b, data.t, Accuracy(1e-9), guess, near=cold.c
-    )
-    assert 0 < sum(taken) < cold.steps
-    np.testing.assert_allclose(warm.c, cold.c, rtol=1e-6)
-    np.testing.assert_allclose(warm.p, cold.p, atol=1e-7 * np.abs(cold.p).max())
-
-
-def test_a_guess_far_from_the_answer_is_dropped() -> None:
-    """Its misfit, magnified by heavy rows, would be a start far worse than none."""
-    data = data_of(1e6)
-    cold = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6))
-    guess = cold.p + 1e-2 * np.random.default_rng(3).normal(size=len(cold.p))
-    warm = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6), guess)
-    assert warm.steps <= cold.steps
-    np.testing.assert_array_equal(warm.p, cold.p)
 
 
 def dense(data: DualData, beside: LinearParameters) -> Array:

@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.solvers.conjugate_gradients import Map
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.primal.approximate_system import FixedBlock
+from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.approximate_system import ApproximateSystem, FixedBlock
 from ttus_opt.solvers.primal.least_squares import preconditioner
+from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
+from ttus_opt.voxmap.grid import nodes_of
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
+LAPLACE, V = SCENE.laplace, SCENE.n_voxels
+
+
+def written_out(apply: Map) -> Array:
+    return np.array([apply(unit) for unit in np.eye(V)]).T
+
+
+def band(inverse: Array, H: Array, at: Array) -> Array:
+    """Eigenvalues of P⁻¹H on some voxels; also that P⁻¹ is symmetric."""
+    own = inverse[np.ix_(at, at)]
+    assert np.abs(own - own.T).max() < 1e-2 * np.abs(own).max()
+    exact = np.linalg.inv(H[np.ix_(at, at)])
+    return np.asarray(scipy.linalg.eigh((own + own.T) / 2, exact, eigvals_only=True))
 
 
 def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
@@ -64,3 +83,29 @@ def test_light_rows_leave_the_diagonal() -> None:
     term = ProgramTerm("wide", 1e-3, sp.csr_array(rows.blocks["p"]), rows.target)
     free = SCENE.laplace.free
     assert FixedBlock.of([term], free, np.ones(len(free))) is None
+
+
+@pytest.mark.parametrize(
+    ("weight", "soft"),
+    [(0.0, False), (1e-2, False), (1e2, False), (1e4, False), (0.0, True)],
+)
+def test_squares_of_laplace_s_rows_are_solved_to_a_factor(
+    weight: float, soft: bool
+) -> None:
+    """H = LᵀΩ⁻¹L + w I, Ω four times as large in the outer layers.
+
+    Of boundary values that may move only L's own rows are matched.
+    """
+    layer, _, _ = nodes_of(np.arange(V), SCENE.voxmap.grid.shape)
+    compliance, L = np.where(layer < 3, 1.0, 4.0), LAPLACE.L.toarray()
+    H = L.T @ (L / compliance[:, None]) + weight * np.eye(V)
+    moving = LAPLACE.free | soft
+    one = sp.csr_array(sp.eye_array(V, format="csr"))
+    wide = [ProgramTerm("ridge", weight, one, np.zeros(V))] if weight else []
+    own = np.where(moving, compliance, 0.0)
+    exact = DualSystem(LAPLACE, own, sp.csr_array((0, V)), np.zeros(0))
+    at = LAPLACE.operator_grid, LAPLACE.free, LAPLACE.radii
+    root = matched_root(wide, *at, own)
+    apply = ApproximateSystem.matched(exact, LAPLACE, wide, root).prior
+    ratios = band(written_out(apply), H, np.flatnonzero(moving))
+    assert 0.7 < ratios.min() <= ratios.max() < 1.6

@@ -15,7 +15,13 @@ from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal import preconditioner as module
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.options import PrimalOptions
-from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
+from ttus_opt.solvers.primal.preconditioner import (
+    ConstraintPreconditioner,
+    with_few_rows,
+)
+
+#: Unknowns of a dense problem
+N = 40
 
 
 def fresh() -> tuple[ConstraintPreconditioner, Array]:
@@ -101,3 +107,22 @@ def test_of_many_directions_no_fields_are_kept(
     exact = ConstraintPreconditioner(built._system, columns, 1e-9)
     exact(rest)
     assert len(exact._subspace) > most and not exact._responses.kept
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e6])
+def test_few_rows_of_any_weight_are_added(weight: float) -> None:
+    """Woodbury's formula: after all directions (P + DᵀD)⁻¹ itself."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(N, N)) / np.sqrt(N)
+    P = root @ root.T + np.eye(N)
+    inverse = np.linalg.inv(P)
+    D = np.sqrt(weight) * rng.normal(size=(4, N))
+    made = with_few_rows(lambda v: inverse @ v, sp.csr_array(D))
+    exact = np.linalg.inv(P + D.T @ D)
+    for _ in range(12):  # each adds a direction or none
+        made(rng.normal(size=N))
+    v = rng.normal(size=N)
+    found, expected = made(v), exact @ v
+    # in the energy norm: what module.INNER allows
+    error, H = found - expected, P + D.T @ D
+    assert error @ H @ error <= (2.0 * module.INNER) ** 2 * (expected @ H @ expected)

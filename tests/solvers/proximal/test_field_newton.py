@@ -32,7 +32,7 @@ def test_over_the_field(name: str, how: str, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(field_newton, "FEW_ROWS", 50)  # what lies over all voxels here
     monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)
     system = FieldNewton(problem, None)
-    system._by_multigrid = how == "multigrid"
+    system._by_operator = how == "multigrid"
     gradient = gradient_of(problem)
     step, steps = system.step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))
@@ -67,10 +67,10 @@ def test_with_few_rows_the_multigrid_is_the_inverse(
     problem = PenalisedProblem.of(program.declared or program)
     slopes = [Slope(np.full(len(b.target), 2.0 * b.weight)) for b in problem.blocks]
     system = FieldNewton(problem, None)
-    system._by_multigrid = True
+    system._by_operator = True
     units = np.eye(len(problem.fixed))[~problem.fixed]
     inverse = [-expected(problem, slopes, unit) for unit in units]
-    apply = system._preconditioner(slopes)
+    apply = system.preconditioner(slopes)
     H = np.linalg.inv(np.array(inverse)[:, ~problem.fixed])
     P = np.array([apply(unit) for unit in units])[:, ~problem.fixed]
     np.testing.assert_allclose(np.linalg.eigvals(P @ H), 1.0, atol=0.03)

@@ -24,6 +24,11 @@ from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 
+#: KKT violation that may remain, over the KKT tolerance, and working sets with such
+#: violations alone before the iteration ends: thousands of limits may be so close to
+#: active that it hardly matters which ones are [–]
+ACCEPTABLE, ACCEPTABLE_SETS = 0.1, 2
+
 
 class SolvableSubproblem(Protocol):
     """The problem of a working set, without limits."""
@@ -191,9 +196,9 @@ class ActiveSetIteration:
         found = find_violations(self.limits, active, p, signs, gradient)
         n_fields = len(p) // math.prod(self.problem.shape)
         share = min(_least_share(p, n_fields), _least_share(gradient, n_fields))
-        acceptable = found.worst <= options.acceptable * self._tolerance * share
+        acceptable = found.worst <= ACCEPTABLE * self._tolerance * share
         self._acceptable += last and acceptable
-        done = found.count == 0 or self._acceptable > options.acceptable_sets
+        done = found.count == 0 or self._acceptable > ACCEPTABLE_SETS
         self.settled = last and done and not answer.late
         return found
 

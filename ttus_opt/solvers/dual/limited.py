@@ -16,8 +16,16 @@ from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
+from ttus_opt.solvers.dual.primal_dual_active_set import (
+    DUAL_MARGIN,
+    primal_dual_active_set,
+)
 from ttus_opt.solvers.dual.working_set import WorkingSet
+
+#: Most attempts until the KKT residuals hold, each with a residual smaller by a factor:
+#: the dual's residual is relative to the measurements, the tolerance to what is left
+#: where these nearly cancel [–]
+TIGHTENINGS, TIGHTENING = 4, 1e-3
 
 
 class Limited(Prepared):
@@ -78,9 +86,9 @@ class Limited(Prepared):
         """
         limit = self._request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
-        rtol = max(self._request.tolerance * self._options.dual_margin, RTOL)
+        rtol = max(self._request.tolerance * DUAL_MARGIN, RTOL)
         steps, best, least = 0, Candidate(None), np.inf
-        for _ in range(self._options.tightenings):
+        for _ in range(TIGHTENINGS):
             candidate = attempt(Accuracy(rtol, deadline=deadline))
             assert candidate.x is not None
             steps += candidate.iterations
@@ -97,7 +105,7 @@ class Limited(Prepared):
                 break
             if candidate.claim is Claim.TIME_LIMIT:
                 break
-            rtol *= self._options.tightening
+            rtol *= TIGHTENING
         return replace(best, iterations=steps)
 
     def _within(

@@ -240,16 +240,12 @@ class PairSubproblem:
         return self._solver.system
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
-        """The minimiser of the working set, started from that of the last one."""
-        near, z = 0.0, None
-        if last is not None:
-            near = self._whole.parameter(last)
-            z = np.where(self._unknowns.own, last, 0.0)
-            z += near * self._made
+        """The minimiser of the working set, c started from that of the last one."""
+        near = 0.0 if last is None else self._whole.parameter(last)
         # if c started at a bound and left it, all directions would be lost
         at_bound = last is not None and near in self._whole.bounds
         at = None if at_bound else np.array([near])
-        answer = self._solver.solve(self._b, self._t, accuracy, z, at)
+        answer = self._solver.solve(self._b, self._t, accuracy, at)
         z = answer.p - answer.c[0] * self._made
         p = np.asarray(self._unknowns.expansion @ z + self._unknowns.offset)
         return replace(answer, p=p)

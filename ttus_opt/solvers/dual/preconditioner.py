@@ -145,7 +145,7 @@ class SchurPreconditioner:
             options: Options of the solver.
         """
         self._approximate, self._options = approximate, options
-        self._subspace = RecycledSubspace(approximate, np.float32)
+        self._subspace = RecycledSubspace(approximate, np.float32, exact=True)
         m = len(approximate.coupled)
         self._enough = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
         self._factor: Array | None = None

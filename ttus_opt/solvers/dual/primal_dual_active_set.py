@@ -7,8 +7,7 @@ Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Contro
 
 - Bounds: local maxima of the violation, because a field with a second-order prior
   touches its bound at few points (10 to 20 working sets, 50 and more with all violated
-  bounds). As long as few newly active bounds get the wrong sign, bounds violated nearly
-  as much become active too, which halves the number of working sets.
+  bounds).
 - Bounds of soft values, which a row of their own pulls to a value: all violated ones,
   because they hardly affect each other (a third of the working sets).
 - Order along spokes: all whose violation exceeds a share of the worst nearby, because
@@ -36,10 +35,16 @@ from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
-#: Wrong signs over newly active bounds: above MANY_WRONG the share is divided by
-#: STRICTER, below FEW_WRONG it is multiplied by LAXER [–]
-MANY_WRONG, STRICTER = 0.25, 0.7
-FEW_WRONG, LAXER = 0.1, 0.75
+#: Relative residual of the last dual over the KKT tolerance [–]
+DUAL_MARGIN = 1e-2
+
+#: Relative residual of the dual of a predicted working set: the next prediction needs
+#: no more [–]
+PREDICTED = 1e-2
+
+#: It is progress if the worst violation or their number falls below this part of the
+#: least so far, or if more limits are active than ever [–]
+PROGRESS = 0.8
 
 #: A predicted working set that changes at most this share of limits is solved fully [–]
 FEW = 0.15
@@ -47,9 +52,6 @@ FEW = 0.15
 #: Factor on the residual of a predicted working set if the last one left no fewer
 #: violations: its accuracy may have limited the prediction [–]
 TIGHTER = 1e-2
-
-#: Violations below this part of the worst become active only if local maxima [–]
-FAR = 0.1
 
 
 def primal_dual_active_set(
@@ -73,9 +75,9 @@ def primal_dual_active_set(
     """
     options = problem.options
     iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
-    progress, safeguard, choice = _Progress(options), _Safeguard(), _Choice(problem)
-    rtol, rough = options.loosest_subproblem, options.predicted_subproblem
-    if accuracy.rtol < options.dual_margin * tolerance and start is not None:
+    progress, safeguard = _Progress(options), _Safeguard()
+    rtol, rough = options.loosest_subproblem, PREDICTED
+    if accuracy.rtol < DUAL_MARGIN * tolerance and start is not None:
         rtol = accuracy.rtol  # the start is an answer that was not accurate enough
     found, fewest = iteration.solve(iteration.active, rtol), len(limits.lower)
     while not iteration.over:
@@ -87,7 +89,7 @@ def primal_dual_active_set(
             rtol = accuracy.rtol
         elif progress.stalled:
             height = problem.objective(iteration.p)
-            chosen = choice.peaks(found, active)
+            chosen = _chosen(problem, found, active)
             active = safeguard.following(iteration.limits, active, chosen, height)
         elif (predicted := iteration.predicted(found)) is not None:
             progress.note(found, active)
@@ -99,7 +101,7 @@ def primal_dual_active_set(
         else:
             progress.note(found, active)
             rtol = _rough(found, accuracy, options)
-            chosen = choice.many(found, active)
+            chosen = _chosen(problem, found, active)
             active = chosen.pivoted(iteration.limits, active)
         found = iteration.solve(active, rtol)
     return iteration
@@ -125,9 +127,8 @@ class _Progress:
 
     def note(self, found: Violations, active: WorkingSet) -> None:
         """Record the KKT violations of a working set."""
-        part = self._options.progress
-        better = found.worst < part * self._worst
-        better |= found.count < part * self._fewest
+        better = found.worst < PROGRESS * self._worst
+        better |= found.count < PROGRESS * self._fewest
         better |= active.count > self._most  # which cannot go on in a cycle
         self._left = self._options.patience if better else self._left - 1
         self._worst = min(self._worst, found.worst)
@@ -168,73 +169,28 @@ class _Safeguard:
         return self._last[1].pivoted(limits, self._last[0])
 
 
-class _Choice:
-    """Choice of the limits to change: all wrong signs and some violated limits."""
-
-    def __init__(self, problem: LimitedProblem) -> None:
-        self._problem, self._options = problem, problem.options
-        self._share, self._joined = 1.0, 0
-
-    def peaks(self, found: Violations, active: WorkingSet) -> Violations:
-        """Only local maxima of the violated bounds."""
-        return self._among(found, active, self._peaks(found))
-
-    def many(self, found: Violations, active: WorkingSet) -> Violations:
-        """Local maxima, and bounds violated nearly as much if that worked so far."""
-        open_ = active.bounds == 0
-        self._learn(int(np.count_nonzero(~open_ & (found.bounds > 0.0))))
-        joining = self._peaks(found)
-        if self._share < 1.0:
-            sizes = np.where(open_, np.maximum(found.bounds, 0.0), 0.0)
-            fields = sizes.reshape(-1, *self._problem.shape)
-            joining |= _near_worst(fields, self._share, self._options).reshape(-1)
-        self._joined = int(np.count_nonzero(joining & open_))
-        return self._among(found, active, joining)
-
-    def _learn(self, wrong: int) -> None:
-        """Adapt the share to the number of wrong signs among newly active bounds."""
-        if wrong > MANY_WRONG * self._joined:
-            self._share = min(1.0, self._share / STRICTER)
-        elif wrong < FEW_WRONG * self._joined:
-            self._share = max(self._options.bound_share, LAXER * self._share)
-
-    def _peaks(self, found: Violations) -> Mask:
-        """Local maxima of violated bounds and wrong signs."""
-        sizes = np.maximum(found.bounds, 0.0).reshape(-1, *self._problem.shape)
-        return _peak(sizes).reshape(-1)
-
-    def _among(self, found: Violations, active: WorkingSet, bounds: Mask) -> Violations:
-        """Wrong signs, these violated bounds, and the chosen links."""
-        problem = self._problem
-        links = np.maximum(found.links, 0.0).reshape(-1, *problem.shape)
-        if problem.links_along_spokes:
-            joining = _strong(links, self._options)
-        else:
-            joining = _peak(links)
-        return found.among(
-            (active.bounds != 0) | problem.alone | bounds,
-            active.links | joining.reshape(-1),
-        )
-
-
-def _near_worst(values: Array, share: float, options: DualOptions) -> Mask:
-    """Where sizes, (fields, n_r, n_θ, n_z), exceed a share of the worst nearby."""
-    worst = _worst_around(values, options)
-    return np.asarray((values > FAR * values.max()) & (values >= share * worst))
+def _chosen(
+    problem: LimitedProblem, found: Violations, active: WorkingSet
+) -> Violations:
+    """The limits to change: all wrong signs, and some violated limits."""
+    bounds = np.maximum(found.bounds, 0.0).reshape(-1, *problem.shape)
+    links = np.maximum(found.links, 0.0).reshape(-1, *problem.shape)
+    if problem.links_along_spokes:
+        joining = _strong(links, problem.options)
+    else:
+        joining = _peak(links)
+    return found.among(
+        (active.bounds != 0) | problem.alone | _peak(bounds).reshape(-1),
+        active.links | joining.reshape(-1),
+    )
 
 
 def _strong(values: Array, options: DualOptions) -> Mask:
     """Where sizes, (fields, n_r, n_θ, n_z), exceed the share of order constraints."""
     share = options.share * min(1.0, 10.0 * float(values.max()))
-    worst = _worst_around(values, options)
-    return np.asarray((values > 0.0) & (values >= share * worst))
-
-
-def _worst_around(values: Array, options: DualOptions) -> Array:
-    """The largest size in the neighbourhood, (fields, n_r, n_θ, n_z)."""
     size = (1, *[2 * options.neighbourhood + 1] * 3)
     worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
-    return np.asarray(worst)
+    return np.asarray((values > 0.0) & (values >= share * worst))
 
 
 def _peak(values: Array) -> Mask:

@@ -2,14 +2,13 @@
 
 The dual is solved by preconditioned conjugate gradients (`conjugate_gradients`,
 `preconditioner`); iterative refinement removes the error of inexact products. The
-bounds of parameters c beside the field are handled by block pivoting (Júdice and Pires,
-Comput. Oper. Res. 21, 1994), with Murty's rule if a set repeats.
+bounds of parameters c beside the field are handled by block pivoting (`pivoting`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,9 +19,13 @@ from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.pivoting import BlockPivoting
 
 #: Largest relative residual of a solve inside a product, over that of a rough dual [–]
 PRODUCT = 1e-2
+
+#: Most sets of parameters at their bounds [–]
+MOST_EXCHANGES = 100
 
 
 @dataclass(frozen=True)
@@ -34,23 +37,14 @@ class DualAnswer:
         c: The parameters beside it, shape (k,).
         steps: Number of new directions [–].
         late: Whether the deadline ended the solve.
-        y: Multipliers of the rows, shape (m,); None if not available.
+        y: Multipliers of the rows, shape (m,).
     """
 
     p: Array = field(repr=False)
     c: Array
     steps: int
     late: bool
-    y: Array | None = field(default=None, repr=False)
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Multipliers y, the field p₀ + L⁻¹ ω L⁻ᵀ Dᵀy, and the number of directions."""
-
-    y: Array
-    p: Array
-    steps: int = 0
+    y: Array = field(repr=False)
 
 
 class _ApproximateInverse:
@@ -127,12 +121,7 @@ class DualSolver:
             self._complement = None
 
     def solve(
-        self,
-        b: Array,
-        t: Array,
-        accuracy: Accuracy,
-        guess: Array | None = None,
-        near: Array | None = None,
+        self, b: Array, t: Array, accuracy: Accuracy, near: Array | None = None
     ) -> DualAnswer:
         """Solve for one right-hand side.
 
@@ -140,8 +129,6 @@ class DualSolver:
             b: Right-hand side of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
             accuracy: Accuracy and deadline.
-            guess: A field near the answer, shape (V,); None for none. It is used only
-                for an accuracy of `DualOptions.warm_start` or better.
             near: A guess of c, shape (k,): parameters at a bound start there. None to
                 start with the parameters that were free last.
 
@@ -150,70 +137,39 @@ class DualSolver:
         """
         parameters, E = self.parameters, self.parameters.columns
         base = self._prior_field(b, accuracy.field_rtol)
-        right_side = t - self.system.measure(base)
-        goal = accuracy.rtol * float(np.linalg.norm(right_side))
-        misfit: Array | None = None
-        if guess is not None and accuracy.rtol <= self._options.warm_start:
-            misfit = t - self.system.measure(guess)
-        point: _Point | None = None
-        steps = 0
+        goal = accuracy.rtol * float(np.linalg.norm(t - self.system.measure(base)))
+        at = start = DualAnswer(base, np.zeros(0), 0, False, np.zeros_like(t))
         c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
         free = self._free if near is None else parameters.between(c)
-        seen: set[bytes] = set()
+        pivoting, exchanges = BlockPivoting(), 0
         while True:
-            given = np.where(free, 0.0, c)
-            seen.add(free.tobytes() + given.tobytes())
-            target, complement = t - E @ given, self._complement_of(free)
-            if point is None:
-                y = None if misfit is None else complement.part(misfit - E @ given)
-                point = self._start(base, y, (target, complement), accuracy, steps)
-            point, rest = self._refined(point, target, complement, goal, accuracy)
+            given, complement = np.where(free, 0.0, c), self._complement_of(free)
+            at, rest = self._refined(at, t - E @ given, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
-            violating = parameters.violating(c, point.y, free)
+            violating = parameters.violating(c, at.y, free)
             c = parameters.clipped(c)
-            following = _next_set(free, violating, c, seen)
-            if following is None or accuracy.late:
+            following = pivoting.following(free, violating)
+            exchanges += 1
+            if following is None or accuracy.late or exchanges == MOST_EXCHANGES:
                 self._free = free
-                return DualAnswer(point.p, c, point.steps, accuracy.late, point.y)
+                return replace(at, c=c, late=accuracy.late)
             if (following & ~free).any():  # y must be orthogonal to more columns
-                steps = point.steps
-                point = None
+                at = replace(start, steps=at.steps)
             free = following
-
-    def _start(
-        self,
-        base: Array,
-        y: Array | None,
-        sought: tuple[Array, Complement],
-        accuracy: Accuracy,
-        steps: int,
-    ) -> _Point:
-        """Initial multipliers; zero for None, or if zero is better."""
-        nothing = _Point(np.zeros_like(self.system.root_weights), base, steps)
-        if y is None:
-            return nothing
-        p = base + self.system.response(y, accuracy.field_rtol)
-        target, complement = sought
-        # S amplifies the error of a misfit far from the answer's
-        left = complement.part(target - self.system.measure(p) - y)
-        most = complement.part(target - self.system.measure(base))
-        closer = np.linalg.norm(left) < np.linalg.norm(most)
-        return _Point(y, p, steps) if closer else nothing
 
     def _refined(
         self,
-        point: _Point,
+        at: DualAnswer,
         target: Array,
         complement: Complement,
         goal: float,
         accuracy: Accuracy,
-    ) -> tuple[_Point, Array]:
+    ) -> tuple[DualAnswer, Array]:
         """Multipliers refined from a point, and their residual, shape (m,)."""
         system, before = self.system, np.inf
         loosest = max(self._options.loosest_product, PRODUCT * accuracy.rtol)
-        y, p, steps = point.y, point.p, point.steps
-        residual = target - system.measure(p) - y
+        residual = target - system.measure(at.p) - at.y
         for _ in range(self._options.refinements):
             rest = complement.part(residual)
             size = float(np.linalg.norm(rest))
@@ -228,14 +184,14 @@ class DualSolver:
                 lambda size: min(max(0.1 * goal / size, RTOL), loosest),
                 lambda: accuracy.late,
             )
-            y, steps = y + run.y, steps + run.steps
             # p is updated by the step: if measurements contradict each other y is
             # large, and its rounding error would dominate a p computed from all of it
-            p = p + system.response(run.y, accuracy.field_rtol)
-            residual = target - system.measure(p) - y
+            p = at.p + system.response(run.y, accuracy.field_rtol)
+            at = replace(at, p=p, y=at.y + run.y, steps=at.steps + run.steps)
+            residual = target - system.measure(p) - at.y
             if accuracy.late:
                 break
-        return _Point(y, p, steps), residual
+        return at, residual
 
     def _complement_of(self, free: Mask) -> Complement:
         """The complement of the free columns, in which the subspace lies too."""
@@ -255,22 +211,3 @@ class DualSolver:
         if kept is None or rtol < kept[1] or not np.array_equal(kept[0], b):
             kept = self._base = b, rtol, self.system.laplace.solve(b, rtol=rtol)
         return kept[2]
-
-
-def _next_set(free: Mask, violating: Mask, c: Array, seen: set[bytes]) -> Mask | None:
-    """The next set of free parameters; None if none is needed, or none is new.
-
-    Args:
-        free: The last set, shape (k,).
-        violating: Parameters beyond a bound or with a wrong sign, shape (k,).
-        c: Values clipped to their bounds, shape (k,).
-        seen: The sets tried, each with the values of the other parameters.
-    """
-    if not violating.any():
-        return None
-    last = np.arange(len(free)) == np.flatnonzero(violating)[-1]  # Murty's rule
-    for change in (violating, last):
-        following = free ^ change
-        if following.tobytes() + np.where(following, 0.0, c).tobytes() not in seen:
-            return following
-    return None

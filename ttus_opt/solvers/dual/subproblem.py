@@ -99,12 +99,8 @@ class Subproblem:
     sums: sp.csr_array | None = field(default=None, repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
-        """The minimiser of the working set, started from that of the last one."""
-        if last is not None:
-            moving = np.zeros(len(last), dtype=bool)
-            moving[self.expansion.indices] = True
-            last = np.where(moving, last, 0.0)
-        answer = self.solver.solve(self.b, self.t, accuracy, last)
+        """The minimiser of the working set."""
+        answer = self.solver.solve(self.b, self.t, accuracy)
         return replace(answer, p=self.expansion @ answer.p + self.offset)
 
 

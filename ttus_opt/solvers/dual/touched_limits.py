@@ -27,6 +27,7 @@ from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.pair_subproblem import PairRows
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.pivoting import BlockPivoting
 
 #: Most voxels that measured rows may touch: two V-cycles each, and a dense matrix
 MOST_VOXELS = 3000
@@ -168,9 +169,6 @@ def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
 def complementary(matrix: Array, constant: Array, start: Mask) -> Mask | None:
     """Where z > 0 in the solution of z ≥ 0, M z + c ≥ 0, zᵀ(M z + c) = 0.
 
-    Block principal pivoting; if the number of wrong signs does not fall, one exchange
-    at a time by Murty's rule (Júdice and Pires, Comput. Oper. Res. 21, 1994).
-
     Args:
         matrix: M, positive definite, shape (k, k).
         constant: c, shape (k,).
@@ -180,8 +178,7 @@ def complementary(matrix: Array, constant: Array, start: Mask) -> Mask | None:
         Mask of z > 0, shape (k,); after `MOST_EXCHANGES` that with the fewest wrong
         signs. None if rounding makes a submatrix of M indefinite.
     """
-    active = best = start.copy()
-    fewest, left = len(constant) + 1, TRIES
+    active, pivoting = start, BlockPivoting(TRIES)
     for _ in range(MOST_EXCHANGES):
         at = np.flatnonzero(active)
         # not `scipy.linalg.solve`, which warns if M is ill-conditioned, as with heavy
@@ -193,14 +190,8 @@ def complementary(matrix: Array, constant: Array, start: Mask) -> Mask | None:
         z = -scipy.linalg.cho_solve(factor, constant[at], check_finite=False)
         wrong = matrix[:, at] @ z + constant < 0.0
         wrong[at] = z < 0.0
-        count = int(np.count_nonzero(wrong))
-        if count < fewest:
-            best, fewest, left = active, count, TRIES
-        elif left:
-            left -= 1
-        else:
-            wrong[: np.flatnonzero(wrong)[-1]] = False
-        if count == 0:
+        following = pivoting.following(active, wrong)
+        if following is None:
             break
-        active = active ^ wrong
-    return best
+        active = following
+    return pivoting.best

@@ -17,9 +17,11 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.elimination import eliminated, factor
+from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
 
 #: Rows at Dirichlet voxels are left out where their squares over Ω⁻¹ stay below [–]
@@ -115,6 +117,29 @@ class ApproximateSystem(DualSystem):
 
     fixed: FixedBlock | None = None
     unseen: UnseenFields | None = None
+
+    @classmethod
+    def matched(
+        cls,
+        exact: DualSystem,
+        laplace: LaplaceSystem,
+        wide: Sequence[ProgramTerm],
+        root: Root,
+        unseen: UnseenFields | None = None,
+    ) -> ApproximateSystem:
+        """That of a whole field, with the multigrid of L - X.
+
+        Args:
+            exact: The dual system.
+            laplace: L.
+            wide: The wide terms.
+            root: X.
+            unseen: As above.
+        """
+        grid, grounds = laplace.operator_grid, laplace.grounds
+        cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
+        approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
+        return cls.of(exact, approximate, wide, unseen)
 
     @classmethod
     def of(

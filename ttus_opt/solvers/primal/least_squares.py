@@ -11,14 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.conjugate_gradients import inner_product
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.primal.approximate_system import (
-    ApproximateLaplace,
     ApproximateSystem,
 )
 from ttus_opt.solvers.primal.options import PrimalOptions
@@ -130,13 +128,11 @@ def preconditioner(
         options: Options of the method.
         dual: Options of the dual.
     """
-    laplace = split.operator
     unseen = UnseenFields.of(split.prior, split.wide, split.moving)
     root = split.root(unseen is not None)
-    grid, grounds = laplace.operator_grid, laplace.grounds
-    cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
-    approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
-    system = ApproximateSystem.of(split.few.system, approximate, split.wide, unseen)
+    system = ApproximateSystem.matched(
+        split.few.system, split.operator, split.wide, root, unseen
+    )
     schur = schur_preconditioner(system, dual) if system.adjoint.nnz else np.copy
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, schur

@@ -154,7 +154,8 @@ class LimitedSubproblem:
         rounds = options.rounds, options.round_gain
         found = minimise(function, self.preconditioner, at, goal, *rounds)
         p = self.left.expansion @ function.field(found.at) + self.left.offset
-        return DualAnswer(p, np.zeros(0), found.steps, accuracy.late)
+        y = found.at[len(function.split.few.b) :]
+        return DualAnswer(p, np.zeros(0), found.steps, accuracy.late, y)
 
 
 def _reduced_split(whole: Split, left: Subproblem) -> Split:

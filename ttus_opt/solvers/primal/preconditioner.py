@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.conjugate_gradients import (
@@ -22,7 +23,7 @@ from ttus_opt.solvers.conjugate_gradients import (
     norm,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.system import SchurComplement
+from ttus_opt.solvers.dual.system import OverPrior, SchurComplement
 
 #: Most directions of S whose fields P⁻¹Dᵀd are kept
 MOST_FIELDS = 12
@@ -32,6 +33,9 @@ OUTSIDE = 1e-12
 
 #: Most directions of S
 MOST = 2000
+
+#: Default residual of S's system over the energy norm of its solution [–]
+INNER = 0.03
 
 
 class ConstraintPreconditioner:
@@ -129,3 +133,15 @@ class _Responses:
         else:
             self.kept.append((y, own))
         return np.asarray(y + self._system.measure(own))
+
+
+def with_few_rows(prior: Map, rows: sp.csr_array) -> Map:
+    """(P + DᵀD)⁻¹ from P⁻¹, approximately.
+
+    Args:
+        prior: P⁻¹, linear.
+        rows: D, shape (m, n).
+    """
+    m = rows.shape[0]
+    system = OverPrior(prior, rows, np.ones(m))
+    return ConstraintPreconditioner(system, np.zeros((m, 0)), INNER).field

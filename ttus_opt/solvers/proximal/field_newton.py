@@ -1,8 +1,17 @@
 """Newton steps with any sparse rows: preconditioned conjugate gradients.
 
 The matrix is H = Σ MᵀC M over all rows, C their slopes. The preconditioner is its
-diagonal until steps become many, then a multigrid with a Schur complement for the few
-rows of large weight (`field_preconditioner`). Small problems are factorised.
+diagonal until steps become many. Then every field has an operator of its own, for the
+rows that lie over all voxels:
+
+- where squares of Laplace's rows determine it: (L − X)ᵀΩ⁻¹(L − X), X matched to the
+  others (`ttus_opt.solvers.primal.matching`);
+- where they are differences of neighbours: their network of conductances, with rows
+  beyond a kink cut (`ttus_opt.laplace.network`);
+- otherwise a factor or algebraic multigrid (`ttus_opt.solvers.primal.sparse_inverse`).
+
+Few rows are added by their Schur complement (`primal.preconditioner`). Slopes are those
+without kinks, except in the network. Small problems are factorised.
 """
 
 from __future__ import annotations
@@ -11,19 +20,20 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.solvers.conjugate_gradients import Map, to_residual
+from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
+from ttus_opt.solvers.primal.elimination import factor
+from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.normal_product import add_normal_product
-from ttus_opt.solvers.proximal.field_preconditioner import (
-    by_differences,
-    by_laplace,
-    with_few_rows,
-)
+from ttus_opt.solvers.primal.preconditioner import with_few_rows
+from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
 from ttus_opt.solvers.proximal.penalised_rows import (
     Between,
     PenalisedRows,
@@ -34,14 +44,18 @@ from ttus_opt.solvers.proximal.problem import PenalisedProblem
 #: Up to how many variables H is formed and factorised
 SMALL = 3000
 
-#: Most steps of conjugate gradients; steps after which the multigrid takes over
+#: Most steps of conjugate gradients; steps after which the diagonal is too weak
 MOST_STEPS, MANY = 400, 16
 
 #: Factor by which σ may change before the preconditioner is rebuilt
 KEEP = 1.5
 
-#: Blocks with more rows are treated as lying over all voxels
-FEW_ROWS = 4096
+#: Blocks with more rows are treated as lying over all voxels; squares alone if they are
+#: no measurements and have at most so many entries per row [–]
+FEW_ROWS, LONG = 4096, 64
+
+#: Voxels from which squares alone are tried as a network before a factor [–]
+NETWORK = 30_000
 
 
 class FieldNewton:
@@ -49,25 +63,38 @@ class FieldNewton:
 
     Attributes:
         rtol: Default relative residual of a step [–].
+        description: The preconditioner, in words.
     """
 
     rtol = 1e-2
+    description = "the diagonal"
 
-    def __init__(self, problem: PenalisedProblem, anchor: PenalisedRows | None) -> None:
+    def __init__(
+        self,
+        problem: PenalisedProblem,
+        anchor: PenalisedRows | None = None,
+        squares: bool = False,
+    ) -> None:
         """Take the rows.
 
         Args:
             problem: The problem.
             anchor: Rows of the proximal term, one per variable; None for none.
+            squares: Whether all penalties are squares, so that the preconditioner
+                serves for good and is set up at the first step.
         """
         self._program, self._fixed = problem.program, problem.fixed
         self._held = np.flatnonzero(problem.fixed)
-        self._anchor = anchor
+        self._anchor, self._squares = anchor, squares
         self._blocks = [*problem.blocks, *([] if anchor is None else [anchor])]
+        self._wide = [len(b.target) > FEW_ROWS for b in self._blocks]
+        if squares:
+            short = [not b.measured and b.nnz <= LONG for b in self._blocks]
+            self._wide = short if any(short) else [True] * len(short)
         self._squared = [
             rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in self._blocks
         ]
-        self._by_multigrid = False
+        self._by_operator = squares
         self._neighbours: dict[str, list[NeighbourRows]] = {}
         self._made: tuple[tuple[float, ...], Map] | None = None
 
@@ -81,23 +108,28 @@ class FieldNewton:
     ) -> tuple[Array, int]:
         """As `LaplaceNewton.step`; the multipliers are not used."""
         side = np.where(self._fixed, 0.0, -gradient)
-        if len(side) <= SMALL:
+        if len(side) <= SMALL and not self._squares:
             return self._factorised(side, slopes), 1
 
         def product(v: Array) -> Array:
             return self._product(v, slopes)
 
-        precondition = self._preconditioner(slopes)
+        precondition = self.preconditioner(slopes)
         run = to_residual(product, side, precondition, rtol, MOST_STEPS, deadline)
-        if run.steps > MANY:  # the diagonal is too weak, or too many slopes changed
-            self._by_multigrid, self._made = True, None
+        if run.steps > MANY and not self._squares:  # too weak, or too many new slopes
+            self._by_operator, self._made = True, None
         return run.y, run.steps
 
     def taken(self, length: float) -> None:
         """No state depends on the step length."""
 
-    def _preconditioner(self, slopes: Sequence[Slope]) -> Map:
-        """The current one, rebuilt where σ has changed much."""
+    def preconditioner(self, slopes: Sequence[Slope]) -> Map:
+        """The current one, rebuilt where σ has changed much.
+
+        Raises:
+            MissingPackageError: Squares alone need algebraic multigrid, and pyamg is
+                not installed.
+        """
         key = tuple(b.sigma for b in self._blocks if not b.exact)
         if self._anchor is not None:
             key += (self._anchor.weight,)
@@ -110,7 +142,7 @@ class FieldNewton:
         return self._made[1]
 
     def _make(self, slopes: Sequence[Slope]) -> Map:
-        """The diagonal, or a multigrid with few rows."""
+        """The diagonal, or an operator for every field with few rows."""
         without_kinks = [
             slope
             if b.exact or isinstance(b.law, Between)
@@ -120,31 +152,29 @@ class FieldNewton:
         diagonal = self.diagonal(without_kinks)
         inverse = np.where(self._fixed, 0.0, 1.0 / np.where(diagonal, diagonal, 1.0))
         laplace = self._program.laplace
-        if not self._by_multigrid or laplace is None:
+        parts = self._program.variables
+        if laplace is None:
+            parts = {"": slice(0, len(diagonal))} if self._squares else {}
+        if not self._by_operator or not parts:
             return lambda v: inverse * v
+        n = len(diagonal) if laplace is None else len(laplace.free)
         fields = [
             (part, self._of_field(name, part, slopes, without_kinks, diagonal))
-            for name, part in self._program.variables.items()
-            if part.stop - part.start == len(laplace.free)
+            for name, part in parts.items()
+            if part.stop - part.start == n
         ]
 
-        alone = np.ones(len(diagonal), dtype=bool)
-        for part, _ in fields:
-            alone[part] = False
-        rest = np.flatnonzero(alone)
-
         def prior(v: Array) -> Array:
-            z = np.empty_like(v)
-            z[rest] = inverse[rest] * v[rest]
+            z = inverse * v
             for part, apply in fields:
                 z[part] = apply(v[part])
             z[self._held] = 0.0
             return z
 
         few = [
-            sp.diags_array(np.sqrt(slope.factor)) @ b.matrix
-            for b, slope in zip(self._blocks, slopes, strict=True)
-            if not self._is_wide(b)
+            _scaled(b.matrix, slope)
+            for b, slope, wide in zip(self._blocks, slopes, self._wide, strict=True)
+            if not wide
         ]
         if not few:
             return prior
@@ -161,34 +191,68 @@ class FieldNewton:
     ) -> Map:
         """The preconditioner of one field."""
         laplace, fixed = self._program.laplace, self._fixed[part]
-        term = self._program.laplace_term_of(name)
-        pairs = list(zip(self._blocks, without_kinks, strict=True))
+        term = self._program.laplace_term_of(name) if name else None
+        wide = [
+            ProgramTerm(b.name, 1.0, _scaled(b.matrix[:, part], slope), b.target)
+            for b, slope, is_wide in zip(
+                self._blocks, without_kinks, self._wide, strict=True
+            )
+            if is_wide and b is not self._anchor
+        ]
         if term is not None and term.weight > 0.0:
             rows = term.laplace_rows
             assert rows is not None
             system = rows.system or laplace
             scale = np.ones(len(fixed)) if rows.scale is None else rows.scale
             compliance = np.where(fixed, 0.0, 1.0 / (2.0 * term.weight * scale**2))
-            wide = [
-                ProgramTerm(b.name, 1.0, _scaled(b.matrix[:, part], slope), b.target)
-                for b, slope in pairs
-                if self._is_wide(b) and b.name != term.name
-            ]
-            return by_laplace(system, compliance, wide)
-        network = by_network(laplace, *self._network(name, part, slopes), fixed)
-        if network is not None:
-            return network
-        anchored = 0.0
-        if self._anchor is not None:
-            anchored = 2.0 * self._anchor.weight
-        return by_differences(laplace, diagonal[part] - anchored, anchored, fixed)
+            others = [t for t in wide if t.name != term.name]
+            nothing = sp.csr_array((0, len(fixed)))
+            exact = DualSystem(system, compliance, nothing, np.zeros(0))
+            grid, own = system.operator_grid, (system.free, system.radii)
+            root = matched_root(others, grid, *own, compliance)
+            return ApproximateSystem.matched(exact, system, others, root).prior
+        if laplace is not None and not (self._squares and len(fixed) < NETWORK):
+            network = by_network(laplace, *self._network(name, part, slopes), fixed)
+            outside = bool((~laplace.free & ~fixed).any()) and self._squares
+            if network is not None and not outside:
+                self.description = "the grid's multigrid"
+                return network
+        anchored = 0.0 if self._anchor is None else 2.0 * self._anchor.weight
+        return self._sparse(wide, fixed, diagonal[part], anchored)
+
+    def _sparse(
+        self, wide: list[ProgramTerm], fixed: Mask, diagonal: Array, anchored: float
+    ) -> Map:
+        """A factor or algebraic multigrid of the wide rows; or the diagonal."""
+        moving = np.flatnonzero(~fixed)
+        own = np.where(diagonal > 0.0, diagonal, 1.0)[moving]
+        Q = sp.csr_array((len(moving), len(moving)))
+        for term in wide:
+            M = term.matrix[:, moving]
+            Q = sp.csr_array(Q + M.T @ M)
+        # a variable without such rows gets the diagonal of the few
+        rest = np.where(Q.diagonal() > 0.0, anchored, own)
+        try:
+            inverse = SparseInverse.of(sp.csr_array(Q + sp.diags_array(rest)))
+        except MissingPackageError:
+            if self._squares:
+                raise
+            inverse = SparseInverse(lambda v: v / own, "the diagonal")
+        self.description = inverse.description
+
+        def apply(v: Array) -> Array:
+            z = np.zeros_like(v)
+            z[moving] = inverse.apply(v[moving])
+            return z
+
+        return apply
 
     def _network(
         self, name: str, part: slice, slopes: Sequence[Slope]
     ) -> tuple[Array, Array]:
         """Conductances of a field's wide rows, (3, V), and their diagonal, (V,)."""
         grid = self._program.laplace.grid
-        wide = [k for k, b in enumerate(self._blocks) if self._is_wide(b)]
+        wide = [k for k, wide in enumerate(self._wide) if wide]
         if name not in self._neighbours:
             self._neighbours[name] = [
                 NeighbourRows.of(self._blocks[k].matrix[:, part], grid) for k in wide
@@ -199,16 +263,13 @@ class FieldNewton:
             diagonal += (self._squared[k] @ slopes[k].factor)[part]
         return links, diagonal
 
-    def _is_wide(self, block: PenalisedRows) -> bool:
-        return len(block.target) > FEW_ROWS
-
     def _product(self, v: Array, slopes: Sequence[Slope]) -> Array:
         """H v on the variables that are free."""
         out = np.zeros_like(v)
-        for rows, slope in zip(self._blocks, slopes, strict=True):
+        for rows, slope, wide in zip(self._blocks, slopes, self._wide, strict=True):
             if rows is self._anchor:  # one row per variable
                 out += slope.factor * v
-            elif slope.along is None and self._is_wide(rows):
+            elif slope.along is None and wide:
                 add_normal_product(out, rows.matrix, slope.factor, v)
             else:
                 out += rows.matrix.T @ slope.times(rows.matrix @ v)
@@ -232,7 +293,7 @@ class FieldNewton:
         tiny = np.finfo(float).eps * float(abs(own.diagonal()).max(initial=0.0))
         own = own + sp.csc_array(sp.eye_array(len(free)) * tiny)
         d = np.zeros_like(side)
-        d[free] = splu(own).solve(side[free])
+        d[free] = factor(own).solve(side[free])
         return d
 
 

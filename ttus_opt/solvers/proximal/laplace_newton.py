@@ -103,7 +103,6 @@ class LaplaceNewton:
         solver = DualSolver(system, options=self._options)
         accuracy = Accuracy(rtol, inside, deadline)
         answer = solver.solve(h, -y / roots, accuracy)
-        assert answer.y is not None
         self._aim, at = [multipliers[k].copy() for k in self._few], 0
         change = -roots * answer.y - y
         for aim, k in zip(self._aim, self._few, strict=True):

@@ -16,6 +16,7 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol
@@ -88,7 +89,7 @@ class Options:
 
 
 @dataclass
-class _State:
+class State:
     """An iterate.
 
     Attributes:
@@ -105,7 +106,14 @@ class _State:
     slopes: list[Slope] = field(default_factory=list)
     parts: list[Array] = field(default_factory=list)
 
-    def evaluate(self, blocks: list[PenalisedRows]) -> None:
+    @classmethod
+    def of(cls, x: Array, blocks: Sequence[PenalisedRows]) -> State:
+        """The state at a point."""
+        state = cls(x, [b.residual(x) for b in blocks])
+        state.evaluate(blocks)
+        return state
+
+    def evaluate(self, blocks: Sequence[PenalisedRows]) -> None:
         """Multipliers and slopes at x."""
         pairs = [b.charged(r) for b, r in zip(blocks, self.residuals, strict=True)]
         self.multipliers = [y for y, _ in pairs]
@@ -163,7 +171,7 @@ class MethodOfMultipliers:
         self._deadline = None if limit is None else time.perf_counter() + limit
         if self._anchor is not None:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
-        state = _State(x, [b.residual(x) for b in self._blocks])
+        state = State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
         # without multiplier estimates, one round minimises the objective itself
         most = 25 if self._problem.bent else 3
@@ -200,7 +208,7 @@ class MethodOfMultipliers:
     def _late(self) -> bool:
         return self._deadline is not None and time.perf_counter() > self._deadline
 
-    def _minimise(self, state: _State, rtol: float) -> bool:
+    def _minimise(self, state: State, rtol: float) -> bool:
         """Take Newton steps; whether the round is complete."""
         blocks, fixed = self._blocks, self._problem.fixed
         state.evaluate(blocks)
@@ -232,7 +240,7 @@ class MethodOfMultipliers:
                 return True
         return False
 
-    def _slopes(self, state: _State) -> list[Slope]:
+    def _slopes(self, state: State) -> list[Slope]:
         """Newton's slopes; after a short step, larger ones of exact penalties.
 
         Rows beyond a kink have no slope, so that a Newton step may be far too long.
@@ -255,14 +263,14 @@ class MethodOfMultipliers:
             slopes.append(slope)
         return slopes
 
-    def _small(self, state: _State) -> bool:
+    def _small(self, state: State) -> bool:
         """Whether the gradient is far below its summands."""
         free = ~self._problem.fixed
         size = norm(state.gradient[free])
         largest = max(norm(part[free]) for part in state.parts)
         return size <= 0.1 * self._request.tolerance * largest
 
-    def _slope(self, state: _State, changes: list[Array], length: float) -> float:
+    def _slope(self, state: State, changes: list[Array], length: float) -> float:
         """Slope of the augmented Lagrangian along a step."""
         total = 0.0
         for b, r, change in zip(self._blocks, state.residuals, changes, strict=True):
@@ -270,7 +278,7 @@ class MethodOfMultipliers:
             total += inner_product(y, change)
         return total
 
-    def _moved(self, state: _State) -> float:
+    def _moved(self, state: State) -> float:
         """Movement of estimates and anchor, in the unit of the Lagrangian."""
         total = 0.0
         for b, r, y in zip(
@@ -283,7 +291,7 @@ class MethodOfMultipliers:
                 total += inner_product(change, change) / b.sigma
         return total
 
-    def _next_round(self, state: _State, growth: float) -> None:
+    def _next_round(self, state: State, growth: float) -> None:
         """Update estimates, anchor and σ."""
         for k, (b, y) in enumerate(zip(self._blocks, state.multipliers, strict=True)):
             if b is self._anchor:

@@ -64,6 +64,7 @@ class PenalisedRows:
         law: Penalty or limits.
         exact: Whether the penalty is smooth and enters exactly.
         sigma: σ.
+        measured: Whether they are measurements.
         multipliers: y, shape (m,).
     """
 
@@ -78,16 +79,23 @@ class PenalisedRows:
     ) -> None:
         self.name, self.matrix, self.target = name, matrix, target
         self.weight, self.law, self.exact = weight, law, exact
-        self.sigma = EXACT * weight
+        self.sigma, self.measured = EXACT * weight, False
         self.multipliers = np.zeros(len(target))
 
     @classmethod
     def of(cls, term: ProgramTerm) -> PenalisedRows:
         """The rows of a term."""
         smooth = term.penalty.smooth
-        return cls(
+        rows = cls(
             term.name, term.matrix, term.target, term.weight, term.penalty, smooth
         )
+        rows.measured = term.is_measured
+        return rows
+
+    @property
+    def nnz(self) -> float:
+        """Mean entries of a row [–]."""
+        return self.matrix.nnz / max(len(self.target), 1)
 
     def residual(self, x: Array) -> Array:
         """M x − t, shape (m,)."""
