@@ -115,6 +115,24 @@ def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
         np.testing.assert_allclose(answer.c, expected, atol=1e-7)
 
 
+def test_bounds_that_never_settle_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where solves are too rough for Murty's rule, sets of bounds return."""
+    data = data_of(1.0)
+    columns = np.random.default_rng(0).normal(size=(len(data.t), 3))
+    beside = LinearParameters(columns, np.full(3, -1.0), np.full(3, 1.0))
+    solved = []
+
+    def never_right(self: LinearParameters, c: Array, y: Array, free: Any) -> Any:
+        solved.append(free)
+        return np.ones(3, dtype=bool)
+
+    monkeypatch.setattr(LinearParameters, "violating", never_right)
+    solver = DualSolver(data.system, beside)
+    c = solver.solve(data.b, data.t, Accuracy(1e-3)).c
+    assert (np.abs(c) <= 1.0).all()
+    assert 3 < len(solved) <= 2 * 2**3
+
+
 @pytest.mark.parametrize("weight", [0.5, 2.0])
 def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
     weight: float,

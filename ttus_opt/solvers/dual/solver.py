@@ -7,6 +7,7 @@ bounds of parameters c beside the field are handled by block pivoting (`pivoting
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -24,8 +25,8 @@ from ttus_opt.solvers.pivoting import BlockPivoting
 #: Largest relative residual of a solve inside a product, over that of a rough dual [–]
 PRODUCT = 1e-2
 
-#: Most sets of parameters at their bounds [–]
-MOST_EXCHANGES = 100
+#: Most solves with the same parameters at the same bounds [–]
+TWICE = 2
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class DualSolver:
         at = start = DualAnswer(base, np.zeros(0), 0, False, np.zeros_like(t))
         c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
         free = self._free if near is None else parameters.between(c)
-        pivoting, exchanges = BlockPivoting(), 0
+        pivoting, solved = BlockPivoting(), Counter[bytes]()
         while True:
             given, complement = np.where(free, 0.0, c), self._complement_of(free)
             at, rest = self._refined(at, t - E @ given, complement, goal, accuracy)
@@ -150,8 +151,14 @@ class DualSolver:
             violating = parameters.violating(c, at.y, free)
             c = parameters.clipped(c)
             following = pivoting.following(free, violating)
-            exchanges += 1
-            if following is None or accuracy.late or exchanges == MOST_EXCHANGES:
+            solved[free.tobytes() + given.tobytes()] += 1
+            if (
+                following is None
+                or accuracy.late
+                # solves that are too rough for Murty's rule
+                or solved[following.tobytes() + np.where(following, 0.0, c).tobytes()]
+                == TWICE
+            ):
                 self._free = free
                 return replace(at, c=c, late=accuracy.late)
             if (following & ~free).any():  # y must be orthogonal to more columns
