@@ -83,6 +83,15 @@ def test_products_are_those_of_the_covariance(name: str) -> None:
     assert np.linalg.norm(rough - expected) < 0.02 * np.linalg.norm(expected)
 
 
+def test_solves_are_as_accurate_as_asked() -> None:
+    values = np.random.default_rng(6).normal(size=V)
+    rough, fine = (
+        np.linalg.norm(laplace().within(rtol).times(values) - dense("laplace") @ values)
+        for rtol in (1e-6, 1e-10)
+    )
+    assert rough > 1e3 * fine
+
+
 @every
 @pytest.mark.parametrize("height", [1, 2, 6])
 def test_rows_have_its_covariance(name: str, height: int) -> None:

@@ -9,6 +9,7 @@ from tests.fitting.poses.test_pose_refinement import NOISE, examined, sweep
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.poses import pose_error_step
 from ttus_opt.fitting.poses.pose_error_step import PoseErrorProblem
+from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.probe.trajectory import Trajectory
 
 
@@ -29,6 +30,24 @@ def test_places_left_out_are_not_known():
         predicted = problem.reported @ state.prior.field(dual)
         error = (normal @ (problem.scene.f - predicted))[own]
         np.testing.assert_allclose(found[own], np.abs(error), rtol=1e-6)
+
+
+def test_the_profile_as_a_whole_varies_too() -> None:
+    """Against the covariance of all voxels, by the rows of the Matérn field."""
+    problem = PoseErrorProblem.of(examined()[0], NOISE)
+    state = problem.start()
+    prior, found = state.prior, state.depth_map
+    voxmap, mean = problem.scene.voxmap, prior.mean
+    lengths = found.surface_length, found.depth_length, found.length_ratio
+    varied = SeparableCovariance.over(voxmap, found.deviation * mean, *lengths)
+    D, dual = prior.rows.toarray(), np.cos(np.arange(len(problem.frames)))
+    C = np.stack([varied.times(row) for row in D], axis=1)
+    C += 0.5**2 * np.outer(mean, D @ mean)
+    size = np.abs(D @ C).max()
+    np.testing.assert_allclose(prior.of_rows / size, D @ C / size, atol=1e-9)
+    size = np.abs(C @ dual).max()
+    shift = (prior.field(dual) - mean) / size
+    np.testing.assert_allclose(shift, C @ dual / size, atol=1e-9)
 
 
 def test_frames_of_a_press_share_errors():

@@ -104,9 +104,10 @@ def test_the_mean_given_measurements_is_the_minimiser() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
-def test_draws_have_the_covariance() -> None:
+@pytest.mark.parametrize("scale", [False, True], ids=["known scale", "fitted scale"])
+def test_draws_have_the_covariance(scale: bool) -> None:
     """400 draws: √ of a mean of squares is off by 1/√800."""
-    posterior, _, exact = made()
+    posterior, _, exact = made(scale)
     draws = posterior.draw(400).astype(float)
     assert draws.shape == (400, V)
     std = np.sqrt(np.diag(exact))
