@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.recursion.low_rank_kernel import ROOM, LowRankKernel
+from ttus_opt.fitting.recursion.low_rank_kernel import MORE, LowRankKernel
 from ttus_opt.fitting.recursion.pivots import JITTER
 
 TOLERANCE = 1e-9
@@ -259,13 +259,15 @@ def test_what_is_no_variance_brings_no_column() -> None:
 def test_memory_is_that_of_the_columns() -> None:
     K = gram(2000, 10, np.random.default_rng(4))
     kernel = grown(K, 6)
-    assert kernel.rank <= 20
-    assert kernel.memory_bytes < 8 * 2000 * (2 * 10 + 3) * 1.1 + 8 * 2 * ROOM
+    k = kernel.rank
+    assert k <= 20
+    most = 8 * (2000 * (k + MORE + 3) * 1.1 + 2 * k**2)
+    assert kernel.memory_bytes < most
     full = grown(np.eye(400), 6)
     assert full.rank == 400
-    assert full.memory_bytes < 1.1 * 8 * (400 * 401 + 3 * 400) + 8 * 2 * ROOM
+    assert full.memory_bytes < 1.1 * 8 * (2 * 400**2 + 430 * 2 * MORE + 3 * 400)
     full.remove(0, 390, 1e-9)
-    assert full.memory_bytes < 8 * 4 * ROOM
+    assert full.memory_bytes < 8 * (2 * 10**2 + (10 + 2 * MORE) ** 2 + 3 * 10)
 
 
 def test_refusals() -> None:

@@ -20,25 +20,28 @@ Rows may be added and removed any number of times without loss of accuracy:
   unchanged and one column to drop. The squares of its entries are added to the rows'
   residual variances. `LowRankKernel.remove` returns the rows that must replace the
   lost ones; the caller solves for their columns of K again.
-- E is downdated (Golub, Van Loan, Matrix Computations, 4th ed., section 6.5.4), and
-  recomputed after as many removals as there are rows.
+- What is removed is subtracted from M = E Eᵀ, and M recomputed from C and N after as
+  many removals as there are rows.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.recursion import packed_triangle as triangle
+from ttus_opt.fitting.recursion import triangular_factor
 from ttus_opt.fitting.recursion.pivots import incomplete_cholesky, replacements
 
-#: Least growth of the packed factors, and of the rows and columns of N [entries]
-ROOM, MORE = 2**12, 8
+#: Least growth of the rows and columns of N [–]
+MORE = 8
+
+#: Fall of M's trace above which subtractions have lost too many digits [–]
+LARGEST_FALL = 1e6
 
 
 @dataclass(frozen=True)
@@ -76,15 +79,15 @@ class LowRankKernel:
     """
 
     def __init__(self) -> None:
-        self._C: Array = np.zeros(ROOM)
-        self._E: Array = np.zeros(ROOM)
+        self._C: Array = np.zeros((0, 0))
+        self._E: Array = np.zeros((0, 0))
         self._N: Array = np.zeros((MORE, MORE))
         # residual variance of the others
         self._residual = np.zeros(0)
         self.pivots = np.zeros(0, dtype=np.int64)
         self.others = np.zeros(0, dtype=np.int64)
-        # number of downdates since E was computed
-        self._downdated = 0
+        # rows subtracted since E was computed from C and N, and M's largest trace
+        self._subtracted, self._largest = 0, 0.0
 
     def __len__(self) -> int:
         """Number of rows n [–]."""
@@ -115,9 +118,7 @@ class LowRankKernel:
                 f"new rows must be (m, {self.rank}), one entry for each pivot, got "
                 f"{cross.shape}"
             )
-        held = np.array(cross, order="C")
-        triangle.forward(self._C, held)
-        return held
+        return _forward(self._C, cross.T).T
 
     def project(self, held: Array, own: Array, tolerance: float) -> Projection:
         """Project new rows on the columns held; O(k²) per row.
@@ -139,13 +140,11 @@ class LowRankKernel:
             )
         # einsum: too little work to wake a threaded BLAS for
         beyond = own - np.einsum("ik,jk->ij", held, held)
-        whitened = held.copy()
-        triangle.forward(self._E, whitened)
-        schur = np.eye(m) + beyond + np.einsum("ik,jk->ij", whitened, whitened)
-        for row in whitened:
-            triangle.backward(self._E, row)
+        whitened = _forward(self._E, held.T)
+        schur = np.eye(m) + beyond + np.einsum("ki,kj->ij", whitened, whitened)
         new, chosen, left = incomplete_cholesky(beyond, tolerance)
-        return Projection(held, new, chosen, left, schur, whitened.T)
+        gain = _backward(self._E, whitened)
+        return Projection(held, new, chosen, left, schur, gain)
 
     def append(
         self, projection: Projection, columns: Array, numbers: IntArray | None = None
@@ -169,16 +168,13 @@ class LowRankKernel:
             numbers = np.arange(len(self), len(self) + m)
         rest = np.setdiff1d(np.arange(m), chosen)
         self._resize(k + p, o + len(rest))
+        rows = projection.rows
         if p:
             self._N[k : k + p, :o] = self._new_columns(projection, columns)
-        for j, a in enumerate(chosen):
-            self._extend_factor(k + j, o)
-            start = triangle.packed_size(k + j)
-            self._C[start : start + k] = projection.held[a]
-            self._C[start + k : start + k + j + 1] = projection.new[a, : j + 1]
-        rows = projection.rows
+            self._extend_factor(k, p, o)
+            self._C = _bordered(self._C, np.tril(rows[chosen], k))
         self._N[: k + p, o : o + len(rest)] = rows[rest].T
-        triangle.update(self._E, np.ascontiguousarray(rows.T))
+        triangular_factor.update(self._E, np.ascontiguousarray(rows.T))
         self.pivots = np.concatenate([self.pivots, numbers[chosen]])
         self.others = np.concatenate([self.others, numbers[rest]])
         self._residual = np.concatenate([self._residual, projection.residual[rest]])
@@ -189,9 +185,8 @@ class LowRankKernel:
         Args:
             x: One number per column, shape (k,).
         """
-        out, part = np.empty(len(self)), np.empty(self.rank)
-        triangle.times(self._C, x, part)
-        out[self.pivots] = part
+        out = np.empty(len(self))
+        out[self.pivots] = self._C @ x
         out[self.others] = x @ self._coefficients
         return out
 
@@ -201,9 +196,8 @@ class LowRankKernel:
         Args:
             y: One number per row, shape (n,).
         """
-        out = np.asarray(self._coefficients @ y[self.others], np.float64)
-        triangle.add_adjoint(self._C, y[self.pivots], out)
-        return out
+        part = self._coefficients @ y[self.others]
+        return np.asarray(part + self._C.T @ y[self.pivots])
 
     def solve(self, right_side: Array) -> Array:
         """Solve (I + R Rᵀ) y = g.
@@ -221,10 +215,8 @@ class LowRankKernel:
             raise InputError(
                 f"a right side must have shape ({len(self)},), got {right_side.shape}"
             )
-        part = self.adjoint(right_side)[None]
-        triangle.forward(self._E, part)
-        triangle.backward(self._E, part[0])
-        return right_side - self.times(part[0])
+        part = _forward(self._E, self.adjoint(right_side))
+        return right_side - self.times(_backward(self._E, part))
 
     def remove(self, start: int, count: int, tolerance: float) -> IntArray:
         """Remove rows start to start + count.
@@ -250,11 +242,12 @@ class LowRankKernel:
         going = (self.pivots >= start) & (self.pivots < start + count)
         places = np.flatnonzero(going)[::-1]
         self._resize(self.rank, len(self.others) + len(places))
-        losses = [self._demote_pivot(int(q)) for q in places]
-        lost = np.zeros((len(losses), len(self.others)))
-        for row, loss in zip(lost, losses, strict=True):
+        M = self._inner()
+        lost = np.zeros((len(places), len(self.others) + len(places)))
+        for row, q in zip(lost, places, strict=True):
+            M, loss = self._demote_pivot(int(q), M)
             row[: len(loss)] = loss
-        kept = self._drop((self.others >= start) & (self.others < start + count))
+        kept = self._drop(M, (self.others >= start) & (self.others < start + count))
         self.pivots = np.where(
             self.pivots >= start, self.pivots - count, self.pivots
         ).astype(np.int64)
@@ -277,7 +270,7 @@ class LowRankKernel:
         mask = np.isin(self.others, rows)
         if np.count_nonzero(mask) != len(rows):
             raise InputError("only held rows that are not pivots can be dropped")
-        self._drop(mask)
+        self._drop(self._inner(), mask)
 
     def scale(self, factor: float) -> None:
         """Multiply R by a number; O(n k²)."""
@@ -305,38 +298,38 @@ class LowRankKernel:
             self._residual = np.maximum(self._residual - row**2, 0.0)
         return out
 
-    def _extend_factor(self, k: int, o: int) -> None:
-        """Add row k to E, from the entries of the others in column k."""
-        column = self._N[k, :o]
-        row = np.asarray(self._N[:k, :o] @ column, np.float64)[None]
-        triangle.forward(self._E, row)
-        start = triangle.packed_size(k)
-        self._E[start : start + k] = row[0]
-        own = 1.0 + column @ column - row[0] @ row[0]
+    def _extend_factor(self, k: int, p: int, o: int) -> None:
+        """Add rows k to k + p to E, from the entries of the others in the columns."""
+        new = self._N[k : k + p, :o]
+        beside = _forward(self._E, self._N[:k, :o] @ new.T)
+        corner = np.eye(p) + new @ new.T - beside.T @ beside
         # M ≥ I, and so is each of its Schur complements
-        self._E[start + k] = math.sqrt(max(own, 1.0))
+        values, vectors = np.linalg.eigh(corner)
+        corner = (vectors * np.maximum(values, 1.0)) @ vectors.T
+        self._E = _bordered(self._E, np.hstack([beside.T, np.linalg.cholesky(corner)]))
 
-    def _demote_pivot(self, q: int) -> Array:
-        """Make pivot q one of the others; the column dropped, shape (n - k,)."""
+    def _demote_pivot(self, q: int, M: Array) -> tuple[Array, Array]:
+        """Make pivot q one of the others; M then, and the dropped column, (n - k,)."""
         k, o = self.rank, len(self.others)
-        start = triangle.packed_size(q)
-        self._N[: q + 1, o] = self._C[start : start + q + 1]
-        self._N[q + 1 : k, o] = 0.0
+        self._N[:k, o] = self._C[q]
         cosines, sines = np.empty(k), np.empty(k)
-        triangle.delete_row(self._C, k, q, cosines, sines)
-        triangle.rotate_rows(self._N[:, : o + 1], k, q, cosines, sines)
-        triangle.rotate_factor(self._E, k, q, cosines, sines)
+        triangular_factor.delete_row(self._C, q, cosines, sines)
+        self._C = np.ascontiguousarray(self._C[:-1, :-1])
+        triangular_factor.rotate_rows(self._N[:, : o + 1], k, q, cosines, sines)
+        for _ in range(2):  # GᵀMG by its rows, as M is symmetric
+            triangular_factor.rotate_rows(M, k, q, cosines, sines)
+            M = np.ascontiguousarray(M.T)
         loss = self._N[k - 1, : o + 1].copy()
         self._residual = np.append(self._residual, 0.0) + loss**2
         self.others = np.append(self.others, self.pivots[q])
         self.pivots = np.delete(self.pivots, q)
-        return loss
+        return M[:-1, :-1], loss
 
-    def _drop(self, mask: NDArray[np.bool_]) -> IntArray:
+    def _drop(self, M: Array, mask: NDArray[np.bool_]) -> IntArray:
         """Drop others; return the former places of the remaining ones."""
         o, k = len(self.others), self.rank
         gone = np.flatnonzero(mask)
-        sound = triangle.downdate(self._E, np.ascontiguousarray(self._N[:k, gone].T))
+        M = M - self._N[:k, gone] @ self._N[:k, gone].T
         left = o - len(gone)
         # the last ones move into the gaps
         kept = np.arange(left)
@@ -344,25 +337,35 @@ class LowRankKernel:
         kept[holes] = left + np.flatnonzero(~mask[left:])
         self._N[:k, holes] = self._N[:k, kept[holes]]
         self.others, self._residual = self.others[kept], self._residual[kept]
-        self._downdated += len(gone)
-        if not sound or self._downdated >= len(self):
+        self._subtracted += len(gone)
+        if self._subtracted >= len(self) or not self._factorised(M):
             self._refresh()
         self._resize(k, left)
         return kept
 
+    def _inner(self) -> Array:
+        """M, shape (k, k)."""
+        M = self._E @ self._E.T
+        self._largest = max(self._largest, float(np.trace(M)))
+        return np.asarray(M)
+
+    def _factorised(self, M: Array) -> bool:
+        """Set E to the factor of M, if enough digits are left."""
+        try:
+            self._E = np.asarray(np.linalg.cholesky(M), np.float64)
+        except np.linalg.LinAlgError:
+            return False
+        return self._largest <= LARGEST_FALL * float(np.trace(M))
+
     def _refresh(self) -> None:
         """Compute E from C and N; O(n k²)."""
-        k = self.rank
-        C = triangle.unpacked(self._C, k)
-        M = np.eye(k) + C.T @ C + self._coefficients @ self._coefficients.T
-        factor = np.asarray(np.linalg.cholesky(M), np.float64)
-        self._E[: triangle.packed_size(k)] = triangle.packed(factor)
-        self._downdated = 0
+        N = self._coefficients
+        M = np.eye(self.rank) + self._C.T @ self._C + N @ N.T
+        self._E = np.asarray(np.linalg.cholesky(M), np.float64)
+        self._subtracted, self._largest = 0, 0.0
 
     def _resize(self, k: int, o: int) -> None:
-        """Allocate for k pivots and o others, with space to grow."""
-        size = triangle.packed_size(k)
-        self._C, self._E = _fitted(self._C, size), _fitted(self._E, size)
+        """Allocate N for k pivots and o others, with space to grow."""
         rows, columns = self._N.shape
         if k <= rows <= 2 * (k + MORE) and o <= columns <= 2 * (o + MORE):
             return
@@ -372,8 +375,21 @@ class LowRankKernel:
         self._N = grown
 
 
-def _fitted(values: Array, size: int) -> Array:
-    """The array resized where needed; large arrays are moved, not copied."""
-    if not size <= len(values) <= 2 * size + ROOM:
-        values.resize(size + size // 16 + ROOM, refcheck=False)
-    return values
+def _bordered(E: Array, rows: Array) -> Array:
+    """A triangle with p more rows, shape (p, k + p)."""
+    k, size = len(E), len(E) + len(rows)
+    out = np.zeros((size, size))
+    out[:k, :k], out[k:] = E, rows
+    return out
+
+
+def _forward(E: Array, values: Array) -> Array:
+    """E⁻¹ values, shape (k,) or (k, m)."""
+    return np.asarray(solve_triangular(E, values, lower=True, check_finite=False))
+
+
+def _backward(E: Array, values: Array) -> Array:
+    """E⁻ᵀ values, shape (k,) or (k, m)."""
+    return np.asarray(
+        solve_triangular(E, values, trans=1, lower=True, check_finite=False)
+    )
