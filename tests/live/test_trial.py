@@ -1,5 +1,7 @@
 """Comparators in one simulation: what must hold of each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from ttus_opt.live.trial import Trial, examination, run
 def delayed():
     """Short sessions with a round trip of 600 ms."""
     names = ("model", "direct")
-    return {name: run(Trial(name, 0.6, seconds=10.0)) for name in names}
+    return {name: run(Trial(name, 0.6, seconds=10.0, settled=8.0)) for name in names}
 
 
 def test_the_model_is_close_and_gives_no_energy(delayed):
@@ -31,14 +33,14 @@ def test_the_delayed_force_is_active(delayed):
 
 @pytest.mark.slow
 def test_without_delay_the_measured_force_is_near_the_truth():
-    passive = run(Trial("passive", 0.0, seconds=10.0))
+    passive = run(Trial("passive", 0.0, seconds=10.0, settled=8.0))
     assert passive.error < 0.8
     assert passive.energy < 0.05
 
 
 @pytest.mark.slow
 def test_a_model_that_never_learns_keeps_its_error():
-    fixed = run(Trial("fixed", 0.0, prior=1.6, seconds=10.0))
+    fixed = run(Trial("fixed", 0.0, prior=1.6, seconds=10.0, settled=8.0))
     assert fixed.folded == 0
     assert fixed.error > 0.8
 
@@ -64,3 +66,12 @@ def test_the_hand_begins_and_moves_between_places_lifted():
 def test_unusable_trials(bad):
     with pytest.raises(InputError):
         Trial(**bad)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("round_trip", [0.0, 1.0])
+def test_the_probe_goes_along_with_the_breath(round_trip):
+    trial = Trial("model", round_trip, breathing=0.005, seconds=14.0)
+    seen, blind = run(trial), run(replace(trial, camera=False))
+    assert seen.error < 0.36
+    assert blind.error > 2.0 * seen.error

@@ -46,6 +46,7 @@ def report(
     prior: float = 1.0,
     friction: float = 0.0,
     breathing: float = 0.0,
+    no_camera: bool = False,
     comparator: str = "model",
     seconds: float = 20.0,
     picture: Path | None = None,
@@ -63,6 +64,7 @@ def report(
         prior: Factor by which the first model is too stiff.
         friction: Coulomb coefficient of the skin.
         breathing: Amplitude of the skin's motion [mm].
+        no_camera: The follower does not see that motion.
         comparator: What the hand feels: model, fixed, direct or passive.
         seconds: Length of the session [s].
         picture: Draw felt and true force here.
@@ -90,7 +92,8 @@ def report(
         1e-3 * jitter,
         friction,
         1e-3 * breathing,
-        seconds,
+        not no_camera,
+        seconds=seconds,
     )
     with contextlib.ExitStack() as files, Stages(1) as begin:
         begin("session in virtual time")
@@ -167,11 +170,12 @@ def follower(
     from ttus_opt.live.real_time import run_follower
     from ttus_opt.live.sealing import read_key
     from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.trial import examination, patient_surface, prepared
+    from ttus_opt.live.trial import examination, patient_surface, prepared, warm_up
 
     _check_port(port)
     side = Follower(_epoch(), patient_surface(), prepared(prior))
     start = examination(1.0)
+    warm_up()
     link = SocketLink(read_key(key), host, port, calls=False)
     try:
         ended = run_follower(
@@ -205,33 +209,63 @@ def operator(
         host: Address of the follower.
         port: Its UDP and TCP port.
         seconds: Length of the session [s].
-        recording: Record the session here (.mcap).
+        recording: Record the session here (.mcap); the haptic loop then shares a
+            process with the rest, so that every frame is in the file.
 
     Example:
         ttus-opt live operator --key session.key --host 192.0.2.7
     """
-    import contextlib
+    from ttus_opt.live.sealing import read_key
+    from ttus_opt.live.socket_link import SocketLink
+    from ttus_opt.live.trial import examination, warm_up
 
+    _check_port(port)
+    opened, path = read_key(key), examination(seconds)
+    warm_up()
+    link = SocketLink(opened, host, port, calls=True)
+    try:
+        if recording is None:
+            side, ended = _operate(link, path, seconds)
+        else:
+            side, ended = _record(link, path, seconds, recording)
+    finally:
+        link.close()
+    _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
+
+
+def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
+    """The haptic loop in a process of its own; the operator, and how it ended."""
+    from dataclasses import replace
+    from functools import partial
+
+    from ttus_opt.live.hand import Hand
+    from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
+    from ttus_opt.live.operator import Operator
+    from ttus_opt.live.real_time import run_operator_apart
+    from ttus_opt.live.trial import probe_shell
+
+    start = path.rotation[0], path.position[0]
+    with HapticProcess(LoopPlan(probe_shell(), partial(Hand, path))) as loop:
+        side = Operator(
+            _epoch(), probe_shell(), feedback=lambda model: loop.begin(model.field)
+        )
+        ended = run_operator_apart(side, link, start, seconds=seconds)
+    return side, replace(ended, lateness=loop.lateness or ended.lateness)
+
+
+def _record(link: Any, path: Any, seconds: float, file: Path) -> tuple[Any, Any]:
+    """All in one process, so that every frame is recorded."""
     from ttus_opt.live.hand import Hand
     from ttus_opt.live.real_time import run_operator
     from ttus_opt.live.recording import Description, Recorder
-    from ttus_opt.live.sealing import read_key
-    from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.trial import examination, made_operator, probe_shell
+    from ttus_opt.live.trial import made_operator, probe_shell
 
-    _check_port(port)
     epoch = _epoch()
-    side = made_operator("model", probe_shell(), epoch)
-    hand = Hand(examination(seconds))
-    with contextlib.ExitStack() as files:
-        watch = None
-        if recording is not None:
-            recorder = Recorder(recording, Description(epoch=epoch))
-            watch = files.enter_context(recorder).watch
-        link = SocketLink(read_key(key), host, port, calls=True)
-        files.callback(link.close)
+    side, hand = made_operator("model", probe_shell(), epoch), Hand(path)
+    with Recorder(file, Description(epoch=epoch)) as recorder:
+        watch = recorder.watch
         ended = run_operator(side, link, hand, seconds=seconds, watch=watch)
-    _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
+    return side, ended
 
 
 def _tell_end(

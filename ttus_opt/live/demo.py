@@ -105,16 +105,17 @@ def run_demo(
             f"A simulated hand presses a simulated torso (finite elements) over a link "
             f"that loses {100 * loss:g} % of packets in bursts; the prior is {prior:g} "
             "times too stiff. The error is between the force that the hand feels and "
-            "that of the torso at the hand's own pose at that moment, once each of "
-            "three places was pressed. Energy is the most that the hand had got: a "
-            "patient gives none."
+            "that of the torso at the hand's own pose at that moment, after 10 s: each "
+            "of three places was pressed once. Energy is the most that the hand had "
+            "got: a patient gives none."
         ),
         comparison(results),
         Picture("live.png", "Felt (blue) and true force (grey) at the hand's pose"),
         Items([f"`{name}`: {line}" for name, line in COMPARATORS.items()]),
         Text(
             "The session of the model with delay is in `session.mcap`: "
-            "`ttus-opt live replay session.mcap` renders it again, bit by bit."
+            "`ttus-opt live replay --recording session.mcap` renders it again, bit by "
+            "bit."
         ),
     ]
     write_report(out, blocks)

@@ -42,6 +42,9 @@ class Feedback(Protocol):
     def measured(self, sample: Sample) -> None:
         """A measurement arrived."""
 
+    def update(self, field: PotentialField) -> None:
+        """The model has learned."""
+
     def felt(self, now: float, rotation: Array, position: Array) -> Array:
         """Force, then torque, shape (6,) [N, N·m]."""
 
@@ -97,6 +100,9 @@ class MeasuredForce:
         """Keep the newest."""
         if self._last is None or sample.time > self._last.time:
             self._last = sample
+
+    def update(self, field: PotentialField) -> None:
+        """The model is not felt."""
 
     def felt(self, now: float, rotation: Array, position: Array) -> Array:
         """Force, then torque, shape (6,) [N, N·m]."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -122,15 +122,27 @@ class Follower:
         self._now = -np.inf
 
     def step(
-        self, now: float, packets: Sequence[bytes], sensed: Sample
+        self,
+        now: float,
+        packets: Sequence[bytes],
+        sensed: Sample,
+        skin: Array | None = None,
     ) -> FollowerStep:
         """Take what arrived and what was measured; say what to do.
+
+        Where a camera or a belt tells how far breathing has moved the skin, the probe
+        goes along: commands and samples are those of the patient at rest, which the
+        operator feels, whatever the delay.
 
         Args:
             now: This side's clock, which never goes back [s].
             packets: Received bytes, in any order.
             sensed: Pose and wrench of the probe now.
+            skin: Displacement of the skin now, patient frame, (3,) [m]; at rest when
+                not given.
         """
+        if skin is not None:
+            sensed = replace(sensed, position=sensed.position - skin)
         if not now >= self._now:
             raise InputError(f"the clock must not go back, got {now} s")
         passed = min(now - self._now, 0.1) if np.isfinite(self._now) else 0.0
@@ -153,7 +165,9 @@ class Follower:
             self._retract(passed, force)
         self._report(now, sensed, send)
         self.peer.announce(now, send)
-        return FollowerStep(tuple(send), *self._target, state, safety.cause)
+        rotation, position = self._target
+        position = position if skin is None else position + skin
+        return FollowerStep(tuple(send), rotation, position, state, safety.cause)
 
     def stop(self, cause: str = "the follower's button") -> None:
         """Stop now, by a button or a driver's fault; the other side follows."""

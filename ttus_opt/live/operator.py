@@ -19,6 +19,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.deadband import Deadband
 from ttus_opt.live.feedback import Feedback, ModelFeedback
+from ttus_opt.live.gate import Gate
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import (
     VERSION,
@@ -45,9 +46,6 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 #: Time between hellos until a model has arrived; between updates of what is felt, and
 #: of its uncertainty [s]
 GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
-
-#: Time in which the force falls to zero at a STOP [s]
-RELEASE = 0.05
 
 #: Samples remembered by number, so that none counts twice
 REMEMBERED = 512
@@ -116,7 +114,7 @@ class Operator:
         self._newest: Sample | None = None
         self._pending = False
         self._changed_at = -math.inf
-        self._gain, self._engaged, self._fell = 0.0, False, -math.inf
+        self._gate = Gate(self.peer.safety.limits.contact)
         self._felt = np.zeros(6)
         self._hand = np.zeros(3)
         self._start = math.nan
@@ -175,19 +173,11 @@ class Operator:
             self._felt = np.zeros(6)
             return self._felt
         wrench = self.feedback.felt(now, rotation, position)
-        size = float(np.linalg.norm(wrench[:3]))
-        if not math.isfinite(size):
+        if not np.isfinite(wrench).all():
             self.peer.safety.stop("a rendered force is not a number")
             wrench = np.zeros(6)
-        if self.peer.safety.state is State.STOP:
-            passed = now - self._fell if math.isfinite(self._fell) else 0.0
-            self._fell, self._engaged = now, False
-            self._gain = max(0.0, self._gain - passed / RELEASE)
-        else:
-            self._fell = -math.inf
-            self._engaged |= size < self.peer.safety.limits.contact
-            self._gain = 1.0 if self._engaged else 0.0
-        self._felt = self._gain * wrench
+        stopped = self.peer.safety.state is State.STOP
+        self._felt = self._gate(now, wrench, stopped)
         return self._felt
 
     def stop(self, cause: str = "the operator's button") -> None:
@@ -312,10 +302,10 @@ class Operator:
             raise MessageError("a model came before its surface")
         self.model = decode_model(content, self._surface, self.shell)
         self._pending = False
-        if self._make is not None:
-            self.feedback = self.feedback or self._make(self.model)
-        elif isinstance(self.feedback, ModelFeedback):
+        if self.feedback is not None:
             self.feedback.update(self.model.field)
+        elif self._make is not None:
+            self.feedback = self._make(self.model)
         else:
             self.feedback = ModelFeedback(self.model.field, self.shell)
 
@@ -336,7 +326,7 @@ class Operator:
         """Let the hand feel what was learned."""
         if not self._pending or now - self._updated < UPDATE or self.model is None:
             return
-        if isinstance(self.feedback, ModelFeedback):
+        if self.feedback is not None:
             self.feedback.update(self.model.field)
         self._pending, self._updated = False, now
 

@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,10 +24,17 @@ from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
 from ttus_opt.live.peer import Outgoing
+from ttus_opt.live.safety import State
 from ttus_opt.live.simulation import Moment
 
 #: Frames a second of the operator's and the follower's loops [Hz]
 OPERATOR_RATE, FOLLOWER_RATE = 1000.0, 100.0
+
+#: Frames a second of the operator's loop beside a haptic loop in its own process [Hz]
+APART_RATE = 200.0
+
+#: Time between what a page is shown [s]
+SHOW = 0.1
 
 #: Lateness from which a frame is late, over its period [–]
 LATE = 1.0
@@ -54,6 +61,26 @@ class HandDevice(Protocol):
 
     def step(self, time: float, force: Array, seconds: float) -> None:
         """Show a force [N] for some seconds, at a time from the start [s]."""
+
+
+@runtime_checkable
+class HapticLoop(Protocol):
+    """A haptic loop that runs elsewhere."""
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+
+    @property
+    def frames(self) -> int:
+        """Frames so far [–]."""
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        """The hand's rotation (3, 3) and position (3,) [m]."""
+
+    def tell(self, friction: float, state: State) -> None:
+        """Publish a sign of life and the operator's state."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +235,48 @@ def run_operator(
         if watch is not None:
             state, nothing = step.state, Sample(now, *pose, felt)
             watch(Moment(now, *pose, tuple(packets), felt, state, state, nothing))
-        if show is not None and now - shown >= 0.1:
+        if show is not None and now - shown >= SHOW:
+            shown = now
+            show(operator.view(now))
+    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))
+
+
+def run_operator_apart(
+    operator: Operator,
+    link: Link,
+    start: tuple[Array, Array],
+    *,
+    seconds: float = math.inf,
+    rate: float = APART_RATE,
+    show: Callable[[LiveState], None] | None = None,
+) -> Ended:
+    """The operator's loop where hand and force are in a process of their own.
+
+    Args:
+        operator: Its feedback is a `haptic_process.HapticProcess`, once a model came.
+        link: To the follower.
+        start: Pose of the hand until the haptic loop runs: (3, 3), (3,) [m].
+        seconds: Length [s].
+        rate: Frames a second of this loop, not of the haptic one [Hz].
+        show: Called ten times a second with what a page shows.
+    """
+    beat, seen = Metronome(rate, seconds), dict[str, None]()
+    safety, pose, shown = operator.peer.safety, start, -math.inf
+    for now in beat:
+        loop = operator.feedback
+        if isinstance(loop, HapticLoop):
+            pose = loop.pose if loop.frames else start
+            if not loop.alive:
+                operator.stop("the haptic loop has died")
+        step = operator.step(now, link.receive(now), *pose)
+        link.send(now, step.send)
+        if isinstance(loop, HapticLoop):
+            model = operator.model
+            friction = 0.0 if model is None else model.learner.friction
+            loop.tell(friction, step.state)
+            operator.feel(now, *pose)
+        seen[step.state.name] = None
+        if show is not None and now - shown >= SHOW:
             shown = now
             show(operator.view(now))
     return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))

@@ -6,7 +6,7 @@ as long as its computation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -63,6 +63,8 @@ class Simulation:
         patient: The patient.
         there: Link from the operator to the follower.
         back: Link from the follower to the operator.
+        skin: Displacement of the skin (3,) [m] at a time of the follower's clock, as a
+            camera tells it; None without one.
         time: From the start [s].
     """
 
@@ -77,6 +79,7 @@ class Simulation:
         self.operator, self.follower = operator, follower
         self.hand, self.patient = hand, patient
         self.there, self.back = _pair(impairment or Impairment())
+        self.skin: Callable[[float], Array] | None = None
         self.time = 0.0
         self._frame = 0
         self._sensed: Sample | None = None
@@ -122,7 +125,8 @@ class Simulation:
     def _follow(self, now: float) -> None:
         clock = now + CLOCKS_APART
         sensed = self.patient.sense(clock, *self._target)
-        step = self.follower.step(clock, self.there.receive(now), sensed)
+        skin = self.skin(clock) if self.skin else None
+        step = self.follower.step(clock, self.there.receive(now), sensed, skin)
         self.back.send(now, step.send)
         self._target, self._sensed = (step.rotation, step.position), sensed
 

@@ -53,6 +53,9 @@ N_POINTS = 1000
 #: Time before the first press, in which both sides meet; of a press [s]
 MEETING, PRESS = 2.0, 2.0
 
+#: Age of what a camera tells of the skin [s]
+CAMERA = 0.05
+
 #: Places that are pressed in turn [–]
 PLACES = 3
 
@@ -70,7 +73,10 @@ class Trial:
         jitter: Largest further delay [s].
         friction: Coulomb coefficient of the skin [–].
         breathing: Amplitude of the skin's motion [m].
+        camera: Whether the follower sees that motion, `CAMERA` late.
         seconds: Length of the session [s].
+        settled: Errors count from here on: each place was pressed, and a round trip of
+            a second has passed since [s].
         seed: Of noise and link.
     """
 
@@ -82,7 +88,9 @@ class Trial:
     jitter: float = 0.0
     friction: float = 0.0
     breathing: float = 0.0
-    seconds: float = 12.0
+    camera: bool = True
+    seconds: float = 14.0
+    settled: float = 10.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -118,7 +126,7 @@ class TrialResult:
         time: Of the frames kept, shape (n,) [s].
         felt: Size of the force that the hand felt, shape (n,) [N].
         true: Size of the torso's force at the hand's pose then, shape (n,) [N].
-        error: Mean of their difference in contact, once each place was pressed [N].
+        error: Mean of their difference in contact, once it has settled [N].
         largest: Largest felt force [N].
         energy: Most energy that the hand had got by any time [J]; a passive patient
             gives none.
@@ -196,7 +204,19 @@ def simulation(trial: Trial) -> Simulation:
     )
     follower = Follower(3, patient_surface(), prepared(trial.prior))
     hand = Hand(examination(trial.seconds))
-    return Simulation(operator, follower, hand, patient, trial.impairment())
+    session = Simulation(operator, follower, hand, patient, trial.impairment())
+    if trial.camera and trial.breathing:
+        session.skin = lambda time: patient.breathing.shift(time - CAMERA)
+    return session
+
+
+def warm_up() -> None:
+    """Compile all that a session uses, before its clock runs."""
+    session = simulation(Trial(seconds=4.0))
+    for _ in session.run(4.0):
+        if session.operator.folded > 2:
+            session.operator.view(session.time)
+            return
 
 
 def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialResult:
@@ -223,7 +243,7 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
         ]
     )
     time = np.array([moments[k].time for k in kept])
-    counted = (np.maximum(true, size[kept]) > 0.5) & (time > MEETING + PLACES * PRESS)
+    counted = (np.maximum(true, size[kept]) > 0.5) & (time > trial.settled)
     difference = np.abs(size[kept] - true)[counted]
     sides = session.operator.peer, session.follower.peer
     return TrialResult(

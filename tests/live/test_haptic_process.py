@@ -1,0 +1,170 @@
+"""The loop's own process: shared memory, and what it does when it is left alone."""
+
+import dataclasses
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from tests.live.springy import BALL, RADIUS, Spring, parts, path
+from ttus_opt.live.follower import Follower
+from ttus_opt.live.gate import Gate
+from ttus_opt.live.hand import Hand
+from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
+from ttus_opt.live.messages import ModelMessage
+from ttus_opt.live.model_codec import decode_model
+from ttus_opt.live.operator import Operator
+from ttus_opt.live.real_time import run_operator_apart
+from ttus_opt.live.safety import State
+from ttus_opt.message import decode
+
+
+class Still:
+    """A device that stays lifted for a moment, then in the patient."""
+
+    def __init__(self, depth=0.01):
+        self.rotation, self._depth = np.eye(3), depth
+        self.position = np.array([RADIUS + BALL + 0.01, 0.0, 0.15])
+
+    def step(self, time, force, seconds):
+        if time > 0.05:
+            self.position[0] = RADIUS + BALL - self._depth
+
+
+def plan(**options):
+    _, shell, (sent, model) = parts()
+    found = decode_model(ModelMessage(model).content, decode(sent), shell)
+    return found, LoopPlan(shell, partial(Still), **options)
+
+
+def until(condition, loop, state=State.NORMAL, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        loop.tell(0.0, state)
+        time.sleep(0.002)
+
+
+def test_a_field_that_is_published_is_felt_and_a_stop_takes_the_force_away():
+    model, given = plan()
+    with HapticProcess(given).begin(model.field) as loop:
+
+        def force():
+            return float(np.linalg.norm(loop.shown[:3]))
+
+        until(lambda: force() > 0.5, loop)
+        before = force()
+        soft = model.learner.field_of(model.learner.state)
+        soft.values[:] *= 0.5
+        loop.update(soft)
+        until(lambda: abs(force() - 0.5 * before) < 0.02, loop)
+        until(lambda: force() == 0.0, loop, State.STOP)
+        pressed = loop.felt(0.0, np.eye(3), np.zeros(3))
+        assert np.linalg.norm(pressed[:3]) > 0.2  # no re-arming before it is lifted
+        assert loop.frames > 50
+        np.testing.assert_allclose(loop.pose[1][0], RADIUS + BALL - 0.01)
+
+
+def test_it_stops_and_ends_by_itself_when_the_operator_is_gone():
+    model, given = plan()
+    loop = HapticProcess(given).begin(model.field)
+    try:
+        until(lambda: loop.frames > 100, loop)
+        loop._process.join(10.0)  # no sign of life any more
+        assert not loop._process.is_alive()
+        assert not loop.shown.any()
+    finally:
+        loop.close()
+
+
+def test_a_loop_that_was_killed_is_noticed():
+    model, given = plan()
+    loop = HapticProcess(given).begin(model.field)
+    until(lambda: loop.frames > 10, loop)
+    loop._process.kill()
+    loop.close()
+    assert loop.lateness is None
+
+
+def test_the_gate():
+    gate, press, lifted = Gate(0.2), np.array([5.0, 0, 0, 0, 0, 0]), np.zeros(6)
+    assert gate(0.0, press, False)[0] == 0.0  # never lifted yet
+    gate(0.001, lifted, False)
+    assert gate(0.002, press, False)[0] == 5.0
+    falling = [gate(0.002 + 0.01 * k, press, True)[0] for k in range(7)]
+    assert falling[0] == 5.0
+    assert (np.diff(falling[:6]) < 0.0).all()
+    assert falling[-1] == 0.0
+    assert gate(0.1, press, False)[0] == 0.0  # re-armed: lift first
+    gate(0.101, lifted, False)
+    assert gate(0.102, press, False)[0] == 5.0
+
+
+def test_a_gate_that_is_still_falling_does_not_open_again_in_contact():
+    gate, press = Gate(0.2), np.array([5.0, 0, 0, 0, 0, 0])
+    gate(0.0, np.zeros(6), False)
+    gate(0.01, press, True)
+    gate(0.02, press, True)
+    assert gate(0.03, press, False)[0] == 0.0
+
+
+def test_a_simulated_hand_is_a_device():
+    hand = Hand(path())
+    for k in range(100):
+        hand.step(1e-3 * k, np.zeros(3), 1e-3)
+    assert hand.position[0] == pytest.approx(RADIUS + BALL + 0.005, abs=1e-6)
+
+
+class Loopback:
+    """A link to a follower that takes its step at once."""
+
+    def __init__(self):
+        surface, _, content = parts()
+        self.follower, self.patient = Follower(3, surface, content), Spring()
+        self._target = np.eye(3), path().position[0]
+        self._there, self._back = [], []
+
+    def send(self, now, packets):
+        self._there += [packet.data for packet in packets]
+
+    def receive(self, now):
+        sensed = self.patient.sense(now, *self._target)
+        step = self.follower.step(now, self._there, sensed)
+        self._target, self._there = (step.rotation, step.position), []
+        return [packet.data for packet in step.send]
+
+
+def test_a_session_with_the_loop_in_its_own_process_and_its_death():
+    killed = []
+
+    class StopError(Exception):
+        pass
+
+    def show(view):
+        if view.state == "STOP":
+            raise StopError(view.cause)
+        if view.folded > 10 and view.force[0] > 1.0 and not killed:
+            killed.append(view)
+            loop._process.kill()
+
+    shell = parts()[1]
+    plan = LoopPlan(shell, partial(Hand, path(lifted=0.2, period=1.0)))
+    with HapticProcess(plan) as loop:
+        operator = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
+        start = np.eye(3), path().position[0]
+        with pytest.raises(StopError, match="the haptic loop has died"):
+            run_operator_apart(operator, Loopback(), start, seconds=30.0, show=show)
+    assert loop.lateness is None
+    assert killed[0].state == "NORMAL"
+
+
+def test_another_surface_reaches_the_loop_whole():
+    model, given = plan()
+    with HapticProcess(given).begin(model.field) as loop:
+        until(lambda: loop.shown[0] > 0.5, loop)
+        before = float(loop.shown[0])
+        seen = model.surface
+        lower = dataclasses.replace(seen, radius=seen.radius - 0.005)
+        loop.update(model.over(lower).field)
+        until(lambda: loop.shown[0] < 0.7 * before, loop)

@@ -1,0 +1,56 @@
+import multiprocessing
+import time
+
+import numpy as np
+import pytest
+
+from ttus_opt.core.errors import NumericalError
+from ttus_opt.live.shared_arrays import SharedArray
+
+
+def test_the_newest_values_are_read():
+    with SharedArray(3) as here, SharedArray(3, here.name) as there:
+        assert there.read()[1] == 0
+        for k in range(1, 5):
+            here.write(np.full(3, float(k)))
+            values, count = there.read()
+            np.testing.assert_array_equal(values, k)
+            assert count == k
+
+
+def test_a_torn_copy_is_refused():
+    """The writer begins the second write after the one that is being copied."""
+    with SharedArray(3) as one:
+        one.write(np.ones(3))
+        one._counters[0] = 3
+        with pytest.raises(NumericalError, match="faster"):
+            one.read()
+        one._counters[0] = 2  # the other buffer: no harm
+        np.testing.assert_array_equal(one.read()[0], 1.0)
+
+
+def _writes(name, size, seconds):
+    with SharedArray(size, name) as shared:
+        end, k = time.monotonic() + seconds, 0
+        while time.monotonic() < end:
+            k += 1
+            shared.write(np.full(size, float(k)))
+            time.sleep(0)
+
+
+def test_no_copy_is_ever_torn():
+    size = 20_000
+    with SharedArray(size) as shared:
+        context = multiprocessing.get_context("spawn")
+        writer = context.Process(target=_writes, args=(shared.name, size, 1.0))
+        writer.start()
+        read = 0
+        while writer.is_alive():
+            try:
+                values, count = shared.read()
+            except NumericalError:
+                continue
+            assert values.min() == values.max() == count
+            read += count > 0
+        writer.join()
+        assert read > 10

@@ -1,0 +1,262 @@
+"""The haptic loop in its own process: hand, model, force, a thousand times a second.
+
+The operator's process talks to the network and learns; it publishes every new field in
+shared memory, and reads hand and force from there (`shared_arrays`). A field is blended
+in within the loop. If the operator's process falls silent, the loop stops by itself, as
+at a STOP, and ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import multiprocessing
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import NumericalError, TtusError
+from ttus_opt.live.feedback import ModelFeedback
+from ttus_opt.live.gate import Gate
+from ttus_opt.live.messages import Sample
+from ttus_opt.live.real_time import HandDevice, Lateness, Metronome, promptly
+from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.live.shared_arrays import SharedArray
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Numbers of the state that the loop publishes: rotation, position, the wrench that was
+#: rendered, and what reached the hand of it
+HAND = 9 + 3 + 6 + 6
+
+#: Numbers that the operator publishes: heartbeat [s], state, friction
+CONTROL = 3
+
+#: Names of the parameters that a field in shared memory keeps
+FRICTION = "friction_coefficient"
+
+
+@dataclass(frozen=True)
+class LoopPlan:
+    """What the loop's process is given.
+
+    Attributes:
+        shell: The probe.
+        device: Makes the haptic device there; a function of a module.
+        seconds: Length of the loop [s].
+        limits: When it stops by itself.
+        core: Processor to pin it to; None for any.
+    """
+
+    shell: PointShell
+    device: Callable[[], HandDevice]
+    seconds: float = math.inf
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+    core: int | None = None
+
+
+class HapticProcess:
+    """The operator's end of the loop, in place of a `ModelFeedback`.
+
+    The process starts before a session, as that takes seconds; the loop begins with the
+    first field. Use it in ``with``, or call `close`.
+    """
+
+    def __init__(self, plan: LoopPlan) -> None:
+        """Start the process and wait until it is ready.
+
+        Args:
+            plan: What it is given.
+
+        Raises:
+            NumericalError: It died at once, for instance because its main module starts
+                processes without ``if __name__ == "__main__"``.
+        """
+        self._hand, self._control = SharedArray(HAND), SharedArray(CONTROL)
+        self._values: SharedArray | None = None
+        self._voxmap: Voxmap | None = None
+        self.lateness: Lateness | None = None
+        context = multiprocessing.get_context("spawn")
+        self._end, theirs = context.Pipe()
+        names = self._hand.name, self._control.name
+        self._process = context.Process(
+            target=_run, args=(plan, names, theirs), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            self._end.recv()
+        except (EOFError, OSError) as error:
+            self.close()
+            raise NumericalError("the haptic loop's process did not start") from error
+
+    def begin(self, field: PotentialField) -> HapticProcess:
+        """Begin the loop with a first field; later ones have its number of voxels."""
+        self._voxmap = field.voxmap
+        self._values = SharedArray(field.voxmap.grid.n_voxels)
+        self.tell(0.0, State.HOLD)
+        self._send((field, self._values.name))
+        return self
+
+    def __enter__(self) -> HapticProcess:
+        """For ``with``."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the loop."""
+        self.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.is_alive()
+
+    @property
+    def frames(self) -> int:
+        """Frames of the loop so far [–]."""
+        return self._hand.count
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        """The hand's rotation (3, 3) and position (3,) [m]; zeros before it runs."""
+        numbers, _ = self._hand.read()
+        return numbers[:9].reshape(3, 3), numbers[9:12]
+
+    def measured(self, sample: Sample) -> None:
+        """Measurements reach the hand through the model alone."""
+
+    def tell(self, friction: float, state: State) -> None:
+        """Publish a sign of life and this side's state."""
+        self._control.write(np.array([time.monotonic(), float(state), friction]))
+
+    def update(self, field: PotentialField) -> None:
+        """Publish a field: its values, where the grid and the surface are the last.
+
+        A field over another surface goes through the pipe, whole.
+        """
+        assert self._values is not None
+        if field.voxmap is self._voxmap:
+            self._values.write(field.voxmap.grid.flatten(field.values))
+            return
+        self._voxmap = field.voxmap
+        self._send((field, self._values.count))
+
+    def felt(self, now: float, rotation: Array, position: Array) -> Array:
+        """What was rendered last, at the hand's own pose, shape (6,) [N, N·m]."""
+        return self._hand.read()[0][12:18]
+
+    @property
+    def shown(self) -> Array:
+        """What reached the hand of it, shape (6,) [N, N·m]."""
+        return self._hand.read()[0][18:]
+
+    def close(self) -> None:
+        """End the loop; `lateness` tells then how late its frames were."""
+        if self._end.closed:
+            return
+        self._send(None)
+        with contextlib.suppress(EOFError, OSError):
+            if self._end.poll(2.0):
+                self.lateness = self._end.recv()
+        self._process.join(1.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._end.close()
+        for one in (self._hand, self._control, self._values):
+            if one is not None:
+                one.close()
+
+    def _send(self, message: object) -> None:
+        with contextlib.suppress(OSError):  # a loop that died is noticed by `alive`
+            self._end.send(message)
+
+
+def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
+    """The loop, in its process."""
+    hand, control = SharedArray(HAND, names[0]), SharedArray(CONTROL, names[1])
+    end.send("ready")
+    try:
+        first = end.recv()
+    except EOFError:  # the operator's process is gone
+        first = None
+    if first is not None:
+        begun, name = first
+        with SharedArray(begun.voxmap.grid.n_voxels, name) as values:
+            promptly(plan.core)
+            late = _beat(_Loop(plan, begun), hand, control, values, end)
+        with contextlib.suppress(OSError):
+            end.send(late)
+    hand.close()
+    control.close()
+
+
+def _beat(
+    loop: _Loop,
+    hand: SharedArray,
+    control: SharedArray,
+    values: SharedArray,
+    end: Connection,
+) -> Lateness:
+    """Frames until the end is told, or nobody is there any more."""
+    beat, seen, gone = Metronome(1000.0, loop.plan.seconds), 0, False
+    for now in beat:
+        if not gone and end.poll():
+            try:
+                message = end.recv()
+                if message is None:
+                    break
+                patient, seen = message  # values before it are of another surface
+                loop.replace(patient)
+            except (EOFError, OSError):  # the operator's process is gone
+                gone = True
+        told, _ = control.read()
+        if values.count > seen:
+            new, seen = values.read()
+            loop.renew(new, float(told[2]))
+        silent = gone or now - told[0] >= loop.plan.limits.stop_seconds
+        hand.write(loop.frame(now, silent or told[1] == State.STOP))
+        if silent and loop.gate.gain == 0.0:
+            break
+    return beat.lateness
+
+
+class _Loop:
+    """Device, model and gate of the loop."""
+
+    def __init__(self, plan: LoopPlan, start: PotentialField) -> None:
+        self.plan = plan
+        self._device, self._field = plan.device(), start
+        self._feedback = ModelFeedback(start, plan.shell)
+        self.gate = Gate(plan.limits.contact)
+        self._begun = math.nan
+
+    def renew(self, values: Array, friction: float) -> None:
+        """Blend new values in."""
+        old = self._field
+        parameters = {FRICTION: friction} if friction > 0.0 else {}
+        shaped = old.voxmap.grid.unflatten(values)
+        self.replace(dataclasses.replace(old, values=shaped, parameters=parameters))
+
+    def replace(self, field: PotentialField) -> None:
+        """Blend another field in, over the same or another surface."""
+        with contextlib.suppress(TtusError):  # what is not finite changes nothing
+            self._feedback.update(field)
+            self._field = field
+
+    def frame(self, now: float, stopped: bool) -> Array:
+        """One frame; what is published of it, shape (HAND,)."""
+        device = self._device
+        if math.isnan(self._begun):
+            self._begun = now
+        pose = device.rotation, device.position.copy()
+        rendered = self._feedback.felt(now, *pose)
+        shown = self.gate(now, rendered, stopped)
+        device.step(now - self._begun, shown[:3], 1e-3)
+        return np.concatenate([pose[0].ravel(), pose[1], rendered, shown])

@@ -1,0 +1,93 @@
+"""Arrays in memory that two processes share: one writes, the other reads the newest.
+
+Two buffers and a counter: the writer fills the buffer that is not the newest, then
+advances the counter. The reader copies the newest buffer and looks at the counter
+before and after: if the writer has meanwhile begun to fill that buffer again, the copy
+is torn, and it is made anew. Neither ever waits for the other. One writer per array.
+
+The counter is written after the data by the same thread, and processors of the x86
+family keep that order; on others a reader may see it late, never early by more than a
+copy that the second look at the counter refuses.
+"""
+
+from __future__ import annotations
+
+from multiprocessing import shared_memory
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import NumericalError
+
+#: Copies made before a reader gives up [–]: a writer would have to be faster than a
+#: copy again and again
+ATTEMPTS = 100
+
+
+class SharedArray:
+    """A vector of float64, written by one process and read by another.
+
+    Attributes:
+        name: By which another process attaches to it.
+        size: Number of values [–].
+    """
+
+    def __init__(self, size: int, name: str | None = None) -> None:
+        """Make one, or attach to one by its name."""
+        self._owner = name is None
+        length = 8 * (2 + 2 * size)
+        self._memory = shared_memory.SharedMemory(
+            name, create=self._owner, size=length if self._owner else 0
+        )
+        self.name, self.size = self._memory.name, size
+        whole = np.ndarray((2 + 2 * size,), np.int64, self._memory.buf)
+        # what is being written, and what is complete
+        self._counters: NDArray[np.int64] = whole[:2]
+        self._buffers = whole[2:].view(np.float64).reshape(2, size)
+        if self._owner:
+            whole[:] = 0
+
+    def __enter__(self) -> Self:
+        """For ``with``."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Detach."""
+        self.close()
+
+    @property
+    def count(self) -> int:
+        """How often it was written [–]."""
+        return int(self._counters[1])
+
+    def write(self, values: Array) -> None:
+        """Publish new values, shape (size,)."""
+        following = int(self._counters[1]) + 1
+        self._counters[0] = following
+        self._buffers[following % 2] = values
+        self._counters[1] = following
+
+    def read(self) -> tuple[Array, int]:
+        """The newest values, and how often it was written; zeros before the first.
+
+        Raises:
+            NumericalError: Every copy was torn.
+        """
+        for _ in range(ATTEMPTS):
+            count = int(self._counters[1])
+            values = self._buffers[count % 2].copy()
+            # the buffer is filled again by the second write after this one
+            if int(self._counters[0]) < count + 2:
+                return values, count
+        raise NumericalError(
+            f"a shared array of {self.size} values is written faster than it is copied"
+        )
+
+    def close(self) -> None:
+        """Detach, and remove it where it was made here."""
+        del self._counters, self._buffers
+        self._memory.close()
+        if self._owner:
+            self._memory.unlink()
