@@ -167,7 +167,7 @@ def follower(
     """
     from ttus_opt.live.follower import Follower
     from ttus_opt.live.patient import SimulatedPatient
-    from ttus_opt.live.real_time import run_follower
+    from ttus_opt.live.real_time import promptly, run_follower
     from ttus_opt.live.sealing import read_key
     from ttus_opt.live.socket_link import SocketLink
     from ttus_opt.live.trial import examination, patient_surface, prepared, warm_up
@@ -176,6 +176,7 @@ def follower(
     side = Follower(_epoch(), patient_surface(), prepared(prior))
     start = examination(1.0)
     warm_up()
+    promptly()
     link = SocketLink(read_key(key), host, port, calls=False)
     try:
         ended = run_follower(
@@ -241,7 +242,7 @@ def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
     from ttus_opt.live.hand import Hand
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.operator import Operator
-    from ttus_opt.live.real_time import run_operator_apart
+    from ttus_opt.live.real_time import promptly, run_operator_apart
     from ttus_opt.live.trial import probe_shell
 
     start = path.rotation[0], path.position[0]
@@ -249,6 +250,7 @@ def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
         side = Operator(
             _epoch(), probe_shell(), feedback=lambda model: loop.begin(model.field)
         )
+        promptly()
         ended = run_operator_apart(side, link, start, seconds=seconds)
     return side, replace(ended, lateness=loop.lateness or ended.lateness)
 

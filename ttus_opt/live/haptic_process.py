@@ -24,7 +24,7 @@ from ttus_opt.core.errors import NumericalError, TtusError
 from ttus_opt.live.feedback import ModelFeedback
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.messages import Sample
-from ttus_opt.live.real_time import HandDevice, Lateness, Metronome, promptly
+from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, promptly
 from ttus_opt.live.safety import SafetyLimits, State
 from ttus_opt.live.shared_arrays import SharedArray
 from ttus_opt.probe.point_shell import PointShell
@@ -189,7 +189,7 @@ def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
     if first is not None:
         begun, name = first
         with SharedArray(begun.voxmap.grid.n_voxels, name) as values:
-            promptly(plan.core)
+            promptly(plan.core, HAPTIC)
             late = _beat(_Loop(plan, begun), hand, control, values, end)
         with contextlib.suppress(OSError):
             end.send(late)

@@ -33,6 +33,9 @@ OPERATOR_RATE, FOLLOWER_RATE = 1000.0, 100.0
 #: Frames a second of the operator's loop beside a haptic loop in its own process [Hz]
 APART_RATE = 200.0
 
+#: Real-time priorities: of the haptic loop, and of the loops beside it
+HAPTIC, BESIDE = 50, 30
+
 #: Time between what a page is shown [s]
 SHOW = 0.1
 
@@ -160,11 +163,12 @@ class Metronome:
         )
 
 
-def promptly(core: int | None = None) -> str:
-    """Ask for prompt scheduling; what was granted, in words.
+def promptly(core: int | None = None, priority: int = BESIDE) -> str:
+    """Ask for prompt scheduling of this process; what was granted, in words.
 
     Args:
-        core: Processor to pin this process to; None for any.
+        core: Processor to pin it to; None for any.
+        priority: Of SCHED_FIFO, such as `HAPTIC` or `BESIDE`.
     """
     granted = []
     if core is not None and hasattr(os, "sched_setaffinity"):
@@ -173,7 +177,7 @@ def promptly(core: int | None = None) -> str:
             granted.append(f"pinned to processor {core}")
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
             granted.append("SCHED_FIFO")
     return ", ".join(granted) or "no priority was granted"
 
