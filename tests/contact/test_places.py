@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ttus_opt.contact.places import places, runs, touched_places
+from ttus_opt.contact.places import places, runs
 
 
 def test_a_run_ends_with_contact_and_with_a_recording():
@@ -22,9 +22,3 @@ def test_the_size_of_a_place_may_be_told():
     press = np.zeros(4, dtype=np.int64)
     along = np.column_stack([0.01 * np.arange(4), np.zeros(4), np.zeros(4)])
     assert places(press, along, 0.015).tolist() == [0, 0, 1, 1]
-
-
-def test_frames_in_the_air_have_no_place():
-    touching = np.array([True, True, False, True])
-    segment, position = np.zeros(4, dtype=np.int64), np.zeros((4, 3))
-    assert touched_places(touching, segment, position).tolist() == [0, 0, -1, 2]

@@ -38,14 +38,3 @@ def places(press: IntArray, position: Array, size: float = PLACE) -> IntArray:
             number, start = number + 1, t
         out[t] = number
     return out
-
-
-def touched_places(touching: Mask, segment: IntArray, position: Array) -> IntArray:
-    """Place of every frame, -1 without contact, shape (T,).
-
-    Args:
-        touching: Whether a frame is in contact, shape (T,).
-        segment: Recording of every frame, shape (T,) [–].
-        position: Position of the probe, shape (T, 3) [m].
-    """
-    return np.where(touching, places(runs(touching, segment), position), -1)

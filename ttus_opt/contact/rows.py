@@ -39,7 +39,7 @@ from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
 from ttus_opt.contact.row_kernels import within as within
 from ttus_opt.contact.slip import Slip
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import turn_angle as turn_angle
 from ttus_opt.probe.point_shell import PointShell
@@ -70,10 +70,14 @@ class ContactRows:
     in_grid: NDArray[np.bool_]
     beyond_inner: NDArray[np.int64]
 
+    @property
+    def touching(self) -> Mask:
+        """Frames in contact, shape (T,)."""
+        return np.asarray(self.contact_points > 0)
+
     def __repr__(self) -> str:
-        touching = int((self.contact_points > 0).sum())
         return (
-            f"ContactRows({len(self.in_grid)} poses, {touching} in contact, "
+            f"ContactRows({len(self.in_grid)} poses, {self.touching.sum()} in contact, "
             f"{self.N.shape[1]:,} voxels)"
         )
 

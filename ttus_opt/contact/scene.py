@@ -19,10 +19,10 @@ from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.contact.boundary_scale import Identified, identified_scale
 from ttus_opt.contact.contact_size import Patches, patches_of
 from ttus_opt.contact.cut_off import cut_off
-from ttus_opt.contact.places import touched_places
+from ttus_opt.contact.places import places, runs
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arguments import expect
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.compiled import Stopwatch
 from ttus_opt.core.errors import InputError, MistakeWarning, warn
 from ttus_opt.core.html_card import card, sections_svg
@@ -136,12 +136,12 @@ class Scene:
         known = Identified({}, {}, {})
         asked = inner is not None
         if inner is None:
-            in_contact = bool((rows.contact_points > 0).any())
-            inner = "fit" if in_contact and trajectory.has_wrench else 1.0
+            known_scale = rows.touching.any() and trajectory.has_wrench
+            inner = "fit" if known_scale else 1.0
         if isinstance(inner, str):
             force = _measured(trajectory.force, FORCES)
-            at = trajectory.segment, trajectory.position
-            place = touched_places(rows.contact_points > 0, *at)
+            press = runs(rows.touching, trajectory.segment)
+            place = np.where(rows.touching, places(press, trajectory.position), -1)
             known = identified_scale(laplace, rows.N, place, force, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
@@ -168,7 +168,7 @@ class Scene:
     def _repr_html_(self) -> str:
         surface, grid = self.voxmap.surface, self.voxmap.grid
         outline = surface.points()[:, len(surface.z) // 2, :2]
-        touching = self.rows.contact_points > 0
+        touching = self.touching
         places = self.trajectory.position[touching, :2]
         thinned = places[:: max(1, len(places) // 100)]
         picture = sections_svg([outline], (grid.r_inner, grid.r_outer), thinned)
@@ -176,7 +176,7 @@ class Scene:
 
     def _facts(self) -> dict[str, str]:
         """A short description, by name."""
-        touching = int((self.rows.contact_points > 0).sum())
+        touching = int(self.touching.sum())
         measured = "measured" if self.trajectory.has_wrench else "no"
         kind = "forces" if self.measures_force_only else "wrenches"
         return {
@@ -205,6 +205,24 @@ class Scene:
         """N and W of other poses of the same probe on the same patient."""
         poses = trajectory.rotation, trajectory.position
         return contact_rows(self.voxmap, self.shell, *poses, sampling=self.sampling)
+
+    @property
+    def touching(self) -> Mask:
+        """Frames in contact, shape (T,)."""
+        return self.rows.touching
+
+    @property
+    def presses(self) -> IntArray:
+        """Number of every frame's press, shape (T,).
+
+        A press is a run of frames in contact, or in the air, within one recording.
+        """
+        return runs(self.touching, self.trajectory.segment)
+
+    @property
+    def places(self) -> IntArray:
+        """Number of every frame's place, shape (T,) (`ttus_opt.contact.places`)."""
+        return places(self.presses, self.trajectory.position)
 
     @cached_property
     def patches(self) -> Patches:
@@ -384,7 +402,7 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
             2,
             MistakeWarning,
         )
-    if not (rows.contact_points > 0).any():
+    if not rows.touching.any():
         warn(
             f"the probe touches the patient in none of {n_poses} poses: the fit is "
             "the Laplace field alone",

@@ -14,7 +14,6 @@ from ttus_opt.fitting.parameters.identification import noise_variance
 from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.frame_places import frame_places
 from ttus_opt.solvers.dual.limited import Limited
 from ttus_opt.voxmap.field import PotentialField
 
@@ -192,7 +191,7 @@ def test_the_noise_is_estimated_from_what_is_left():
 def test_a_viscous_standard_error_is_that_of_dense_least_squares():
     """With all rows in one matrix, one patch and several."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
-    given, place = scene.trajectory, frame_places(scene)
+    given, place = scene.trajectory, scene.places
     alike = np.random.default_rng(6).normal(0.0, 0.03, (len(given), 3))[place]
     scene = replace(scene, trajectory=replace(given, force=given.force + alike))
     for patches in (1, 12):

@@ -10,7 +10,6 @@ from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.frame_places import frame_places
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
 NOISE = 0.02
@@ -21,7 +20,7 @@ def recorded(viscous, shared):
     own = {"mu": 0.0, "viscous": 20.0} if viscous else {"mu": 0.3}
     whole = dragged_scene("contact", shape=(8, 18, 9), n=90, **own)
     bare = dragged_scene("contact", shape=(8, 18, 9), n=90, mu=0.0)
-    place, rng = frame_places(whole), np.random.default_rng(11)
+    place, rng = whole.places, np.random.default_rng(11)
     part = 1.0 + shared * rng.standard_normal(int(place.max()) + 1)[place, None]
     given, still = whole.trajectory, bare.trajectory
     force = still.force + part * (given.force - still.force)
@@ -52,7 +51,7 @@ def test_viscous_drag_varies_as_without_a_place():
     scene = recorded(viscous=True, shared=0.1)
     solution = tt.fit(scene, "viscous_drag", acts_at="contact", **WEIGHTS)
     terms, V = list(solution.program.terms), scene.n_voxels
-    place = frame_places(scene)
+    place = scene.places
     assert place.max() > 8
     found = [left_out(terms, place != k, V + 1)[V] for k in np.unique(place)]
     told = solution.standard_errors["viscous_coefficient"]
@@ -68,7 +67,7 @@ def test_friction_varies_as_without_a_place():
     solution = tt.fit(scene, "coulomb_global", acts_at="contact", **WEIGHTS)
     declared = load("coulomb_global", scene, acts_at="contact", **WEIGHTS)
     at, h = solution.parameters["friction_coefficient"], 0.02
-    place, V, found = frame_places(scene), scene.n_voxels, []
+    place, V, found = scene.places, scene.n_voxels, []
     terms = [list(declared.search.build(at + d).compile().terms) for d in (-h, 0.0, h)]
     for k in np.unique(place):
         low, J, high = (left_out(each, place != k, V)[-1] for each in terms)

@@ -14,12 +14,10 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from tests.fitting.uncertainty import test_wrench_noise
 from tests.fitting.weights import test_weight_criteria
-from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
 from ttus_opt.fitting.uncertainty.laplace_posterior import SCALE_DEVIATION
-from ttus_opt.fitting.uncertainty.presses import presses as press_numbers
 from ttus_opt.fitting.uncertainty.wrench_noise import PRIORS
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
@@ -70,7 +68,7 @@ def noise_of(found: Uncertainty) -> np.ndarray:
         ]
     )
     T = len(wrench)
-    place = places(press_numbers(scene), scene.trajectory.position)
+    place = scene.places
     whole = test_wrench_noise.dense(found.noise, wrench, place)
     order = np.arange(6 * T).reshape(T, 2, 3).transpose(1, 0, 2).ravel()
     scale = np.repeat([1.0, 1.0 / scene.torque_length], 3 * T)

@@ -11,7 +11,6 @@ from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.fitting.uncertainty.test_contact_spread import scene_of
 from tests.fitting.weights.test_weight_criteria import three_presses
 from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.uncertainty import presses as module
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -20,14 +19,14 @@ def test_recordings_and_air_part_presses() -> None:
     scene = three_presses()
     inside = scene.rows.contact_points > 0
     assert not inside[4::5].any()
-    numbers = module.presses(scene)
+    numbers = scene.presses
     assert len(np.unique(numbers[inside])) == 3
     two = Trajectory.concatenate(
         [presses(torso(), 5, np.random.default_rng(k)) for k in (1, 2)]
     )
     voxmap = small_scene("trilinear").voxmap
     joined = Scene.assemble(voxmap, ellipsoid(), two, sampling="trilinear")
-    assert len(np.unique(module.presses(joined))) == 2
+    assert len(np.unique(joined.presses)) == 2
 
 
 @functools.cache
@@ -44,7 +43,7 @@ def test_presses_at_one_place_are_left_out_together() -> None:
     """By a third of a degree; not those a probe's size beside, nor a line."""
     touching = pressed().rows.contact_points > 0
     place = pressed_places(pressed())[touching]
-    press = module.presses(pressed())[touching]
+    press = pressed().presses[touching]
     first, second, again, last, line = (place[press == n] for n in np.unique(press))
     assert set(first) == set(again)
     assert len({first[0], second[0], last[0], line[0]}) == 4
@@ -58,7 +57,7 @@ def test_few_presses_are_divided_by_the_probe_s_size() -> None:
     scene = replace(scene, rows=rows)
     touching = scene.rows.contact_points > 0
     place = pressed_places(scene)[touching]
-    assert len(np.unique(module.presses(scene)[touching])) == 2
+    assert len(np.unique(scene.presses[touching])) == 2
     assert len(np.unique(place)) > 3
     at = few.position[touching]
     for number in np.unique(place):
@@ -76,7 +75,7 @@ def test_presses_after_a_line_are_places_too() -> None:
     count = pressed().rows.contact_points[order]
     scene = replace(scene, rows=replace(scene.rows, contact_points=count))
     touching = count > 0
-    place, press = pressed_places(scene)[touching], module.presses(scene)[touching]
+    place, press = pressed_places(scene)[touching], scene.presses[touching]
     line, first, second, again, last = (place[press == k][0] for k in np.unique(press))
     assert first == again
     assert len({line, first, second, last}) == 4

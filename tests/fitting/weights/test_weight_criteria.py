@@ -12,7 +12,6 @@ import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.presses import presses
 from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
 
 FORCE, TORQUE = 30.0, 3.0
@@ -69,7 +68,7 @@ def test_evidence_and_gcv_are_those_of_dense_algebra(path: object) -> None:
 
 def test_presses_left_out_are_fits_without_them(path: object) -> None:
     scene = three_presses()
-    numbers = presses(scene)
+    numbers = scene.presses
     touching = scene.rows.contact_points > 0
     off = []
     for number in np.unique(numbers[touching]):

@@ -142,7 +142,7 @@ def _touching(scene: Scene, count: int) -> Trajectory:
 
 
 def _in_contact(scene: Scene) -> Trajectory:
-    touching = np.flatnonzero(scene.rows.contact_points > 0)
+    touching = np.flatnonzero(scene.touching)
     return scene.trajectory.select(touching)
 
 

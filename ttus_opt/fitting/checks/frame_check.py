@@ -136,7 +136,7 @@ def scene_in_contact(
         untouched = "the probe touches the patient in none"  # below that is an error
         warnings.filterwarnings("ignore", untouched, TtusWarning)
         scene = plan.build(surface, shell, recorded)
-    if scene.trajectory.has_wrench and not (scene.rows.contact_points > 0).any():
+    if scene.trajectory.has_wrench and not scene.touching.any():
         raise InputError(
             f"{untouched} of {len(scene.trajectory)} poses: there is nothing to fit; "
             "check the poses' frame, unit and registration"

@@ -15,7 +15,6 @@ from ttus_opt.contact.place_errors import PlaceErrors, place_errors
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.frame_places import frame_places
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class PlaceRows:
         if not all(t.is_squares and len(t.target) in (0, n) for t in terms):
             return None
         used = [term for term in terms if len(term.target)]
-        rows = np.flatnonzero(np.repeat(scene.rows.contact_points > 0, 3))
-        place = np.repeat(frame_places(scene), 3)[rows]
+        rows = np.flatnonzero(np.repeat(scene.touching, 3))
+        place = np.repeat(scene.places, 3)[rows]
         return cls(tuple(term.name for term in used), rows, place)
 
     def residuals(self, program: Program, x: Array) -> Array:

@@ -21,22 +21,20 @@ from typing import NamedTuple, Self
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-from scipy.spatial.distance import cdist
 
-from ttus_opt.contact.places import runs, touched_places
 from ttus_opt.contact.pose_rows import PoseRows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByCovariance
-from ttus_opt.gaussian.matern import SeparableCovariance, matern
+from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.gaussian.prior import KnownPrior, Multiples, Sum
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.problem.terms.depth_map import voxel_profile
 from ttus_opt.problem.terms.depth_map_estimate import (
     LEAST_FORCE,
-    SHARED_DISTANCE,
     DepthMapEstimate,
     estimate_depth_map,
+    neighbours,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.part_noise import contact_directions, normal_rows
@@ -128,12 +126,12 @@ class PoseErrorProblem:
         Drag has a component along the contact. It is that of the poses as reported.
         """
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
-        touching = scene.rows.contact_points > 0
-        frames = np.flatnonzero(touching & (size > LEAST_FORCE))
+        frames = np.flatnonzero(scene.touching & (size > LEAST_FORCE))
         frames = frames[:: max(-(-len(frames) // MOST_FRAMES), 1)]
-        own = scene.trajectory
-        place = touched_places(touching, own.segment, own.position)[frames]
-        alike = noise.correlations(own, frames)
+        place, alike = (
+            scene.places[frames],
+            noise.correlations(scene.trajectory, frames),
+        )
         rows = PoseRows(scene.voxmap, scene.shell, scene.sampling)
         drag, reported = estimate_drag(scene), scene.N
         if drag.is_shown:
@@ -315,11 +313,7 @@ class FieldPrior:
 
 def _noise(problem: PoseErrorProblem, found: DepthMapEstimate, force: Array) -> Array:
     """Σ of the used frames, whose forces by the profile are (k,), shape (k, k) [N²]."""
-    scene, frames = problem.scene, problem.frames
-    own, touching = scene.trajectory, scene.rows.contact_points > 0
-    press, position = runs(touching, own.segment)[frames], own.position[frames]
-    alike = matern(cdist(position, position), SHARED_DISTANCE)
-    alike *= press[:, None] == press
+    alike = neighbours(problem.scene, problem.frames)
     shared = found.shared_error**2 * alike * force[:, None] * force
     variance = found.sensor_noise**2 + (found.relative_noise * force) ** 2
     return np.asarray(shared + np.diag(variance))

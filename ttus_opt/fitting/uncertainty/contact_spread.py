@@ -40,7 +40,7 @@ def contact_spread(scene: Scene) -> float:
 
     NaN where fewer than `LEAST` frames are in contact.
     """
-    touching = scene.rows.contact_points > 0
+    touching = scene.touching
     if touching.sum() < LEAST:
         return float("nan")
     x, y, z = _contacts(scene).T
@@ -106,6 +106,6 @@ def told_variance(scene: Scene, mean: UncertainMean) -> float:
 
 def _contacts(scene: Scene) -> Array:
     """The shell's reference point in every frame in contact, shape (k, 3) [m]."""
-    poses, touching = scene.trajectory, scene.rows.contact_points > 0
+    poses, touching = scene.trajectory, scene.touching
     at = poses.position + poses.rotation @ np.asarray(scene.shell.reference)
     return np.asarray(at[touching])

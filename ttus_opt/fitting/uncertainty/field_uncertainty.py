@@ -36,7 +36,6 @@ from ttus_opt.fitting.uncertainty.posterior_draws import (
     checked_depth,
     skin_voxels,
 )
-from ttus_opt.fitting.uncertainty.presses import presses
 from ttus_opt.fitting.uncertainty.wrench_noise import (
     ErrorModel,
     MeasuredWrenches,
@@ -276,7 +275,7 @@ def _errors(
         wrench[:, COMPONENTS[term.name]] = rendered.reshape(frames, 3)
         weighted.append(np.sqrt(term.weight / prior.weight) * by)
     informative = posterior.informative
-    touching = scene.rows.contact_points > 0
+    touching = scene.touching
     mixed = sp.csc_array(sp.block_diag(weighted))
     at = np.arange(mixed.shape[0]).reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
@@ -292,7 +291,7 @@ def _errors(
         unmixed(posterior.images),
         unmixed(own.data),
         wrench[touching],
-        places(presses(scene)[touching], scene.trajectory.position[touching]),
+        places(scene.presses[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
     likeliest = own.square / len(own.data)

@@ -1,10 +1,10 @@
-"""Presses of a scene, and places that are left out together."""
+"""Places of a scene that are left out together."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.contact.places import places, runs
+from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 
@@ -15,14 +15,6 @@ SAME = 0.25
 LEAST_PRESSES = 4
 
 
-def presses(scene: Scene) -> IntArray:
-    """Number of every frame's press, shape (T,).
-
-    A press is a run of frames in contact within one recording.
-    """
-    return runs(scene.rows.contact_points > 0, scene.trajectory.segment)
-
-
 def pressed_places(scene: Scene) -> IntArray:
     """Number of every frame's place, shape (T,).
 
@@ -30,9 +22,9 @@ def pressed_places(scene: Scene) -> IntArray:
     a press from another one at the same place tells nothing about a new place. Of fewer
     than `LEAST_PRESSES` it is as large as the probe.
     """
-    press, position = presses(scene), scene.trajectory.position
+    press, position = scene.presses, scene.trajectory.position
     size, out = scene.shell.rms_radius, press.copy()
-    numbers = np.unique(press[scene.rows.contact_points > 0]).tolist()
+    numbers = np.unique(press[scene.touching]).tolist()
     if len(numbers) < LEAST_PRESSES:
         return places(press, position, size)
     known: dict[int, Array] = {}

@@ -140,7 +140,7 @@ def _held(scene: Scene) -> Trajectory:
     Raises:
         InputError: There is none.
     """
-    touching = scene.rows.contact_points > 0
+    touching = scene.touching
     if not touching.any():
         raise InputError("presses at other places need a recording in contact")
     return scene.trajectory.select(touching)

@@ -102,7 +102,7 @@ def tune(
     start = time.perf_counter()
     if isinstance(formulations, str | Path | Formulation):
         formulations = [formulations]
-    if not scene.trajectory.has_wrench or not (scene.rows.contact_points > 0).any():
+    if not scene.trajectory.has_wrench or not scene.touching.any():
         raise InputError(
             "tuning needs forces measured in contact: check the recordings' frame and "
             "unit, or give weights"

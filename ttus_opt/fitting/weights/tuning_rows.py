@@ -284,7 +284,7 @@ def _split(scene: Scene, term: ProgramTerm) -> tuple[IntArray, IntArray, float]:
         place = -1 - rows * PARTS // n
         step = -(-n // (3 * MOST_FRAMES))
         return rows[::step], place[::step], float(step)
-    height, touching = n // T, scene.rows.contact_points > 0
+    height, touching = n // T, scene.touching
     told = np.diff(term.matrix.indptr).reshape(T, height).any(axis=1)
     # drag has rows in the air too, where there is nothing to predict
     frames = np.flatnonzero(told & touching if (told & touching).any() else told)

@@ -23,7 +23,7 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
-from ttus_opt.fitting.uncertainty.presses import pressed_places, presses
+from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
@@ -364,7 +364,7 @@ def _own(scene: Scene, own: Formulation, reason: str) -> WeightChoice:
 
 def too_little(scene: Scene) -> str:
     """Why the recordings cannot determine weights; empty where they may."""
-    touching = scene.rows.contact_points > 0
+    touching = scene.touching
     if not touching.any():
         return "the probe touches the patient in no frame"
     if touching.sum() < LEAST_FRAMES:
@@ -374,7 +374,7 @@ def too_little(scene: Scene) -> str:
         )
     if BOUNDARY_SCALE in scene.not_identified:
         return scene.not_identified[BOUNDARY_SCALE]
-    count = len(np.unique(presses(scene)[touching]))
+    count = len(np.unique(scene.presses[touching]))
     spread = contact_spread(scene)
     if count == 1 and spread < scene.shell.rms_radius:
         return (

@@ -25,7 +25,6 @@ import numpy as np
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.fitting.uncertainty.presses import presses
 from ttus_opt.gaussian.conditioned import ByImages
 
 #: Unit and meaning of every criterion, by name, in the order of `Criteria.values`
@@ -103,5 +102,5 @@ def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Crite
             measured[start : start + n] = scene.f
         start += n
     at = np.flatnonzero(force[informative])
-    press = presses(scene)[frames[informative]]
+    press = scene.presses[frames[informative]]
     return Criteria(press, at, measured[informative][at])

@@ -34,7 +34,6 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
 from ttus_opt.contact.contact_size import patch_factors
-from ttus_opt.contact.places import runs
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
@@ -255,6 +254,13 @@ PULLING = (
 )
 
 
+def neighbours(scene: Scene, frames: IntArray) -> Array:
+    """Correlation of the errors that k frames share within a press, shape (k, k)."""
+    press, at = scene.presses[frames], scene.trajectory.position[frames]
+    same = press[:, None] == press
+    return np.asarray(matern(cdist(at, at), SHARED_DISTANCE) * same)
+
+
 def _frames(scene: Scene, force: Array) -> IntArray:
     """Frames in contact.
 
@@ -262,7 +268,7 @@ def _frames(scene: Scene, force: Array) -> IntArray:
         UnusableForcesError: There is none, or none with a force that counts.
     """
     size = np.linalg.norm(force.reshape(-1, 3), axis=1)
-    frames = np.flatnonzero(scene.rows.contact_points > 0)
+    frames = np.flatnonzero(scene.touching)
     if not len(frames):
         raise UnusableForcesError(
             "a depth profile needs forces measured in contact, but the probe never "
@@ -353,9 +359,6 @@ class _Problem:
         theta, z = grid.theta[j], grid.z[k]
         radius = scene.voxmap.surface.radius_at(theta, z)
         place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
-        press = runs(scene.rows.contact_points > 0, trajectory.segment)[frames]
-        at = trajectory.position[frames]
-        alike = matern(cdist(at, at), SHARED_DISTANCE) * (press[:, None] == press)
         time, own_of = trajectory.time[frames], trajectory.segment[frames]
         late = lasting(time[:, None], time) * (own_of[:, None] == own_of)
         further = np.zeros(())
@@ -373,7 +376,7 @@ class _Problem:
             weights,
             cdist(place, place),
             np.abs(z[:, None] - z),
-            alike,
+            neighbours(scene, frames),
             late,
             further,
         )

@@ -29,7 +29,6 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.problem.terms.frame_places import frame_places
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Below this share drag is taken for an elastic force: the error of the law of force
@@ -57,7 +56,7 @@ def distinct_drag(scene: Scene, rows: sp.csr_array) -> float:
     elastic = (scene.N @ pressure).reshape(-1, 3)
     drag = -(rows @ pressure).reshape(-1, 3)
     kept = ~_turning(np.linalg.norm(elastic, axis=1), scene.trajectory.segment)
-    return distinct_share(elastic[kept], drag[kept], frame_places(scene)[kept])
+    return distinct_share(elastic[kept], drag[kept], scene.places[kept])
 
 
 def distinct_share(elastic: Array, drag: Array, place: IntArray) -> float:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.contact.friction import DEADBAND
-from ttus_opt.contact.places import touched_places
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -89,8 +88,8 @@ def estimate_drag(
     if not scene.measures_force_only:
         measured = np.concatenate([measured, scale * scene.tau])
         pressed = np.concatenate([pressed, scale * (scene.W @ p)])
-    touching, own = scene.rows.contact_points > 0, scene.trajectory
-    at, found = touched_places(touching, own.segment, own.position), []
+    n_places = len(np.unique(scene.places[scene.touching]))
+    found = []
     for place in places:
         drag = GlobalCoulomb(scene, place, deadband)
         dragged = drag.rows.force @ p
@@ -105,7 +104,6 @@ def estimate_drag(
         pressing = bool(pressed.any())
         free = pressed * (_scale(pressed, measured) if pressing else 0.0)
         without = _mean_size(measured - free)
-        n_places = len(np.unique(at[at >= 0]))
         gain = 0.0
         if without > misfit:
             least = max(misfit, ROUNDING * without)

@@ -111,7 +111,7 @@ class PartNoise:
             drift: g δ, standard deviations of the lasting errors, shape (T,) [N].
             turn: Error of the direction [rad].
         """
-        touching = scene.rows.contact_points > 0
+        touching = scene.touching
         size = own[touching] ** 2 + drift[touching] ** 2
         level = float(np.sqrt(size.mean())) if touching.any() else 1.0
         alike = np.sqrt(crowding(scene.trajectory))
@@ -170,7 +170,7 @@ def independent(scene: Scene, own: Array, drift: Array) -> sp.csr_array:
         own: Standard deviations of errors of single frames, shape (T,).
         drift: Those of errors that last, shape (T,).
     """
-    frames = np.flatnonzero(scene.rows.contact_points > 0)
+    frames = np.flatnonzero(scene.touching)
     time, recording = scene.trajectory.time, scene.trajectory.segment
     n, T = len(frames), len(time)
     before = np.arange(n)[:, None] - EARLIER
