@@ -24,15 +24,15 @@ def active_limits(program: Program, x: Array, duals: Duals) -> int:
         x: A verified solution, shape (n,).
         duals: Its multipliers.
     """
-    found = [
+    multipliers = [
         np.abs(duals.rows[member.name])[member.lower < member.upper]
         for member in program.constraints
         if member.name in duals.rows
     ]
     if program.bounds and duals.bounds is not None:
         lower, upper = program.box
-        found.append(np.abs(duals.bounds)[lower < upper])
-    sizes = np.concatenate([*found, np.zeros(0)])
+        multipliers.append(np.abs(duals.bounds)[lower < upper])
+    sizes = np.concatenate([*multipliers, np.zeros(0)])
     largest = float(sizes.max(initial=0.0))
     if largest <= NONZERO * _steepest(program, x):
         return 0

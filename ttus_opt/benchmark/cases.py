@@ -201,13 +201,13 @@ def reference_cases(names: str = "all") -> list[CaseSpec]:
 def with_new_values(scene: Scene, seed: int) -> Scene:
     """The scene with the same matrices, forces and torques changed by `CHANGE`."""
     rng = np.random.default_rng(seed)
-    own = scene.trajectory
+    trajectory = scene.trajectory
     changed = {
         name: values * (1.0 + CHANGE * rng.standard_normal(values.shape))
         for name in ("force", "torque")
-        if (values := getattr(own, name)) is not None
+        if (values := getattr(trajectory, name)) is not None
     }
-    return replace(scene, trajectory=replace(own, **changed))
+    return replace(scene, trajectory=replace(trajectory, **changed))
 
 
 def existing(case: CaseSpec) -> CaseSpec:

@@ -61,39 +61,39 @@ def share(of_solver: Sequence[float], factor: float) -> float:
 
 def ranked(rows: Sequence[Row]) -> dict[str, list[float]]:
     """`ratios` of solvers with any answer, sorted by ρ_s(2)."""
-    found = {
+    times = {
         s: r for s, r in ratios(rows).items() if min(r, default=math.inf) < math.inf
     }
     order = sorted(
-        found, key=lambda s: (-share(found[s], 2.0), -share(found[s], 1e300), s)
+        times, key=lambda s: (-share(times[s], 2.0), -share(times[s], 1e300), s)
     )
-    return {solver: found[solver] for solver in order}
+    return {solver: times[solver] for solver in order}
 
 
-def profile_table(found: Mapping[str, Sequence[float]]) -> Table:
-    """ρ_s at `FACTORS` as a table; `found` from `ranked`."""
+def profile_table(by_solver: Mapping[str, Sequence[float]]) -> Table:
+    """ρ_s at `FACTORS` as a table; from `ranked`."""
     body = [
-        [solver, *(f"{share(own, f):.0%}" for f in (*FACTORS, 1e300))]
-        for solver, own in found.items()
+        [solver, *(f"{share(of_solver, f):.0%}" for f in (*FACTORS, 1e300))]
+        for solver, of_solver in by_solver.items()
     ]
     return Table(["solver", *(f"τ = {f:g}" for f in FACTORS), "ever"], body)
 
 
-def profile_picture(found: Mapping[str, Sequence[float]]) -> Figure:
-    """ρ_s(τ) as steps over a logarithmic τ; `found` from `ranked`."""
+def profile_picture(by_solver: Mapping[str, Sequence[float]]) -> Figure:
+    """ρ_s(τ) as steps over a logarithmic τ; from `ranked`."""
     from ttus_opt.benchmark.pictures import solver_styles
     from ttus_opt.report.plots.canvas import look, new_figure
 
-    finite = [r for own in found.values() for r in own if r < math.inf]
+    finite = [r for of_solver in by_solver.values() for r in of_solver if r < math.inf]
     end = 1.5 * max(finite)
     with look():
         figure = new_figure(7.0, 4.0)
         axis = figure.subplots()
-        styles = solver_styles(found)
-        for solver in found:
-            own = sorted(r for r in found[solver] if r < math.inf)
-            steps = [1.0, *own, end]
-            heights = [share(found[solver], r) for r in steps]
+        styles = solver_styles(by_solver)
+        for solver in by_solver:
+            of_solver = sorted(r for r in by_solver[solver] if r < math.inf)
+            steps = [1.0, *of_solver, end]
+            heights = [share(by_solver[solver], r) for r in steps]
             axis.step(
                 steps, heights, where="post", label=solver, markevery=(0.02, 0.15),
                 **styles[solver],

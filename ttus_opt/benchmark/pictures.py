@@ -75,9 +75,9 @@ def _against_size(
     axis = figure.subplots()
     shown = sorted({row["solver"] for row in rows})
     for index, solver in enumerate(shown):
-        own, style = [r for r in rows if r["solver"] == solver], inks[solver]
-        answers = _points(filter(solved, own), figured, 1.0)
-        failed = _points(filterfalse(solved, own), figured, 1.0 + SPREAD * index)
+        runs, style = [r for r in rows if r["solver"] == solver], inks[solver]
+        answers = _points(filter(solved, runs), figured, 1.0)
+        failed = _points(filterfalse(solved, runs), figured, 1.0 + SPREAD * index)
         axis.plot(*answers, label=solver, **style)
         axis.plot(*failed, **{**style, "linestyle": "none", "fillstyle": "none"})
     axis.set(xscale="log", yscale="log", title=rows[0]["formulation"])
@@ -94,8 +94,8 @@ def _points(
     rows: Iterable[Row], figured: Figured, aside: float
 ) -> tuple[list[float], list[float]]:
     """Sizes and values of the rows that have both."""
-    found = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
-    return list(found), list(found.values())
+    points = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
+    return list(points), list(points.values())
 
 
 def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figure:

@@ -63,10 +63,10 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 
 def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
     """The row with nested mappings flattened."""
-    found: Row = {}
+    flat: Row = {}
     for key, value in row.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
+            flat |= _flat(value, f"{prefix}{key}.")
         else:
-            found[f"{prefix}{key}"] = value
-    return found
+            flat[f"{prefix}{key}"] = value
+    return flat

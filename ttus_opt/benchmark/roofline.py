@@ -90,23 +90,23 @@ def cycle_bytes(multigrid: Multigrid) -> tuple[int, int]:
     return sizes[0], colours // 2 + hierarchy.inverse.nbytes
 
 
-def summary(found: Row) -> list[Block]:
+def summary(row: Row) -> list[Block]:
     """The result of `roofline`."""
     header = ["", "bytes [MB]", "copying them [ms]", "measured [ms]", "of the limit"]
     body = []
     for name, work in (
         ("cycle", "V-cycle"),
-        ("solve", f"solve with A: {found['cycles']} V-cycles"),
+        ("solve", f"solve with A: {row['cycles']} V-cycles"),
     ):
-        moved, taken = found[f"bytes_{name}"], found[f"seconds_{name}"]
-        limit = moved / found["bandwidth"]
+        moved, taken = row[f"bytes_{name}"], row[f"seconds_{name}"]
+        limit = moved / row["bandwidth"]
         figures = f"{moved / 1e6:.3g}", f"{1e3 * limit:.3g}", f"{1e3 * taken:.3g}"
         body.append([work, *figures, f"{limit / taken:.0%}"])
     return [
         Text(
             "A copy on one core, reads and writes counted, runs at "
-            f"{found['bandwidth'] / 1e9:.1f} GB/s for an array of "
-            f"{found['bytes_level'] / 1e6:.2g} MB, the size of the finest level's."
+            f"{row['bandwidth'] / 1e9:.1f} GB/s for an array of "
+            f"{row['bytes_level'] / 1e6:.2g} MB, the size of the finest level's."
         ),
         Table(header, body),
     ]

@@ -76,13 +76,13 @@ def terminal(rows: Sequence[Row], settings: Settings) -> str:
         against = closed_form_table(rows, settings.reference)
         if against:
             parts.append(f"Against the closed form:\n{against}")
-        for (case, formulation), own in groups:
-            size = f"{own[0]['voxels']:,} voxels"
-            parts.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
-    found, n_problems = _profile(rows)
-    if found:
+        for (case, formulation), runs in groups:
+            size = f"{runs[0]['voxels']:,} voxels"
+            parts.append(f"{case}, {formulation}, {size}:\n{row_table(runs)}")
+    profile, n_problems = _profile(rows)
+    if profile:
         head = f"Share of {n_problems} problems solved within τ times the fastest:"
-        parts.append(f"{head}\n{profile_table(found)}")
+        parts.append(f"{head}\n{profile_table(profile)}")
     parts.append(f"Shifted geometric means:\n{score_table(rows)}")
     if settings.memory:
         parts.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
@@ -104,11 +104,11 @@ def sections(rows: Sequence[Row], settings: Settings) -> list[Block]:
         blocks += [Heading("Every problem"), problem_table(rows)]
         blocks += [Text(TIMES), time_table(rows)]
     blocks += _profile_section(rows)
-    for (case, formulation), own in groups:
-        size = f"{own[0]['voxels']:,} voxels, {own[0]['poses'] or 'all'} poses"
-        taken = [r["seconds_assembly"] for r in own if r["seconds_assembly"]]
+    for (case, formulation), runs in groups:
+        size = f"{runs[0]['voxels']:,} voxels, {runs[0]['poses'] or 'all'} poses"
+        taken = [r["seconds_assembly"] for r in runs if r["seconds_assembly"]]
         made = f", assembly {min(taken):.2g} s" if taken else ""
-        blocks += [Heading(f"{case} ({size}{made}): {formulation}"), row_table(own)]
+        blocks += [Heading(f"{case} ({size}{made}): {formulation}"), row_table(runs)]
     blocks += [Heading("Over all"), Text(MEANS), score_table(rows), Text(LEGEND)]
     if settings.memory:
         blocks += [Heading("Memory by stage [MiB]"), memory_table(rows)]
@@ -120,19 +120,19 @@ def sections(rows: Sequence[Row], settings: Settings) -> list[Block]:
 
 def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
     """Ratios by solver, none with too few problems; number of problems."""
-    found = ranked(rows)
-    n_problems = len(next(iter(found.values()), []))
-    return (found if n_problems >= FEWEST else {}), n_problems
+    profile = ranked(rows)
+    n_problems = len(next(iter(profile.values()), []))
+    return (profile if n_problems >= FEWEST else {}), n_problems
 
 
 def _profile_section(rows: Sequence[Row]) -> list[Block]:
     """Performance profile as table and picture; nothing with too few problems."""
-    found, n_problems = _profile(rows)
-    if not found:
+    profile, n_problems = _profile(rows)
+    if not profile:
         return []
     head = [Heading("Performance profile"), Text(PROFILE.format(n=n_problems))]
-    picture = Picture("profile.png", "performance profile", profile_picture(found))
-    return [*head, profile_table(found), picture]
+    picture = Picture("profile.png", "performance profile", profile_picture(profile))
+    return [*head, profile_table(profile), picture]
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:

@@ -72,20 +72,20 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
         begin("warm-up")
         _warm_up(spec, _first_choice(both[0]), request)
     base = memory.current_bytes()
-    found = _solved(spec, solver, request, both, begin)
+    solves = _solved(spec, solver, request, both, begin)
     begin.end()
-    assert found.solution is not None
+    assert solves.solution is not None
     solving = max(begin.peaks.get(name, 0) for name in ("first", "again"))
-    first = statistics.median(found.first)
-    answer = _answer(spec, found.solution, begin) | _again(found)
+    first = statistics.median(solves.first)
+    answer = _answer(spec, solves.solution, begin) | _again(solves)
     if answer["status"] == "solved" and first > spec.time_limit:
         answer |= {"status": "time limit", "detail": f"solved after {first:.3g} s"}
     return answer | {
         "poses": len(scene.trajectory),
-        "seconds_assembly": found.solution.timings.assembly,
+        "seconds_assembly": solves.solution.timings.assembly,
         "seconds_first": first,
-        "cpu_first": statistics.median(found.cpu_first),
-        "seconds_each": {"first": found.first, "again": found.again},
+        "cpu_first": statistics.median(solves.cpu_first),
+        "seconds_each": {"first": solves.first, "again": solves.again},
         "solver_memory_bytes": max(0, solving - base),
     }
 
@@ -99,27 +99,27 @@ def _solved(
 ) -> _Solves:
     """Solve one formulation, then the other of the same structure, repeatedly."""
     original, changed = formulations
-    found = _Solves()
+    solves = _Solves()
     for _ in range(spec.options["repeat"]):
         begin("first")
         cpu = time.process_time()
         fitter = Fitter(original, solver=solver, request=request)
         latest = fitter.solve()
-        found.cpu_first.append(time.process_time() - cpu)
-        found.solution = found.solution or latest
-        found.first.append(latest.timings.setup + latest.timings.solve)
+        solves.cpu_first.append(time.process_time() - cpu)
+        solves.solution = solves.solution or latest
+        solves.first.append(latest.timings.setup + latest.timings.solve)
         if latest.verified_field is None:
             break
         begin("again")
         cpu = time.process_time()
         fitter.update(changed)
-        found.second = fitter.solve()
-        found.cpu_again.append(time.process_time() - cpu)
-        found.again.append(found.second.timings.again or 0.0)
+        solves.second = fitter.solve()
+        solves.cpu_again.append(time.process_time() - cpu)
+        solves.again.append(solves.second.timings.again or 0.0)
         del fitter, latest
-        if sum(found.first) + sum(found.again) > spec.time_limit:
+        if sum(solves.first) + sum(solves.again) > spec.time_limit:
             break
-    return found
+    return solves
 
 
 def declared(spec: RunSpec, scene: Scene) -> Formulation:
@@ -165,14 +165,14 @@ def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:
     return row
 
 
-def _again(found: _Solves) -> Row:
+def _again(solves: _Solves) -> Row:
     """Seconds of solves with other values, or why there are none."""
-    if found.second is not None and found.second.verified_field is None:
-        status = found.second.status.name.lower()
+    if solves.second is not None and solves.second.verified_field is None:
+        status = solves.second.status.name.lower()
         return {"detail": f"solved first, then {status} on other values"}
-    if not found.again:
+    if not solves.again:
         return {}
     return {
-        "seconds_again": statistics.median(found.again),
-        "cpu_again": statistics.median(found.cpu_again),
+        "seconds_again": statistics.median(solves.again),
+        "cpu_again": statistics.median(solves.cpu_again),
     }

@@ -85,11 +85,11 @@ class Suite:
 
     def done(self) -> dict[str, list[Row]]:
         """Rows of an earlier run in the same folder, by key."""
-        found = {}
+        finished = {}
         for rows in read_lines(self.rows_file):
             with contextlib.suppress(LookupError, TypeError):  # of another version
-                found[rows[0]["key"]] = rows
-        return found
+                finished[rows[0]["key"]] = rows
+        return finished
 
     def run(
         self, reported: Reported | None = None, watching: Watching | None = None
@@ -113,11 +113,11 @@ class Suite:
             if reported is not None and spec.key in rows:
                 reported(spec, rows[spec.key])
         missing = [spec for spec in self.plan if spec.key not in rows]
-        for spec, found in self._results(missing, watching):
-            rows[spec.key] = found
-            append_line(self.rows_file, found)
+        for spec, finished in self._results(missing, watching):
+            rows[spec.key] = finished
+            append_line(self.rows_file, finished)
             if reported is not None:
-                reported(spec, found)
+                reported(spec, finished)
         return {
             name: part.finished(
                 [r for s in self.plan if s.part == name for r in rows[s.key]],

@@ -32,8 +32,8 @@ def was_run(row: Row) -> bool:
 def worst_relative(row: Row) -> float | None:
     """The largest relative KKT residual, or the last of a run that was ended [–]."""
     kkt = row["kkt"] or {}
-    found = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
-    return max(found, default=row.get("residual_reached"))
+    residuals = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
+    return max(residuals, default=row.get("residual_reached"))
 
 
 def group(row: Row) -> tuple[str, str]:
@@ -58,14 +58,14 @@ def scores(rows: Sequence[Row]) -> list[Row]:
         ``solver``, ``solved``, ``run`` and the shifted geometric means ``first`` and
         ``again``, with failures counted as the time limit [s].
     """
-    found = []
+    ranking = []
     for solver in dict.fromkeys(row["solver"] for row in rows if was_run(row)):
-        own = [row for row in rows if row["solver"] == solver and was_run(row)]
-        score = {"solver": solver, "solved": sum(map(solved, own)), "run": len(own)}
+        runs = [row for row in rows if row["solver"] == solver and was_run(row)]
+        score = {"solver": solver, "solved": sum(map(solved, runs)), "run": len(runs)}
         for kind in ("first", "again"):
-            score[kind] = shifted_geometric_mean([_counted(row, kind) for row in own])
-        found.append(score)
-    return sorted(found, key=lambda score: (-score["solved"], score["first"]))
+            score[kind] = shifted_geometric_mean([_counted(row, kind) for row in runs])
+        ranking.append(score)
+    return sorted(ranking, key=lambda score: (-score["solved"], score["first"]))
 
 
 def _counted(row: Row, kind: str) -> float:
@@ -116,10 +116,10 @@ def problem_table(rows: Sequence[Row]) -> Table:
     """A line per problem: how many solvers solved it, and the three fastest."""
     body = []
     for problem in dict.fromkeys(map(group, rows)):
-        own = [row for row in rows if group(row) == problem]
-        best = sorted(filter(solved, own), key=lambda row: row["seconds_first"])
+        runs = [row for row in rows if group(row) == problem]
+        best = sorted(filter(solved, runs), key=lambda row: row["seconds_first"])
         named = [f"{r['solver']} {seconds(r['seconds_first'])}" for r in best[:3]]
-        count = f"{len(best)}/{sum(map(was_run, own))}"
+        count = f"{len(best)}/{sum(map(was_run, runs))}"
         body.append([*problem, count, *named, *["–"] * (3 - len(named))])
     header = ["case", "formulation", "solved", "fastest [s]", "2.", "3."]
     return Table(header, body)
@@ -133,8 +133,8 @@ def time_table(rows: Sequence[Row]) -> Table:
     names = [score["solver"] for score in scores(rows)]
     body = []
     for problem in dict.fromkeys(map(group, rows)):
-        own = {row["solver"]: row for row in rows if group(row) == problem}
-        body.append([*problem, *(_time(own.get(name)) for name in names)])
+        by_solver = {row["solver"]: row for row in rows if group(row) == problem}
+        body.append([*problem, *(_time(by_solver.get(name)) for name in names)])
     return Table(["case", "formulation", *names], body)
 
 
@@ -199,18 +199,18 @@ def exponent(rows: Sequence[Row], key: str) -> float:
 
 def growth_table(rows: Sequence[Row]) -> Table:
     """Exponents of solvers with two sizes of a formulation; empty without any."""
-    found = []
+    growths = []
     rows = sorted(filter(solved, rows), key=lambda row: row["voxels"])
     for place in dict.fromkeys((row["formulation"], row["solver"]) for row in rows):
-        own = [row for row in rows if (row["formulation"], row["solver"]) == place]
-        powers = [exponent(own, f"seconds_{kind}") for kind in ("first", "again")]
+        runs = [row for row in rows if (row["formulation"], row["solver"]) == place]
+        powers = [exponent(runs, f"seconds_{kind}") for kind in ("first", "again")]
         if not math.isnan(powers[0]):
-            cases = f"{own[0]['case']} to {own[-1]['case']} ({len(own)})"
+            cases = f"{runs[0]['case']} to {runs[-1]['case']} ({len(runs)})"
             laws = ["–" if math.isnan(x) else f"time ∝ V^{x:.2f}" for x in powers]
-            found.append((place[0], powers[0], [*place, cases, *laws]))
-    found.sort(key=lambda each: each[:2])
+            growths.append((place[0], powers[0], [*place, cases, *laws]))
+    growths.sort(key=lambda each: each[:2])
     header = ["formulation", "solver", "cases", "first", "again"]
-    return Table(header, [line for *_, line in found])
+    return Table(header, [line for *_, line in growths])
 
 
 def _failure(row: Row) -> str:

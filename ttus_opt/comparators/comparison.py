@@ -218,8 +218,8 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     timed = [row for row in rows if not row.failure]
     if reference not in {row.comparator for row in timed} and timed:
         reference = min(timed, key=lambda row: row.ms_per_frame).comparator
-    own = [row.ms_per_frame for row in timed if row.comparator == reference]
-    unit = float(np.mean(own)) if own else math.nan
+    milliseconds = [row.ms_per_frame for row in timed if row.comparator == reference]
+    unit = float(np.mean(milliseconds)) if milliseconds else math.nan
     recordings = list(dict.fromkeys(row.recording for row in rows))
     header = [" / ".join(recordings), "force [N]", "angle [°]", "torque [mN·m]"]
     header += ["angle [°]", "ripple [%]", f"frame / {reference}"]

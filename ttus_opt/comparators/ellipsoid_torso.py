@@ -96,5 +96,5 @@ def fitted_ellipsoid(cloud: Array) -> tuple[Array, Array, Array]:
     start = np.concatenate([np.zeros(3), np.log(half / size), np.zeros(3)])
     low = np.repeat([-0.5, np.log(0.02), -1.5], 3)
     high = np.repeat([0.5, np.log(LONGEST), 1.5], 3)
-    found = least_squares(misfit, np.clip(start, low, high), bounds=(low, high))
-    return parts(found.x)
+    optimum = least_squares(misfit, np.clip(start, low, high), bounds=(low, high))
+    return parts(optimum.x)

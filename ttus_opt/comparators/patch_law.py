@@ -59,12 +59,12 @@ class PatchLaw(PatchModel):
         whole = self._estimator()
         for sample in samples:
             whole.take(sample, 1.0)
-        own: dict[int, Estimator] = {}
+        by_patch: dict[int, Estimator] = {}
         for sample in samples:
             for patch, share in self.patches.shares(sample.contact.place):
-                own.setdefault(patch, whole.as_prior()).take(sample, share)
+                by_patch.setdefault(patch, whole.as_prior()).take(sample, share)
         self.per_patch = np.tile(whole.parameters, (self.patches.n_patches, 1))
-        for patch, estimator in own.items():
+        for patch, estimator in by_patch.items():
             self.per_patch[patch] = estimator.parameters
 
     def _normal_force(self, contact: Contact) -> float:

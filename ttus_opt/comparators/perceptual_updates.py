@@ -130,15 +130,15 @@ class PerceptualUpdates(PatchModel):
         friction: RecursiveLeastSquares,
     ) -> None:
         """Send the estimates if they differ noticeably from the operator's model."""
-        found = max(float(stiffness.estimate[0]), 0.0)
+        new_stiffness = max(float(stiffness.estimate[0]), 0.0)
         mu = max(float(friction.estimate[0]), 0.0)
         if self.updates:
             known, known_mu = self.model_at(place)
-            same = abs(found - known) <= self.stiffness_jnd * known
+            same = abs(new_stiffness - known) <= self.stiffness_jnd * known
             least = max(FRICTION_JND * known_mu, LEAST_FRICTION_JND)
             if same and abs(mu - known_mu) <= least:
                 return
-        self.updates.append(Update(np.array(place), found, mu))
+        self.updates.append(Update(np.array(place), new_stiffness, mu))
         self._places = np.array([update.place for update in self.updates])
         self._values = np.array([update[1:] for update in self.updates])
 

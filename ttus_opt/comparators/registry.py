@@ -18,8 +18,8 @@ from ttus_opt.scan.surface import Surface
 @functools.cache
 def _kinds() -> dict[str, type[Comparator]]:
     """Classes by the name they are made by."""
-    found = plugins.classes_of(sys.modules["ttus_opt.comparators"]).values()
-    kinds = [kind for kind in found if issubclass(kind, Comparator) and kind.name]
+    classes = plugins.classes_of(sys.modules["ttus_opt.comparators"]).values()
+    kinds = [kind for kind in classes if issubclass(kind, Comparator) and kind.name]
     return {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)}
 
 
@@ -63,11 +63,11 @@ def create(
     """
     made = kind(name)
     common = {"self", "given", "surface", "shell", "cloud"}
-    own = set(inspect.signature(made.__init__).parameters) - common
-    unknown = sorted(options.keys() - own)
+    known = set(inspect.signature(made.__init__).parameters) - common
+    unknown = sorted(options.keys() - known)
     if unknown:
         raise InputError(
             f"{name} has no option {', '.join(unknown)}: it has "
-            f"{', '.join(sorted(own)) or 'none'}"
+            f"{', '.join(sorted(known)) or 'none'}"
         )
     return made(surface=surface, shell=shell, cloud=cloud, **options)

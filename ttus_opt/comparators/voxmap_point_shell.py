@@ -68,15 +68,15 @@ class VoxmapPointShell(OneStiffness):
         place[:, 2] = np.clip(place[:, 2], 0.0, self.voxels.shape[2] - 1.0)
         voxel = np.rint(place).astype(np.int64)
         within = ((voxel >= 0) & (voxel < self.voxels.shape)).all(axis=1)
-        own = np.flatnonzero(within)
-        own = own[self.voxels[tuple(voxel[own].T)] != FREE]
-        at_voxel = voxel[own]
+        hit = np.flatnonzero(within)
+        hit = hit[self.voxels[tuple(voxel[hit].T)] != FREE]
+        at_voxel = voxel[hit]
         centre = np.stack([axis[tuple(at_voxel.T)] for axis in self._plane], axis=1)
-        inward = self.shell.normals[own] @ R.T
-        above = self.edge * (centre - place[own])
+        inward = self.shell.normals[hit] @ R.T
+        above = self.edge * (centre - place[hit])
         depth = np.maximum(np.einsum("ki,ki->k", inward, above), 0.0)
-        forces = (depth * self.shell.areas[own])[:, None] * inward
-        return wrench_of(forces, arm[own]), int(np.count_nonzero(depth))
+        forces = (depth * self.shell.areas[hit])[:, None] * inward
+        return wrench_of(forces, arm[hit]), int(np.count_nonzero(depth))
 
 
 def _voxelised(surface: Surface, edge: float) -> tuple[Array, NDArray[np.uint8]]:
@@ -106,7 +106,7 @@ def _nearest_surface_voxel(voxels: NDArray[np.uint8]) -> NDArray[np.int16]:
     """Indices of the nearest surface voxel of every voxel, (3, n_x, n_y, n_z)."""
     from scipy.ndimage import distance_transform_edt
 
-    found = distance_transform_edt(
+    distance = distance_transform_edt(
         voxels != SURFACE, return_distances=False, return_indices=True
     )
-    return np.asarray(found, dtype=np.int16)
+    return np.asarray(distance, dtype=np.int16)

@@ -97,5 +97,5 @@ def _at(fits: PatientFits, weight: float, factor: float) -> BoundaryError:
 
 def _error(fits: PatientFits, field: PotentialField) -> float:
     """Mean magnitude error over the unseen recordings [N]."""
-    found = [fits.evaluation(field, name, "measured") for name in UNSEEN]
-    return float(np.mean([e.errors.force_magnitude_error_N for e in found]))
+    evaluations = [fits.evaluation(field, name, "measured") for name in UNSEEN]
+    return float(np.mean([e.errors.force_magnitude_error_N for e in evaluations]))

@@ -49,10 +49,10 @@ def _curves(result: ExperimentResult) -> tuple[dict[str, CalibrationCurve], str]
     """Curves of each patient's last setting that has some, and the settings' names."""
     curves, names = {}, []
     for each in result.patients:
-        own = [stated for stated in each.uncertainties if stated.curves]
-        for recording, curve in (own[-1].curves if own else {}).items():
+        drawn = [stated for stated in each.uncertainties if stated.curves]
+        for recording, curve in (drawn[-1].curves if drawn else {}).items():
             curves[f"{each.patient.name}, {recording.split('_')[0]}"] = curve
-            names.append(title(own[-1].setting))
+            names.append(title(drawn[-1].setting))
     return curves, " or ".join(dict.fromkeys(names))
 
 
@@ -63,9 +63,9 @@ def boundary_picture(result: ExperimentResult) -> Figure:
         figure = new_figure(7.2, 2.6)
         axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel, name in zip(axes, names, strict=True):
-            own = [row for row in result.boundary if row.patient == name]
-            factors = [row.factor for row in own]
-            before, after = [r.before_N for r in own], [r.after_N for r in own]
+            points = [row for row in result.boundary if row.patient == name]
+            factors = [row.factor for row in points]
+            before, after = [r.before_N for r in points], [r.after_N for r in points]
             panel.plot(factors, before, color=BEFORE, linestyle="--", marker="o")
             panel.plot(factors, after, color=AFTER, marker="o")
             panel.set_xscale("log")
@@ -82,7 +82,7 @@ def _of_patient(each: PatientResult, best: str) -> list[Picture]:
     name = each.patient.name
     names = (PAPER_WITHOUT.name, best, LAPLACE.name, "eq10")
     fields = [each.fits[setting].field for setting in names]
-    there = [own for own in fields if own is not None]
+    there = [one for one in fields if one is not None]
     if len(there) < len(fields):
         return []  # the tables say which fit failed
     without, fitted, prior, eq10 = there

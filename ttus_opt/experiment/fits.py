@@ -158,23 +158,23 @@ class PatientFits:
         solution = fit(choice.scene, choice.formulation)
         return solution, choice.scene, {"weights_chosen": told}
 
-    def judged(self, name: str, found: PotentialField) -> tuple[Row, ...]:
+    def judged(self, name: str, field: PotentialField) -> tuple[Row, ...]:
         """Errors of a field on every recording, against measured and true wrenches."""
         rows = []
         for against in AGAINST:
             for recording in getattr(self.examination, against):
-                errors = self.evaluation(found, recording, against)
+                errors = self.evaluation(field, recording, against)
                 rows.append(self.row(name, recording, against, errors))
         return tuple(rows)
 
     def evaluation(
-        self, found: PotentialField, recording: str, against: str
+        self, field: PotentialField, recording: str, against: str
     ) -> Evaluation:
         """A field rendered along a recording, compared with its wrenches."""
-        own = getattr(self.examination, against)[recording]
+        recorded = getattr(self.examination, against)[recording]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TtusWarning)
-            return evaluate(found, self.shell, own)
+            return evaluate(field, self.shell, recorded)
 
     def row(self, name: str, recording: str, against: str, errors: Evaluation) -> Row:
         """An evaluation as a row."""
@@ -187,5 +187,5 @@ class PatientFits:
         """A saved result with its field, which exists where there are rows."""
         rows = tuple(Row.from_dict(row) for row in content["rows"])
         file = self._folder / f"{setting.name}.nc"
-        found = PotentialField.load(file) if rows else None
-        return Fitted(setting.name, rows, content["facts"], found)
+        field = PotentialField.load(file) if rows else None
+        return Fitted(setting.name, rows, content["facts"], field)

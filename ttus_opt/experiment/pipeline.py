@@ -146,10 +146,10 @@ def _on_patient(
     digest = patient.digest(plan.resolution)
     examination = examine(patient, folder, plan.resolution, begin)
     fits = PatientFits(examination, folder, plan.shape, digest)
-    found = {}
+    fitted = {}
     for setting in settings:
         begin(f"{patient.name}: {setting.name}")
-        found[setting.name] = fits.fitted(setting)
+        fitted[setting.name] = fits.fitted(setting)
     begin(f"{patient.name}: boundary values")
     boundary = boundary_errors(fits, plan.weight, folder / "boundary.json", fits.stamp)
     compared_with = []
@@ -162,7 +162,7 @@ def _on_patient(
         uncertainties.append(stated_uncertainty(fits, setting, folder, fits.stamp))
     return PatientResult(
         examination,
-        found,
+        fitted,
         boundary,
         tuple(compared_with),
         tuple(uncertainties),
@@ -173,10 +173,10 @@ def _on_patient(
 def _itself(fits: PatientFits) -> tuple[Row, ...]:
     """Errors of the phantom at the reported poses against measured wrenches."""
     rows = []
-    for recording, own in fits.examination.itself.items():
-        assert own.force is not None
-        assert own.torque is not None
-        rendered = as_rendered(np.hstack([own.force, own.torque]))
+    for recording, recorded in fits.examination.itself.items():
+        assert recorded.force is not None
+        assert recorded.torque is not None
+        rendered = as_rendered(np.hstack([recorded.force, recorded.torque]))
         errors = compare(fits.examination.measured[recording], rendered)
         rows.append(fits.row(ITSELF, recording, "measured", errors))
     return tuple(rows)

@@ -58,8 +58,8 @@ def best_setting(result: ExperimentResult) -> str:
     ]
 
     def told_apart(name: str) -> float:
-        own = tables.select(rows, setting=name)
-        return float(np.mean([row.score.share_told_apart for row in own]))
+        scored = tables.select(rows, setting=name)
+        return float(np.mean([row.score.share_told_apart for row in scored]))
 
     return min(names, key=told_apart)
 

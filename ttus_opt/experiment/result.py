@@ -110,16 +110,16 @@ class Plan:
         """
         others = compared(self.formulations, self.weight)
         eq10 = compared(("eq10",), self.weight)
-        own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
-        further = [each for each in others if each not in own]
+        usual = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
+        further = [each for each in others if each not in usual]
         more = chosen(self.formulations, self.weights)
-        return distinct((*own, *further, *more, *(REFINED,) * self.refine))
+        return distinct((*usual, *further, *more, *(REFINED,) * self.refine))
 
     @property
     def with_uncertainty(self) -> tuple[Setting, ...]:
         """Settings whose uncertainty is checked: weights come from the recordings."""
-        own = compared(self.formulations, self.weight)
-        itself = [each for each in own if not each.options]
+        settings = compared(self.formulations, self.weight)
+        itself = [each for each in settings if not each.options]
         return (*itself, *chosen(self.formulations, self.weights)) * self.uncertainty
 
     @property

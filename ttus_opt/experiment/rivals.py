@@ -94,10 +94,10 @@ def _judged(fits: PatientFits, name: str) -> Rival:
     rows: list[Row] = []
     per_frame = []
     for against in AGAINST:
-        for recording, own in getattr(examined, against).items():
-            wrench, frame = timed_wrenches(model, own)
+        for recording, recorded in getattr(examined, against).items():
+            wrench, frame = timed_wrenches(model, recorded)
             per_frame.append(frame)
-            errors = compare(own, as_rendered(wrench))
+            errors = compare(recorded, as_rendered(wrench))
             rows.append(fits.row(PREFIX + name, recording, against, errors))
     facts = {
         "ms_per_frame": 1e3 * float(np.median(per_frame)),

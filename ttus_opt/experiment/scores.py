@@ -56,16 +56,16 @@ class Score:
     frames_in_contact: int
 
     @classmethod
-    def of(cls, found: Evaluation) -> Score:
+    def of(cls, evaluation: Evaluation) -> Score:
         """The score of an evaluation; NaN where no frame is in contact."""
-        errors = found.errors
-        size = np.linalg.norm(found.measured_force, axis=1)
+        errors = evaluation.errors
+        size = np.linalg.norm(evaluation.measured_force, axis=1)
         touching = size > FORCE_THRESHOLD
-        off = np.abs(np.linalg.norm(found.rendered_force, axis=1) - size)[touching]
-        turned = angles(found.measured_force, found.rendered_force)[touching]
-        twist = np.linalg.norm(found.measured_torque, axis=1)
+        off = np.abs(np.linalg.norm(evaluation.rendered_force, axis=1) - size)[touching]
+        turned = angles(evaluation.measured_force, evaluation.rendered_force)[touching]
+        twist = np.linalg.norm(evaluation.measured_torque, axis=1)
         turning = touching & (twist > TORQUE_THRESHOLD)
-        off_twist = np.abs(np.linalg.norm(found.rendered_torque, axis=1) - twist)
+        off_twist = np.abs(np.linalg.norm(evaluation.rendered_torque, axis=1) - twist)
         return cls(
             errors.force_magnitude_error_N,
             errors.force_angle_error_deg,
@@ -115,8 +115,8 @@ class Row:
 
     def as_dict(self) -> dict[str, Any]:
         """Flat, for JSON."""
-        own = {k: getattr(self, k) for k in _KEYS}
-        return {**own, **asdict(self.score)}
+        key = {k: getattr(self, k) for k in _KEYS}
+        return {**key, **asdict(self.score)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Row:
@@ -124,8 +124,8 @@ class Row:
         rest: dict[str, Any] = {
             k: float("nan") if v is None else v for k, v in values.items()
         }
-        own: dict[str, Any] = {k: rest.pop(k) for k in _KEYS}
-        return cls(**own, score=Score(**rest))
+        key: dict[str, Any] = {k: rest.pop(k) for k in _KEYS}
+        return cls(**key, score=Score(**rest))
 
 
 _KEYS = ("patient", "recording", "seen", "setting", "against")

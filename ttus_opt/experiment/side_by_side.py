@@ -71,17 +71,17 @@ def _examined(patient: Patient, plan: Plan, folder: Path) -> str:
 
 
 def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
-    own, digest = folder / patient.name, patient.digest(plan.resolution)
-    examination = examine(patient, own, plan.resolution, lambda _: None)
-    fits = PatientFits(examination, own, plan.shape, digest)
+    place, digest = folder / patient.name, patient.digest(plan.resolution)
+    examination = examine(patient, place, plan.resolution, lambda _: None)
+    fits = PatientFits(examination, place, plan.shape, digest)
     if isinstance(task, Setting):
         fits.fitted(task)
         return f"{patient.name}: {task.name}"
     if task is None:
-        boundary_errors(fits, plan.weight, own / "boundary.json", fits.stamp)
+        boundary_errors(fits, plan.weight, place / "boundary.json", fits.stamp)
         return f"{patient.name}: boundary values"
     if isinstance(task, _Uncertainty):
-        stated_uncertainty(fits, task.setting, own, fits.stamp)
+        stated_uncertainty(fits, task.setting, place, fits.stamp)
         return f"{patient.name}: uncertainty of {task.setting.name}"
-    rivals.rival(fits, task, own, digest)
+    rivals.rival(fits, task, place, digest)
     return f"{patient.name}: {task}"

@@ -98,9 +98,9 @@ def _errors(
     places = dict.fromkeys((r.patient, r.recording) for r in rows)
     lines = []
     for patient, recording in places:
-        own = select(rows, patient=patient, recording=recording)
+        there = select(rows, patient=patient, recording=recording)
         cells = [
-            number(mean(select(own, setting=name), reading), form) for name in columns
+            number(mean(select(there, setting=name), reading), form) for name in columns
         ]
         lines.append([f"{patient}, {recording.split('_')[0]}", *cells])
     means = [mean(select(rows, setting=name), reading) for name in columns]
@@ -126,14 +126,17 @@ def recordings_table(result: ExperimentResult) -> Table:
     shell = PointShell.from_spec(PROBE_SPEC)
     lines = []
     for each in result.patients:
-        for name, own in each.examination.measured.items():
-            assert own.force is not None
-            assert own.torque is not None
-            size = np.linalg.norm(own.force, axis=1)
+        for name, given in each.examination.measured.items():
+            assert given.force is not None
+            assert given.torque is not None
+            size = np.linalg.norm(given.force, axis=1)
             touching = size > FORCE_THRESHOLD
-            torque = 1e3 * np.linalg.norm(own.torque, axis=1)[touching]
-            lost = 100 * hysteresis_share(own, shell, FORCE_THRESHOLD)
-            cells = [f"{touching.sum()}/{len(own)}", f"{np.median(size[touching]):.1f}"]
+            torque = 1e3 * np.linalg.norm(given.torque, axis=1)[touching]
+            lost = 100 * hysteresis_share(given, shell, FORCE_THRESHOLD)
+            cells = [
+                f"{touching.sum()}/{len(given)}",
+                f"{np.median(size[touching]):.1f}",
+            ]
             cells += [f"{size.max():.1f}", f"{np.median(torque):.0f}"]
             lines.append([f"{each.patient.name}, {name}", *cells, number(lost, ".0f")])
     header = ["", "in contact", "median [N]", "largest [N]", "median torque [mN·m]"]
@@ -153,10 +156,10 @@ def torque_table(result: ExperimentResult) -> Table:
     for seen, motion in ((True, "same"), (False, "new")):
         rows = select(result.rows, seen=seen, against="measured")
         for patient in dict.fromkeys(r.patient for r in rows):
-            own = select(rows, patient=patient)
+            of_patient = select(rows, patient=patient)
             cells = [
                 " → ".join(
-                    number(mean(select(own, setting=name), reading), form)
+                    number(mean(select(of_patient, setting=name), reading), form)
                     for name in pair
                 )
                 for _, reading, form in columns
@@ -173,17 +176,17 @@ def uncertainty_table(result: ExperimentResult) -> Table | None:
             name = f"{each.patient.name}, {title(stated.setting)}"
             if stated.refused:
                 lines.append([f"{name}: {stated.refused}", *[""] * 6])
-            for recording, found in stated.figures.items():
-                force, error = found.force_rank_correlation, found.force_rank_error
+            for recording, figures in stated.figures.items():
+                force, error = figures.force_rank_correlation, figures.force_rank_error
                 lines.append(
                     [
                         f"{name}, {recording.split('_')[0]}",
-                        number(found.force_std_N, ".2f"),
-                        number(100.0 * found.force_coverage, ".1f"),
-                        number(1e3 * found.torque_std_Nm, ".1f"),
-                        number(100.0 * found.torque_coverage, ".1f"),
+                        number(figures.force_std_N, ".2f"),
+                        number(100.0 * figures.force_coverage, ".1f"),
+                        number(1e3 * figures.torque_std_Nm, ".1f"),
+                        number(100.0 * figures.torque_coverage, ".1f"),
                         f"{number(force, '.2f')} ± {number(error, '.2f')}",
-                        number(found.force_place_rank_correlation, ".2f"),
+                        number(figures.force_place_rank_correlation, ".2f"),
                     ]
                 )
     header = ["", "force [N]", "covered [%]", "torque [mN·m]", "covered [%]"]
@@ -195,10 +198,10 @@ def boundary_table(result: ExperimentResult) -> Table:
     factors = list(dict.fromkeys(row.factor for row in result.boundary))
     lines = []
     for patient in dict.fromkeys(row.patient for row in result.boundary):
-        own = [row for row in result.boundary if row.patient == patient]
+        of_patient = [row for row in result.boundary if row.patient == patient]
         for name, values in (
-            ("before", [row.before_N for row in own]),
-            ("after", [row.after_N for row in own]),
+            ("before", [row.before_N for row in of_patient]),
+            ("after", [row.after_N for row in of_patient]),
         ):
             cells = [number(value) for value in values]
             lines.append([f"{patient}, {name}", *cells, f"**{spread(values):.2f}**"])
@@ -221,10 +224,10 @@ def comparison_table(result: ExperimentResult, against: str) -> Table:
     rows = _unseen(result, against)
     lines = []
     for name in dict.fromkeys(r.setting for r in rows):
-        own = select(rows, setting=name)
-        cells = [number(mean(own, reading), form) for _, reading, form in columns]
-        met = [all(row.score.meets().values()) for row in own]
-        parts = _parts_met(own)
+        scored = select(rows, setting=name)
+        cells = [number(mean(scored, reading), form) for _, reading, form in columns]
+        met = [all(row.score.meets().values()) for row in scored]
+        parts = _parts_met(scored)
         lines.append([title(name), *cells, parts, f"{sum(met)}/{len(met)}"])
     header = [name for name, _, _ in columns]
     return Table(["", *header, "each aim met", "all met"], lines)
@@ -248,8 +251,8 @@ def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Tabl
     names = list(dict.fromkeys(r.setting for r in rows))
     lines = []
     for patient, recording in dict.fromkeys((r.patient, r.recording) for r in rows):
-        own = select(rows, patient=patient, recording=recording)
-        values = [mean(select(own, setting=name), reading) for name in names]
+        there = select(rows, patient=patient, recording=recording)
+        values = [mean(select(there, setting=name), reading) for name in names]
         least = np.nanmin(values)
         cells = [
             f"**{number(v, form)}**" if v == least else number(v, form) for v in values
@@ -266,8 +269,8 @@ def aims_table(result: ExperimentResult) -> Table:
     for name in dict.fromkeys(r.setting for r in rows):
         cells = []
         for patient, recording in places:
-            own = select(rows, setting=name, patient=patient, recording=recording)
-            cells.append(_missed(own[0].score) if own else "–")
+            there = select(rows, setting=name, patient=patient, recording=recording)
+            cells.append(_missed(there[0].score) if there else "–")
         lines.append([title(name), *cells])
     return Table(["", *(f"{p}, {r.split('_')[0]}" for p, r in places)], lines)
 
@@ -322,11 +325,11 @@ def rivals_table(result: ExperimentResult, best: str) -> Table | None:
 
 def _rival_errors(rows: Sequence[Row], setting: str) -> list[str]:
     """Mean errors of a comparator over recordings, as its table prints them."""
-    own = select(rows, setting=setting)
+    scored = select(rows, setting=setting)
     return [
-        number(mean(own, _FORCE)),
-        number(mean(own, _ANGLE), ".1f"),
-        number(100 * mean(own, lambda s: s.torque_share), ".0f"),
-        number(mean(own, lambda s: s.torque_angle_error_deg), ".0f"),
-        number(100 * mean(own, lambda s: s.share_told_apart), ".0f"),
+        number(mean(scored, _FORCE)),
+        number(mean(scored, _ANGLE), ".1f"),
+        number(100 * mean(scored, lambda s: s.torque_share), ".0f"),
+        number(mean(scored, lambda s: s.torque_angle_error_deg), ".0f"),
+        number(100 * mean(scored, lambda s: s.share_told_apart), ".0f"),
     ]

@@ -74,8 +74,8 @@ class CalibrationCurve:
             np.array(LEVELS),
             _shares(force),
             np.full(len(LEVELS), np.nan) if torque is None else _shares(torque),
-            np.sqrt([size[own].mean() for own in frames]),
-            np.sqrt([off[own].mean() for own in frames]),
+            np.sqrt([size[some].mean() for some in frames]),
+            np.sqrt([off[some].mean() for some in frames]),
         )
 
 

@@ -53,18 +53,18 @@ class Contacts:
         """Contacts along a trajectory."""
         place, depth = np.zeros((len(poses), 3)), np.zeros(len(poses))
         for start in range(0, len(poses), CHUNK):
-            own = slice(start, start + CHUNK)
-            points = shell.points @ poses.rotation[own].transpose(0, 2, 1)
-            points += poses.position[own, None]
+            some = slice(start, start + CHUNK)
+            points = shell.points @ poses.rotation[some].transpose(0, 2, 1)
+            points += poses.position[some, None]
             r, theta, z = cylindrical(points.reshape(-1, 3))
             deep = np.maximum(surface.radius_at(theta, z) - r, 0.0)
             deep = deep.reshape(points.shape[:2])
-            depth[own] = deep.max(axis=1)
+            depth[some] = deep.max(axis=1)
             share = shell.areas * deep
             share /= np.maximum(share.sum(axis=1, keepdims=True), np.finfo(float).tiny)
             r, theta, z = cylindrical(np.einsum("tm,tmi->ti", share, points))
             foot = surface.radius_at(theta, z)
-            place[own] = np.c_[foot * np.cos(theta), foot * np.sin(theta), z]
+            place[some] = np.c_[foot * np.cos(theta), foot * np.sin(theta), z]
         return cls(place, depth)
 
 
@@ -110,13 +110,13 @@ class FittedContacts:
         try:
             facts = json.loads(text)
             cells = np.array(facts["cells"], dtype=float).reshape(-1, 3)
-            found = cls(float(facts["cell_m"]), cells, float(facts["deepest_m"]))
+            map_ = cls(float(facts["cell_m"]), cells, float(facts["deepest_m"]))
         except (ValueError, TypeError, KeyError) as error:
             raise _damaged() from error
-        sizes = found.cell, found.deepest
+        sizes = map_.cell, map_.deepest
         if not (len(cells) and np.isfinite(cells).all() and min(sizes) > 0.0):
             raise _damaged()
-        return found
+        return map_
 
     def distance(self, places: Array) -> Array:
         """To the nearest fitted cell's centre, shape (T,) [m]."""
@@ -156,9 +156,9 @@ def bins(value: Array, limits: tuple[float, ...], judged: Evaluation) -> list[Bi
     number[np.isnan(value)] = -1
     out = []
     for i, (low, high) in enumerate(itertools.pairwise(limits)):
-        own = number == i
-        errors = judged.over(own).errors if own.any() else None
-        out.append(Bin(low, high, int(own.sum()), errors))
+        some = number == i
+        errors = judged.over(some).errors if some.any() else None
+        out.append(Bin(low, high, int(some.sum()), errors))
     return out
 
 

@@ -43,23 +43,23 @@ def hysteresis_share(
     size = np.linalg.norm(trajectory.force, axis=1)
     dissipated, done = 0.0, 0.0
     for number in np.unique(trajectory.segment):
-        own = np.flatnonzero(trajectory.segment == number)
-        work = np.concatenate([[0.0], np.cumsum(_work(trajectory, shell, own))])
-        for start, stop in _presses(size[own] > force_threshold):
+        frames = np.flatnonzero(trajectory.segment == number)
+        work = np.concatenate([[0.0], np.cumsum(_work(trajectory, shell, frames))])
+        for start, stop in _presses(size[frames] > force_threshold):
             during = work[start : stop + 1] - work[start]
             dissipated, done = dissipated + during[-1], done + during.max()
     return dissipated / done if done > 0.0 else float("nan")
 
 
-def _work(trajectory: Trajectory, shell: PointShell, own: IntArray) -> Array:
+def _work(trajectory: Trajectory, shell: PointShell, frames: IntArray) -> Array:
     """Work done on the patient between frames, shape (T - 1,) [J]."""
     assert trajectory.force is not None
-    rotation = trajectory.rotation[own]
-    at = trajectory.position[own] + rotation @ np.asarray(shell.reference)
-    force = trajectory.force[own]
+    rotation = trajectory.rotation[frames]
+    at = trajectory.position[frames] + rotation @ np.asarray(shell.reference)
+    force = trajectory.force[frames]
     work = -np.einsum("ti,ti->t", force[1:] + force[:-1], np.diff(at, axis=0)) / 2
     if trajectory.torque is not None:
-        torque = trajectory.torque[own]
+        torque = trajectory.torque[frames]
         turn = Rotation.from_matrix(rotation[1:] @ rotation[:-1].transpose(0, 2, 1))
         mean = (torque[1:] + torque[:-1]) / 2
         work -= np.einsum("ti,ti->t", mean, turn.as_rotvec())

@@ -139,15 +139,15 @@ def associate(
     Returns:
         The measurement; not ``seen`` if nothing is within the gate.
     """
-    own = np.ndim(depth_noise) > 0
+    per_point = np.ndim(depth_noise) > 0
     S = variance[..., None] + depth_noise**2
     # Relative to the prediction: padding (inf) falls outside every gate.
     innovation = radius - predicted[..., None]
     inside = innovation**2 < _GATE**2 * S
     v = np.where(inside, innovation, 0.0)
-    sigma = _mean_noise(inside, depth_noise) if own else depth_noise
+    sigma = _mean_noise(inside, depth_noise) if per_point else depth_noise
     weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, sigma)
-    if own:
+    if per_point:
         weight /= depth_noise**2
     total = weight.sum(axis=-1)
     seen = total > 0
@@ -155,7 +155,7 @@ def associate(
     y = (weight * v).sum(axis=-1)
     spread = (weight * (v - y[..., None]) ** 2).sum(axis=-1)
     # Two surfaces within the gate: unsure which, beyond what noise explains.
-    if own:
+    if per_point:
         explained = (weight * depth_noise**2).sum(axis=-1)
         noise = (weight**2 * depth_noise**2).sum(axis=-1)
     else:
@@ -291,8 +291,8 @@ def _two_laps(lap: _Lap, given: _Measurement | None) -> Contour:
             P[:, 0, 0] += jump[(step - 1) % n]
         predictions[step], spreads[step] = x, P
         if given is None:
-            own = noise[k] if isinstance(noise, np.ndarray) else noise
-            m = associate(radius[k], x[:, 0], P[:, 0, 0], own)
+            spread = noise[k] if isinstance(noise, np.ndarray) else noise
+            m = associate(radius[k], x[:, 0], P[:, 0, 0], spread)
             missed = ~m.seen & np.isfinite(radius[k, :, 0])
             jump[k] = np.where(missed, _JUMP**2, jump[k] if step >= n else 0.0)
         else:

@@ -104,10 +104,10 @@ def estimate_frame(
         )
     normals = _normals(points)
     if plane is None:
-        found = _free_frame(points, normals)
+        frame = _free_frame(points, normals)
     else:
-        found = _supported_frame(points, normals, plane)
-    upward, z = found.upward, found.z
+        frame = _supported_frame(points, normals, plane)
+    upward, z = frame.upward, frame.z
     if head is not None:
         z = z * sign_towards(z, head)
     else:
@@ -116,7 +116,7 @@ def estimate_frame(
     if known.flip:
         z = -z
     y = -upward if known.prone else upward
-    return FrameEstimate(found.origin, np.stack([np.cross(y, z), y, z], axis=1), plane)
+    return FrameEstimate(frame.origin, np.stack([np.cross(y, z), y, z], axis=1), plane)
 
 
 def _thinned(points: Array) -> Array:

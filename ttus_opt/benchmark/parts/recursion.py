@@ -128,16 +128,16 @@ def with_measurements(scene: Scene, trajectory: Trajectory) -> Scene:
 
 def _touching(scene: Scene, count: int) -> Trajectory:
     """``count`` measurements in contact, the recordings' own first."""
-    own = _in_contact(scene)
-    if len(own) == 0:
+    recorded = _in_contact(scene)
+    if len(recorded) == 0:
         raise InputError("no pose touches the patient: give recordings in contact")
     rng = np.random.default_rng(0)
-    parts, found = [own], len(own)
-    while found < count:
-        moved = own.position + rng.normal(0.0, MOVED, own.position.shape)
-        more = _in_contact(with_measurements(scene, replace(own, position=moved)))
+    parts, total = [recorded], len(recorded)
+    while total < count:
+        moved = recorded.position + rng.normal(0.0, MOVED, recorded.position.shape)
+        more = _in_contact(with_measurements(scene, replace(recorded, position=moved)))
         parts.append(more)
-        found += len(more)
+        total += len(more)
     return Trajectory.concatenate(parts).select(np.arange(count))
 
 

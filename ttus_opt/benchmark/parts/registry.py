@@ -17,12 +17,12 @@ SOLVERS = "solvers"
 @functools.cache
 def parts() -> dict[str, Part]:
     """Every part by name."""
-    found: list[Part] = []
+    listed: list[Part] = []
     for module in pkgutil.iter_modules(ttus_opt.benchmark.parts.__path__):
         loaded = importlib.import_module(f"ttus_opt.benchmark.parts.{module.name}")
-        found += [loaded.PART] if hasattr(loaded, "PART") else []
-    found.sort(key=lambda part: (part.name != SOLVERS, part.name))
-    return {part.name: part for part in found}
+        listed += [loaded.PART] if hasattr(loaded, "PART") else []
+    listed.sort(key=lambda part: (part.name != SOLVERS, part.name))
+    return {part.name: part for part in listed}
 
 
 def chosen(text: str) -> list[str]:

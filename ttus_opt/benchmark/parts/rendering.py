@@ -135,11 +135,11 @@ def time_rendering(scene: Scene, *, passes: int = PASSES) -> list[Row]:
         {
             "sampling": field.sampling,
             "way": way,
-            "ratio_to_numpy": own["median"] / whole,
+            "ratio_to_numpy": taken["median"] / whole,
         }
-        | own
+        | taken
         | size
-        for way, own in ways.items()
+        for way, taken in ways.items()
     ]
 
 
@@ -167,7 +167,7 @@ def frame_times(
         poses of the least processor time in any pass [s].
     """
     frame(*poses[0])  # compiles
-    wall, own = np.empty((passes, len(poses))), np.empty((passes, len(poses)))
+    wall, processor = np.empty((passes, len(poses))), np.empty((passes, len(poses)))
     for n in range(passes):
         for k, pose in enumerate(poses):
             if pause:
@@ -175,13 +175,13 @@ def frame_times(
             begin, before = time.thread_time_ns(), time.perf_counter_ns()
             frame(*pose)
             wall[n, k] = 1e-9 * (time.perf_counter_ns() - before)
-            own[n, k] = 1e-9 * (time.thread_time_ns() - begin)
+            processor[n, k] = 1e-9 * (time.thread_time_ns() - begin)
     return {
         "median": float(np.median(wall)),
         "percentile_99": float(np.percentile(wall, 99.0)),
         "percentile_99_9": float(np.percentile(wall, 99.9)),
         "longest": float(wall.max()),
-        "processor": float(np.median(own.min(axis=0))),
+        "processor": float(np.median(processor.min(axis=0))),
     }
 
 

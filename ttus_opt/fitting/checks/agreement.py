@@ -59,10 +59,10 @@ def torque_offset(
     # f × (R c) per column of R
     arms = np.cross(force[:, None, :], np.swapaxes(rotation, 1, 2))
     columns = np.swapaxes(arms, 1, 2).reshape(-1, 3)
-    own, tau = expected.reshape(-1), torque.reshape(-1)
-    size = float(np.linalg.norm(own))
+    flat, tau = expected.reshape(-1), torque.reshape(-1)
+    size = float(np.linalg.norm(flat))
     if size > 0.0:  # project out what the factor k explains
-        unit = own / size
+        unit = flat / size
         tau = tau - unit * (unit @ tau)
         columns = columns - np.outer(unit, unit @ columns)
     offset, *_ = np.linalg.lstsq(columns, tau, rcond=LEAST_SINGULAR_VALUE)
@@ -71,9 +71,9 @@ def torque_offset(
 
 def _scaled(measured: Array, expected: Array) -> tuple[float, float]:
     """The best scale ≥ 0, and ‖rest‖²/‖measured‖²; 1 where nothing is expected."""
-    size, own = float(measured @ measured), float(expected @ expected)
-    if size == 0.0 or own == 0.0:
+    size, power = float(measured @ measured), float(expected @ expected)
+    if size == 0.0 or power == 0.0:
         return 0.0, float(size > 0.0)
-    scale = max(float(measured @ expected) / own, 0.0)
+    scale = max(float(measured @ expected) / power, 0.0)
     rest = measured - scale * expected
     return scale, float(rest @ rest) / size

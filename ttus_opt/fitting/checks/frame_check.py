@@ -64,8 +64,8 @@ def warn_of_another_frame(
         surface: The patient's surface.
         conventions: The conventions of the file.
     """
-    own = share_near_skin(read, shell, surface)
-    if own >= FEW:
+    near = share_near_skin(read, shell, surface)
+    if near >= FEW:
         return
     place: Array = surface.axis.scan_to_patient
     poses = replace(as_written, force=None, torque=None)
@@ -84,7 +84,7 @@ def warn_of_another_frame(
     if conventions.frame != "base":
         remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
     warn(
-        f"only {100 * own:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
+        f"only {100 * near:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
         f"skin in the {conventions.frame} frame: {remedy}",
         kind=MistakeWarning,
     )
@@ -96,14 +96,14 @@ def warn_of_jumps(recorded: Trajectory) -> None:
     Args:
         recorded: Poses, in any frame.
     """
-    found = []
+    steps = []
     for number in np.unique(recorded.segment):
-        own = recorded.select(recorded.segment == number)
-        at, size = jumps(own.position, own.time)
-        found += list(zip(own.time[at], size[at], strict=True))
-    if found:
-        time, size = found[0]
-        others = f", and {len(found) - 1} more" if len(found) > 1 else ""
+        recording = recorded.select(recorded.segment == number)
+        at, size = jumps(recording.position, recording.time)
+        steps += list(zip(recording.time[at], size[at], strict=True))
+    if steps:
+        time, size = steps[0]
+        others = f", and {len(steps) - 1} more" if len(steps) > 1 else ""
         warn(
             f"the poses jump by {1e3 * size:.0f} mm at {time:.3f} s, "
             f"{time - recorded.time[0]:.3f} s after the first{others}: did the tracker "

@@ -50,10 +50,10 @@ def other_readings(
     """
     centroid = np.asarray(scene.shell.reference)
     place = scene.voxmap.surface.axis.scan_to_patient
-    own = asdict(conventions)
+    given = asdict(conventions)
     for other in _other_conventions(conventions, centroid, written):
         reread = other.read(written, centroid, place)
-        cause = next(k for k, v in asdict(other).items() if v != own[k])
+        cause = next(k for k, v in asdict(other).items() if v != given[k])
         yield Reading(_difference(conventions, other), other.options, cause, reread)
     for what, columns, swapped in _swapped(written):
         mends = f"--columns {columns} {conventions.options}".rstrip()
@@ -136,34 +136,34 @@ def contact_readings(scene: Scene) -> Iterator[Reading]:
     Axes are turned by every rotation that maps them on each other, the smallest first:
     a symmetric probe looks alike after some of them.
     """
-    own, centroid = scene.trajectory, np.asarray(scene.shell.reference)
+    trajectory, centroid = scene.trajectory, np.asarray(scene.shell.reference)
     usual = Conventions()
-    for other in _other_conventions(usual, centroid, own):
+    for other in _other_conventions(usual, centroid, trajectory):
         if other.quaternion == usual.quaternion:
             cause = "flip_wrench" if other.flip_wrench else "wrench_frame"
             cause = "wrench_delay" if other.wrench_delay else cause
             what = _difference(usual, other)
-            yield Reading(what, "", cause, other.read(own, centroid))
-    assert own.force is not None
+            yield Reading(what, "", cause, other.read(trajectory, centroid))
+    assert trajectory.force is not None
     turns = sorted(Rotation.create_group("O"), key=lambda turn: turn.magnitude())
     for turn in turns[1:]:
         P = turn.as_matrix()
-        rotation = own.rotation @ P
-        turned = rotation @ own.rotation.transpose(0, 2, 1)
-        force = np.einsum("tij,tj->ti", turned, own.force)
-        torque, shifted = own.torque, own.torque
-        if own.torque is not None:
-            torque = np.einsum("tij,tj->ti", turned, own.torque)
-            arm = own.rotation @ (P @ centroid - centroid)
-            shifted = own.torque - np.cross(arm, own.force)
+        rotation = trajectory.rotation @ P
+        turned = rotation @ trajectory.rotation.transpose(0, 2, 1)
+        force = np.einsum("tij,tj->ti", turned, trajectory.force)
+        torque, shifted = trajectory.torque, trajectory.torque
+        if trajectory.torque is not None:
+            torque = np.einsum("tij,tj->ti", turned, trajectory.torque)
+            arm = trajectory.rotation @ (P @ centroid - centroid)
+            shifted = trajectory.torque - np.cross(arm, trajectory.force)
         axis = turn.as_rotvec() / turn.magnitude()
         named = ", ".join(f"{v:.2g}" for v in axis)
         how = f"turned by {np.degrees(turn.magnitude()):.0f}° about ({named})"
         for what, cause, reread in (
             ("probe and wrenches", "probe_axes", (rotation, force, torque)),
-            ("the probe", "probe_axes", (rotation, own.force, shifted)),
-            ("wrenches", "wrench_axes", (own.rotation, force, torque)),
+            ("the probe", "probe_axes", (rotation, trajectory.force, shifted)),
+            ("wrenches", "wrench_axes", (trajectory.rotation, force, torque)),
         ):
             R, f, tau = reread
-            recorded = replace(own, rotation=R, force=f, torque=tau)
+            recorded = replace(trajectory, rotation=R, force=f, torque=tau)
             yield Reading(f"{what} {how} in the probe's axes", "", cause, recorded)

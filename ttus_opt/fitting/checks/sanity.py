@@ -212,21 +212,21 @@ def check_recordings(
 
 
 def _recording(
-    scene: Scene, field: PotentialField, name: str, own: Trajectory
+    scene: Scene, field: PotentialField, name: str, recorded: Trajectory
 ) -> RecordingCheck:
-    found = evaluate(field, scene.shell, own)
-    force = np.linalg.norm(found.measured_force, axis=1) > FORCE_THRESHOLD
-    contact = scene.rows_along(own).contact_points > 0
+    evaluation = evaluate(field, scene.shell, recorded)
+    force = np.linalg.norm(evaluation.measured_force, axis=1) > FORCE_THRESHOLD
+    contact = scene.rows_along(recorded).contact_points > 0
     return RecordingCheck(
         name,
-        len(own),
-        _mean_size(found.measured_force - found.rendered_force),
-        _mean_size(found.measured_torque - found.rendered_torque),
-        found.errors.force_angle_error_deg,
+        len(recorded),
+        _mean_size(evaluation.measured_force - evaluation.rendered_force),
+        _mean_size(evaluation.measured_torque - evaluation.rendered_torque),
+        evaluation.errors.force_angle_error_deg,
         int((force & ~contact).sum()),
         int((contact & ~force).sum()),
-        int((found.beyond_inner > 0).sum()),
-        hysteresis_share(own, scene.shell, FORCE_THRESHOLD),
+        int((evaluation.beyond_inner > 0).sum()),
+        hysteresis_share(recorded, scene.shell, FORCE_THRESHOLD),
     )
 
 
@@ -259,39 +259,39 @@ def _likely_mistake(
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
-    own = agreement(scene, prior, scene.trajectory.select(chosen))
+    as_read = agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
     for what, mends, cause, reread in readings:
         # re-read as a whole: a delay needs neighbouring frames
         other = agreement(scene, prior, reread.select(chosen))
-        bound = CLEARLY * own.disagreement if best is None else best.after
+        bound = CLEARLY * as_read.disagreement if best is None else best.after
         if other.disagreement < bound:
-            best = Mistake(what, mends, own.disagreement, other.disagreement, cause)
+            best = Mistake(what, mends, as_read.disagreement, other.disagreement, cause)
     moved = _about_another_point(scene, prior, written, conventions, chosen)
     if moved is not None:
         reading, after = moved
-        if after < CLEARLY * (own.disagreement if best is None else best.after):
+        if after < CLEARLY * (as_read.disagreement if best is None else best.after):
             point = reading.point(np.asarray(scene.shell.reference))
             x, y, z = (1e3 * v for v in point)
             what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
-            return own.disagreement, Mistake(
-                what, reading.options, own.disagreement, after, "torque_about"
+            return as_read.disagreement, Mistake(
+                what, reading.options, as_read.disagreement, after, "torque_about"
             )
     if (
         best is None
         and conventions.torque_unit == "Nm"
-        and own.torque_ratio > WRONG_UNIT
+        and as_read.torque_ratio > WRONG_UNIT
     ):
         mends = replace(conventions, torque_unit="Nmm").options
-        size = f"{own.torque_ratio:.0f} times those expected"
-        return own.disagreement, Mistake(
+        size = f"{as_read.torque_ratio:.0f} times those expected"
+        return as_read.disagreement, Mistake(
             f"torques in N·mm, {size}",
             mends,
-            own.disagreement,
-            own.disagreement,
+            as_read.disagreement,
+            as_read.disagreement,
             "torque_unit",
         )
-    return own.disagreement, best
+    return as_read.disagreement, best
 
 
 def _about_another_point(
@@ -316,8 +316,8 @@ def _about_another_point(
     point = tuple(np.round(conventions.point(centroid) + c, 3).tolist())
     other = replace(conventions, torque_about=point)
     reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
-    found = agreement(scene, prior, reread.select(chosen))
-    return other, found.disagreement
+    agreed = agreement(scene, prior, reread.select(chosen))
+    return other, agreed.disagreement
 
 
 def _mean_size(vectors: Array) -> float:

@@ -146,18 +146,18 @@ class PoseErrorProblem:
         Raises:
             InputError: As of `estimate_depth_map`.
         """
-        found = estimate_depth_map(self.scene, self.reported, depth_error=0.0)
+        depth_map = estimate_depth_map(self.scene, self.reported, depth_error=0.0)
         none = np.zeros((len(self.alike), 6))
-        prior = FieldPrior.of(self, found, self.reported, [])
+        prior = FieldPrior.of(self, depth_map, self.reported, [])
         misfit = (self.normal @ self.scene.f)[self.frames] - prior.rows @ prior.mean
         given = ByCovariance.of(prior.of_rows + prior.noise, misfit)
         p = prior.field(given.multipliers)
-        return State(none, none, p, found, prior, given)
+        return State(none, none, p, depth_map, prior, given)
 
     def step(self, last: State, *, estimate: bool) -> State:
         """The next estimate; ``estimate`` finds the field's hyperparameters again."""
-        own = self.scene.trajectory
-        poses = self.noise.moved(own.rotation, own.position, -last.xi)
+        trajectory = self.scene.trajectory
+        poses = self.noise.moved(trajectory.rotation, trajectory.position, -last.xi)
         rows, changes = self.rows.at(*poses), self.rows.derivatives(*poses, self.noise)
         rows = sp.csr_array(rows + (self.reported - self.scene.N))
         slope = np.stack([(each @ last.p).reshape(-1, 3) for each in changes], axis=2)
@@ -215,17 +215,17 @@ class PoseErrorProblem:
         given, errors = state.given, np.empty(len(self.frames))
         news = given.left_out(self.place)
         for number in np.unique(self.place):
-            own = self.place == number
-            dual = given.solve(given.data - np.where(own, news, 0.0))
-            dual[own] = 0.0  # exactly, not by rounding
-            errors[own] = force[own] - reported[own] @ state.prior.field(dual)
+            there = self.place == number
+            dual = given.solve(given.data - np.where(there, news, 0.0))
+            dual[there] = 0.0  # exactly, not by rounding
+            errors[there] = force[there] - reported[there] @ state.prior.field(dual)
         return np.abs(errors)
 
     def _pose_covariance(self, slope: Array, frames: IntArray) -> Array:
         """J K Jᵀ of some frames, shape (3k, 3k); slope (T, 3, 6) of all."""
-        own = slope[frames]
+        some = slope[frames]
         alike = self.noise.correlations(self.scene.trajectory, frames)[frames]
-        flat = own.reshape(-1, 6)
+        flat = some.reshape(-1, 6)
         return np.asarray((flat @ flat.T) * np.kron(alike, np.ones((3, 3))))
 
     def _std(self, seen: Array, given: ByCovariance) -> Array:
@@ -266,33 +266,33 @@ class FieldPrior:
     def of(
         cls,
         problem: PoseErrorProblem,
-        found: DepthMapEstimate,
+        depth_map: DepthMapEstimate,
         rows: sp.csr_array,
         changes: list[sp.csr_array],
     ) -> Self:
         """The prior of a depth map; rows and changes of all frames."""
         scene, frames = problem.scene, problem.frames
-        own, *moved = ((problem.normal @ each)[frames] for each in (rows, *changes))
-        mean = voxel_profile(scene, found.profile)
+        normal, *moved = ((problem.normal @ each)[frames] for each in (rows, *changes))
+        mean = voxel_profile(scene, depth_map.profile)
         varied = SeparableCovariance.over(
             scene.voxmap,
-            found.deviation * mean,
-            found.surface_length,
-            found.depth_length,
-            found.length_ratio,
+            depth_map.deviation * mean,
+            depth_map.surface_length,
+            depth_map.depth_length,
+            depth_map.length_ratio,
         )
         covariance = Sum((varied, Multiples(PROFILE_SPREAD * mean[:, None])))
-        touched = np.unique(np.concatenate([m.indices for m in (own, *moved)]))
-        few = sp.csr_array(own[:, touched])
+        touched = np.unique(np.concatenate([m.indices for m in (normal, *moved)]))
+        few = sp.csr_array(normal[:, touched])
         columns = few @ covariance.columns(touched).among
         return cls(
-            own,
+            normal,
             [sp.csr_array(each[:, touched]) for each in moved],
             mean,
             covariance,
             columns,
             columns @ few.T,
-            _noise(problem, found, own @ mean),
+            _noise(problem, depth_map, normal @ mean),
         )
 
     def shrinkage(self) -> Array:
@@ -311,9 +311,9 @@ class FieldPrior:
         return np.asarray(self.mean + self.covariance.times(self.rows.T @ dual))
 
 
-def _noise(problem: PoseErrorProblem, found: DepthMapEstimate, force: Array) -> Array:
+def _noise(problem: PoseErrorProblem, model: DepthMapEstimate, force: Array) -> Array:
     """Σ of the used frames, whose forces by the profile are (k,), shape (k, k) [N²]."""
     alike = neighbours(problem.scene, problem.frames)
-    shared = found.shared_error**2 * alike * force[:, None] * force
-    variance = found.sensor_noise**2 + (found.relative_noise * force) ** 2
+    shared = model.shared_error**2 * alike * force[:, None] * force
+    variance = model.sensor_noise**2 + (model.relative_noise * force) ** 2
     return np.asarray(shared + np.diag(variance))

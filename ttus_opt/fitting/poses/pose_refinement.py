@@ -123,11 +123,11 @@ def refine_poses(
         InputError: No force was measured in contact, or the forces pull.
         NumericalError: The steps did not converge: there are no refined poses.
     """
-    own = TrackerNoise() if noise is None else noise
+    tracker = TrackerNoise() if noise is None else noise
     if not scene.trajectory.has_wrench:
         raise InputError(f"poses are refined by measured {FORCES}: the scene has none")
     small = _sampled(coarser(scene))
-    problem = PoseErrorProblem.of(small, own)
+    problem = PoseErrorProblem.of(small, tracker)
     begin = progress or (lambda: None)
     begin()
     start = problem.start()
@@ -142,10 +142,10 @@ def refine_poses(
     xi = problem.without_mean_depth(at.xi)
     _warn_of_offset(problem, xi)
     return RefinedPoses(
-        own.without(scene.trajectory, xi),
-        xi * own.sizes,
-        at.std * own.sizes,
-        own,
+        tracker.without(scene.trajectory, xi),
+        xi * tracker.sizes,
+        at.std * tracker.sizes,
+        tracker,
         at.depth_map,
         steps,
         gain,

@@ -69,8 +69,8 @@ class CovariancePosterior(Posterior):
             inner = seen.T @ measured.solve(seen)
             inner[np.diag_indices_from(inner)] += 1.0
             drift = tag.mean.drift @ np.linalg.inv(np.linalg.cholesky(inner)).T
-        own = tag.covariance, told, rows, images, measured
-        return cls(*own, columns, touching, drift, rows @ drift)
+        base = tag.covariance, told, rows, images, measured
+        return cls(*base, columns, touching, drift, rows @ drift)
 
     def _gained(self, rows: sp.csr_array, height: int) -> Array:
         errors = self._known_errors

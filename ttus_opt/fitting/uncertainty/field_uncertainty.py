@@ -215,8 +215,8 @@ def uncertainty(
         )
     potential = solution.field
     mean = None if known is None else known.mean
-    found = _errors(scene, potential, prior, measured, posterior, mean)
-    variance, noise, errors = found
+    estimated = _errors(scene, potential, prior, measured, posterior, mean)
+    variance, noise, errors = estimated
     posterior = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
@@ -279,7 +279,7 @@ def _errors(
     mixed = sp.csc_array(sp.block_diag(weighted))
     at = np.arange(mixed.shape[0]).reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
-    own, inverse = posterior.measured, splu(mixed)
+    given, inverse = posterior.measured, splu(mixed)
 
     def unmixed(rows: Array) -> Array:
         """Weighted rows, (…, k), as wrenches by frame, (…, n, h)."""
@@ -289,12 +289,12 @@ def _errors(
 
     seen = MeasuredWrenches(
         unmixed(posterior.images),
-        unmixed(own.data),
+        unmixed(given.data),
         wrench[touching],
         places(scene.presses[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
-    likeliest = own.square / len(own.data)
+    likeliest = given.square / len(given.data)
     known = None if mean is None else told_variance(scene, mean)
     variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE), known)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])

@@ -66,13 +66,13 @@ class LaplacePosterior(Posterior):
         sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
         sweep.complete(root, MISSING)
         images, fields, told = sweep.images, sweep.take_fields(), sweep.informative
-        own, base = root[told], None
-        rows = sp.csr_array(sp.diags_array(own) @ data.system.rows[told])
-        images = images * own
+        roots, base = root[told], None
+        rows = sp.csr_array(sp.diags_array(roots) @ data.system.rows[told])
+        images = images * roots
         if scale:
             base = SCALE_DEVIATION * sweep.base
             images = np.concatenate([images, (rows @ base)[None]])
-        measured = ByImages.of(images, own * sweep.misfit)
+        measured = ByImages.of(images, roots * sweep.misfit)
         prior = data.system.field_prior.within(RTOL)
         return cls(prior, told, rows, images, measured, base, fields, voxels)
 
@@ -95,11 +95,11 @@ class LaplacePosterior(Posterior):
         kept = rows
         if self.voxels is not None:
             kept, _ = kept_rows(rows, self.voxels, height)
-        own = np.asarray(kept @ self.fields.T)
+        images = np.asarray(kept @ self.fields.T)
         if self.base is not None:
-            own = np.column_stack([own, rows @ self.base])
-        own = own.reshape(-1, height, own.shape[1])
-        return np.asarray(own @ self._inner @ own.transpose(0, 2, 1))
+            images = np.column_stack([images, rows @ self.base])
+        images = images.reshape(-1, height, images.shape[1])
+        return np.asarray(images @ self._inner @ images.transpose(0, 2, 1))
 
     def _draw_prior(self, rng: np.random.Generator) -> Array:
         p = self.prior.draw(rng)

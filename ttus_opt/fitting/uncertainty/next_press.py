@@ -84,8 +84,8 @@ class NextPresses:
     @property
     def region_std(self) -> tuple[float, float]:
         """Root mean square of the deviations in the region, before and after [N]."""
-        own = self.before[self.in_region], self.after[self.in_region]
-        before, after = (float(np.sqrt(np.mean(std**2))) for std in own)
+        both = self.before[self.in_region], self.after[self.in_region]
+        before, after = (float(np.sqrt(np.mean(std**2))) for std in both)
         return before, after
 
     def as_dict(self) -> dict[str, Any]:

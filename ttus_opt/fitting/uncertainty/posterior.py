@@ -72,12 +72,12 @@ class Posterior(abc.ABC):
         out = np.zeros((len(filled), height, height))
         out[missing] = np.nan
         (blocks,) = np.nonzero(filled & ~missing)
-        own = sp.csr_array(rows[_rows_of(blocks, height)])
-        out[blocks] = self._known_errors.variance * self.prior.among_rows(own, height)
+        few = sp.csr_array(rows[_rows_of(blocks, height)])
+        out[blocks] = self._known_errors.variance * self.prior.among_rows(few, height)
         step = max(ROWS_AT_ONCE // height, 1)
         for some in (blocks[i : i + step] for i in range(0, len(blocks), step)):
-            own = sp.csr_array(rows[_rows_of(some, height)])
-            out[some] += self._gained(own, height)
+            few = sp.csr_array(rows[_rows_of(some, height)])
+            out[some] += self._gained(few, height)
         return out
 
     def _missing(self, rows: sp.csr_array, height: int) -> Mask:

@@ -49,12 +49,12 @@ class PosteriorDraws:
         Returns:
             Shape (k, height, height); NaN where a block touches other voxels.
         """
-        own, missing = kept_rows(rows, self.voxels, height)
+        near, missing = kept_rows(rows, self.voxels, height)
         count = len(self.values)
         out = np.zeros((rows.shape[0] // height, height, height))
         for start in range(0, count, BATCH):  # only a batch in double precision
             some = self.values[start : start + BATCH]
-            samples = np.asarray(own @ some.T).reshape(len(out), height, len(some))
+            samples = np.asarray(near @ some.T).reshape(len(out), height, len(some))
             out += samples @ samples.transpose(0, 2, 1) / count
         out[missing] = np.nan
         return np.asarray(out)

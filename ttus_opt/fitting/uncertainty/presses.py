@@ -29,9 +29,9 @@ def pressed_places(scene: Scene) -> IntArray:
         return places(press, position, size)
     known: dict[int, Array] = {}
     for number in numbers:
-        own = position[press == number]
-        middle = own.mean(axis=0)
-        if np.linalg.norm(own - middle, axis=1).max() > size:
+        at_press = position[press == number]
+        middle = at_press.mean(axis=0)
+        if np.linalg.norm(at_press - middle, axis=1).max() > size:
             continue
         far = {one: float(np.linalg.norm(at - middle)) for one, at in known.items()}
         nearest = min(far, key=far.__getitem__, default=-1)

@@ -75,12 +75,12 @@ def require_own(uncertainty: Uncertainty, field: PotentialField) -> None:
     Raises:
         InputError: One of them differs.
     """
-    own = uncertainty.potential
-    one, other = own.voxmap.surface, field.voxmap.surface
+    known = uncertainty.potential
+    one, other = known.voxmap.surface, field.voxmap.surface
     alike = {
-        "grid": own.voxmap.grid == field.voxmap.grid,
+        "grid": known.voxmap.grid == field.voxmap.grid,
         "surface": one is other or np.array_equal(one.radius, other.radius),
-        "sampling": own.sampling == field.sampling,
+        "sampling": known.sampling == field.sampling,
     }
     for name, same in alike.items():
         if not same:

@@ -204,14 +204,14 @@ class _Agreement:
     def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
         """From errors, standard deviations and noise of components, (n, 3) each."""
         total = np.sqrt(std**2 + noise**2)
-        off, own, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
+        off, stated, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
         frames = np.bincount(place)
-        left = [_ranks(off[place != i], own[place != i]) for i in range(len(frames))]
+        left = [_ranks(off[place != i], stated[place != i]) for i in range(len(frames))]
         spread = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
-        means = (np.bincount(place, values) / frames for values in (off, own))
+        means = (np.bincount(place, values) / frames for values in (off, stated))
         return cls(
             float((np.abs(error) <= NORMAL * total).mean()),
-            _ranks(off, own),
+            _ranks(off, stated),
             float(spread) if len(left) >= LEAST else np.nan,
             _ranks(off, whole),
             _ranks(*means),

@@ -99,12 +99,12 @@ class PlaceLeftOut:
             weights: λ by term, shape (terms,) [–].
             coefficient: Of the rows.
         """
-        own = self.rows.at(coefficient)
-        root = np.sqrt(np.maximum(weights, 1e-300)[own.term] * own.every)
-        both = root[:, None] * np.stack([own.target, own.base], axis=1)
-        data = ByImages.of(own.images * root, both[:, 0])
+        rows = self.rows.at(coefficient)
+        root = np.sqrt(np.maximum(weights, 1e-300)[rows.term] * rows.every)
+        both = root[:, None] * np.stack([rows.target, rows.base], axis=1)
+        data = ByImages.of(rows.images * root, both[:, 0])
         rest = data.solve(both)
-        off = data.left_out(own.place, rest)
+        off = data.left_out(rows.place, rest)
         t, u = (off / root[:, None]).T
         if not self.free_scale:
             return Prediction(t - u, 1.0, 0.0)
@@ -147,8 +147,8 @@ class PlaceLeftOut:
         signal = min(SIGNAL[0] * math.exp(SIGNAL[1] * steps[0]), self.largest)
         ratio = np.concatenate([[1.0], RATIO[0] * np.exp(RATIO[1] * steps[1:n])])
         weights = np.minimum(signal * ratio, self.largest) / self.variance
-        own = COEFFICIENT * float(steps[n]) if len(steps) > n else 0.0
-        return weights, min(max(own, 0.0), self.highest)
+        coefficient = COEFFICIENT * float(steps[n]) if len(steps) > n else 0.0
+        return weights, min(max(coefficient, 0.0), self.highest)
 
     def best(self, starts: Sequence[Array] = ()) -> tuple[Array, Array]:
         """Most likely steps and their posterior standard deviations, shape (n,) each.
@@ -164,22 +164,22 @@ class PlaceLeftOut:
         begins = [np.eye(n)[0] * step for step in STARTS]
         begins += [self._steps(weights, n) for weights in starts]
         mode = posterior_mode(log_density, n, CALLS, begins)
-        found = np.clip(mode.steps, -FARTHEST, FARTHEST)
+        top = np.clip(mode.steps, -FARTHEST, FARTHEST)
 
         def cost(steps: Array) -> float:
             return 0.5 * float(steps @ steps) - log_density(steps)
 
-        middle, spread = cost(found), np.empty(n)
+        middle, spread = cost(top), np.empty(n)
         for i, step in enumerate(STEP * np.eye(n)):
-            bend = (cost(found + step) - 2.0 * middle + cost(found - step)) / STEP**2
+            bend = (cost(top + step) - 2.0 * middle + cost(top - step)) / STEP**2
             # the prior alone has curvature 1: much less is rounding, or no minimum
             spread[i] = 1.0 / math.sqrt(max(bend, 0.25))
-        return found, spread
+        return top, spread
 
     def _steps(self, weights: Array, n: int) -> Array:
         """The steps of given weights."""
         out = np.zeros(n)
-        own = np.maximum(weights, 1e-12 / self.variance)
-        out[0] = math.log(own[0] * self.variance / SIGNAL[0]) / SIGNAL[1]
-        out[1 : self.n_terms] = np.log(own[1:] / own[0] / RATIO[0]) / RATIO[1]
+        positive = np.maximum(weights, 1e-12 / self.variance)
+        out[0] = math.log(positive[0] * self.variance / SIGNAL[0]) / SIGNAL[1]
+        out[1 : self.n_terms] = np.log(positive[1:] / positive[0] / RATIO[0]) / RATIO[1]
         return np.clip(out, -FARTHEST, FARTHEST)

@@ -117,8 +117,8 @@ def tune(
     known = [each for each in tried if each.bears_coefficient] or tried
     best = max(known, key=lambda each: each.log_density)
     errors = {each.declared.name: each.force_error for each in tried}
-    found = best.tuning(compare)
-    return replace(found, candidates=errors, seconds=time.perf_counter() - start)
+    tuning = best.tuning(compare)
+    return replace(tuning, candidates=errors, seconds=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ class _Candidate:
         """Whether the data determine its coefficient, if it has one."""
         if not self.rows.coefficient:
             return not self.declared.not_identifiable()
-        found = self.hyperparameters[-1]
-        return found.determined and found.value > 0.0
+        coefficient = self.hyperparameters[-1]
+        return coefficient.determined and coefficient.value > 0.0
 
     @property
     def prediction(self) -> Prediction:
@@ -181,7 +181,7 @@ class _Candidate:
         }
         signal = float(weights[0]) * self.judge.variance
         values = [signal, *(float(w / weights[0]) for w in weights[1:])]
-        found = [
+        listed = [
             Hyperparameter(
                 name,
                 value,
@@ -199,8 +199,8 @@ class _Candidate:
             told = bool(self.spread[-1] <= DETERMINED)
             error = float(COEFFICIENT * self.spread[-1])
             name, bound = self.rows.coefficient, coefficient >= self.rows.highest
-            found.append(Hyperparameter(name, coefficient, 0.0, error, told, bound))
-        return tuple(found)
+            listed.append(Hyperparameter(name, coefficient, 0.0, error, told, bound))
+        return tuple(listed)
 
     def tuning(self, compare: bool) -> Tuning:
         """The result, alone."""
@@ -210,11 +210,11 @@ class _Candidate:
         declared = self.declared if self.build is None else self.build(scene)
         final = dict(zip(self.rows.terms, map(float, self.grid * weights), strict=True))
         chosen = self._by_place(prediction)
-        own = self._by_place(self.judge.predicted(self.own, coefficient))
+        usual = self._by_place(self.judge.predicted(self.own, coefficient))
         spread = np.nan
         if len(chosen) > 1:
-            spread = float((chosen - own).std(ddof=1) / np.sqrt(len(chosen)))
-        means = float(chosen.mean()), float(own.mean())
+            spread = float((chosen - usual).std(ddof=1) / np.sqrt(len(chosen)))
+        means = float(chosen.mean()), float(usual.mean())
         first = prediction.errors[self.judge.rows.term == 0]
         return Tuning(
             declared.with_weights(**final),
@@ -250,16 +250,16 @@ class _Candidate:
         error = float(prediction.scale_error * scene.inner)
         inner = prediction.scale * scene.inner
         told = bool(np.isfinite(error))
-        found = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, error, told)
+        parameter = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, error, told)
         if not told:
-            return scene, (found,)
+            return scene, (parameter,)
         scaled = replace(
             scene.with_boundary(inner, prediction.scale * scene.outer),
             parameters={**scene.parameters, BOUNDARY_SCALE: inner},
             standard_errors={**scene.standard_errors, BOUNDARY_SCALE: error},
             not_identified=scene.not_identified,
         )
-        return scaled, (found,)
+        return scaled, (parameter,)
 
     def _others(self, weights: Array, coefficient: float) -> tuple[Comparison, ...]:
         """The choices by other criteria, among multiples of the weights."""
@@ -275,14 +275,14 @@ class _Candidate:
             )
             for factor in FACTORS
         ]
-        found = []
+        comparisons = []
         for name, sign in (("log_evidence", -1.0), ("gcv", 1.0)):
             best = FACTORS[int(np.argmin([sign * one[name] for one in scores]))]
             final = map(float, self.grid * best * weights)
             error = self._by_place(self.judge.predicted(best * weights, coefficient))
             chosen = dict(zip(self.rows.terms, final, strict=True))
-            found.append(Comparison(name, chosen, float(error.mean())))
-        return tuple(found)
+            comparisons.append(Comparison(name, chosen, float(error.mean())))
+        return tuple(comparisons)
 
 
 def _candidate(
@@ -316,7 +316,7 @@ def _candidate(
         small = build(coarser(scene)) if TuningRows.of(whole).is_laplace else whole
         return _tuned(build, small if alone else whole, small)
 
-    found: tuple[Hyperparameter, ...] = ()
+    varied: tuple[Hyperparameter, ...] = ()
     for name, (low, high) in vary.items():
         if name in options:
             continue
@@ -325,8 +325,8 @@ def _candidate(
         best, median = values[int(np.argmax(scores))], float(np.sqrt(low * high))
         told = max(scores) - min(scores) > 0.5
         one = Hyperparameter(f"option_{name}", best, median, np.nan, told)
-        given, found = given | {name: best}, (*found, one)
-    return replace(tuned(given, False), varied=found)
+        given, varied = given | {name: best}, (*varied, one)
+    return replace(tuned(given, False), varied=varied)
 
 
 def _tuned(
@@ -340,19 +340,19 @@ def _tuned(
         # rescale the weights to the prior variance on the grid of the fit
         grid = variance / TuningRows.of(whole).variance()
     weights = {t.name: t.weight for t in whole.terms if t.measures}
-    own = np.array([weights[name] for name in rows.terms]) / grid
+    usual = np.array([weights[name] for name in rows.terms]) / grid
     free = build is not None and _fits_scale(whole)
     while True:
         judge = PlaceLeftOut(
             rows.over_basis(largest / variance),
             *(len(rows.terms), variance, largest, rows.highest, free),
         )
-        steps, spread = judge.best([own])
+        steps, spread = judge.best([usual])
         most = float(judge.values(steps)[0].max()) * variance
         if most < NEARLY * largest or largest > FIRST_SIGNAL:
             break
         largest *= LARGER
-    return _Candidate(build, whole, rows, judge, steps, spread, own, grid)
+    return _Candidate(build, whole, rows, judge, steps, spread, usual, grid)
 
 
 def _fits_scale(declared: Formulation) -> bool:

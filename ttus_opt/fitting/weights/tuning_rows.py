@@ -142,7 +142,7 @@ class TuningRows:
         number = np.repeat(
             np.arange(len(measured)), [len(rows) for rows, _, _ in split]
         )
-        place = np.concatenate([own for _, own, _ in split])
+        place = np.concatenate([places for _, places, _ in split])
         every = np.repeat(
             [n for _, _, n in split], [len(rows) for rows, _, _ in split]
         ).astype(float)

@@ -227,19 +227,19 @@ def choice_of(
         return WeightChoice(scene, load(usual, scene, **options))
     if formulation is None:
         return default_model(scene, options, sampling, progress=progress)
-    own = load(formulation, scene, **options)
-    if any(isinstance(term, DepthMapTerm) for term in own.terms):
-        return WeightChoice(scene, own, reasons=described(own))
+    declared = load(formulation, scene, **options)
+    if any(isinstance(term, DepthMapTerm) for term in declared.terms):
+        return WeightChoice(scene, declared, reasons=described(declared))
     reason = too_little(scene)
     if reason:
-        return _own(scene, own, reason)
+        return _own(scene, declared, reason)
     try:
-        found = tune(scene, formulation, compare=False, progress=progress, **options)
+        tuned = tune(scene, formulation, compare=False, progress=progress, **options)
     except InputError as error:
         if strict:
             raise
-        return _own(scene, own, str(error))
-    return WeightChoice(found.scene, found.formulation, found)
+        return _own(scene, declared, str(error))
+    return WeightChoice(tuned.scene, tuned.formulation, tuned)
 
 
 def default_model(
@@ -350,16 +350,16 @@ def resampled(scene: Scene, sampling: str) -> Scene:
     )
 
 
-def _own(scene: Scene, own: Formulation, reason: str) -> WeightChoice:
+def _own(scene: Scene, declared: Formulation, reason: str) -> WeightChoice:
     """A formulation with its own weights, and a warning with the reason."""
-    weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
+    weights = (f"{t.name} {t.weight:g}" for t in declared.terms if t.measures)
     warnings.warn(
         f"weights were not chosen from the recordings: {reason}; the weights of "
-        f"{own.name} are used ({', '.join(weights)})",
+        f"{declared.name} are used ({', '.join(weights)})",
         TtusWarning,
         stacklevel=3,
     )
-    return WeightChoice(scene, own, reason=reason)
+    return WeightChoice(scene, declared, reason=reason)
 
 
 def too_little(scene: Scene) -> str:

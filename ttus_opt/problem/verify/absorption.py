@@ -99,15 +99,15 @@ def absorbed(
     r = np.where(fixed, 0.0, residual)
     rows, enough = _Rows(program, x, multipliers, terms), CLOSE_ENOUGH * goal
     try:
-        found = rows.bound(r, _Matrix(program, terms, fixed, 0.0), STEPS, enough)
-        hopeless = found.is_close and not found.gap < HOPEFUL * goal
-        if found.gap > goal and not hopeless:
+        best = rows.bound(r, _Matrix(program, terms, fixed, 0.0), STEPS, enough)
+        hopeless = best.is_close and not best.gap < HOPEFUL * goal
+        if best.gap > goal and not hopeless:
             beside = _Matrix(program, terms, fixed, rows.theta)
             new = rows.bound(r, beside, STEPS_BESIDE, enough)
-            found = min(found, new, key=lambda one: one.gap)
+            best = min(best, new, key=lambda one: one.gap)
     except NumericalError:  # of the multigrid: no bound without its solves
         return None
-    return found if np.isfinite(found.gap) else None
+    return best if np.isfinite(best.gap) else None
 
 
 class _Rows:
@@ -268,9 +268,9 @@ class _Matrix:
         if laplace is None or len(fixed) != len(laplace.free):
             return None
         for term in self._terms:
-            own = field_of(term, name, slice(0, len(fixed)), fixed, laplace)
-            if own is not None:
-                return partial(_by_laplace, own.inverse, 2.0 * term.weight)
+            its_field = field_of(term, name, slice(0, len(fixed)), fixed, laplace)
+            if its_field is not None:
+                return partial(_by_laplace, its_field.inverse, 2.0 * term.weight)
         for term in self._terms:
             solve = _network(term, self._program, part, fixed)
             if solve is not None:
@@ -287,9 +287,9 @@ class _Matrix:
         for root, term in roots:
             if root:
                 H = H + root * (term.matrix.T @ term.matrix)
-        own = sp.csc_array(sp.csr_array(H)[free][:, free])
-        tiny = n * np.finfo(float).eps * float(own.diagonal().max(initial=0.0))
-        factors = splu(own + sp.csc_array(sp.eye_array(len(free)) * (tiny or 1.0)))
+        block = sp.csc_array(sp.csr_array(H)[free][:, free])
+        tiny = n * np.finfo(float).eps * float(block.diagonal().max(initial=0.0))
+        factors = splu(block + sp.csc_array(sp.eye_array(len(free)) * (tiny or 1.0)))
 
         def solve(v: Array) -> Array:
             z = np.zeros_like(v)

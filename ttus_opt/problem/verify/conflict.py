@@ -102,13 +102,13 @@ def _elastic(
 
 def _named(program: Program, proof: Duals) -> tuple[str, ...]:
     """The constraints and bounds that carry a multiplier, in the program's order."""
-    found = {name for name, y in proof.rows.items() if _counts(y)}
+    counting = {name for name, y in proof.rows.items() if _counts(y)}
     if proof.bounds is not None:
         split = bound_duals(program, proof.bounds)
-        found |= {name for name, dual in split.items() if _counts(dual)}
+        counting |= {name for name, dual in split.items() if _counts(dual)}
     names = [member.name for member in program.constraints]
     names += [member.name for member in program.bounds]
-    return tuple(name for name in names if name in found)
+    return tuple(name for name in names if name in counting)
 
 
 def _counts(dual: Array) -> bool:

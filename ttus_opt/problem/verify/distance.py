@@ -136,16 +136,16 @@ def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_
     laplace = program.laplace
     if laplace is None:
         return []
-    found = []
+    fields = []
     for name, part in program.variables.items():
         if part.stop - part.start != len(laplace.free):
             continue
-        own = [field_of(term, name, part, fixed[part], laplace) for term in squares]
-        determined = [one for one in own if one is not None]
+        tried = [field_of(term, name, part, fixed[part], laplace) for term in squares]
+        determined = [one for one in tried if one is not None]
         if not determined:
             return []
-        found.append(determined[0])
-    return found
+        fields.append(determined[0])
+    return fields
 
 
 def field_of(
@@ -169,8 +169,8 @@ def field_of(
     if rows.scale is not None:
         compliance /= rows.scale**2
     compliance[fixed] = 0.0
-    own = rows.system or laplace
-    return _Field(part, term, own, LaplacePrior(own, compliance))
+    system = rows.system or laplace
+    return _Field(part, term, system, LaplacePrior(system, compliance))
 
 
 def _holds(
@@ -261,8 +261,8 @@ def _beside_parameters(
     squares: list[ProgramTerm], fields: list[_Field], r: Array, others: Mask
 ) -> float | None:
     """Fields and a few parameters: the second inequality of the module's docstring."""
-    own = [one.term for one in fields]
-    rest = [t for t in squares if not any(t is mine for mine in own)]
+    known = [one.term for one in fields]
+    rest = [t for t in squares if not any(t is mine for mine in known)]
     scaled = [np.sqrt(2.0 * t.weight) * t.matrix for t in rest]
     R = sp.csr_array(sp.vstack([sp.csr_array((0, len(r))), *scaled]))
     at = np.flatnonzero(others)

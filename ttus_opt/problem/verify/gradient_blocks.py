@@ -111,10 +111,10 @@ def _longest_row(matrix: sp.csr_array) -> float:
     starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
     longest = 0.0
     for k in range(0, len(starts), CHUNK):  # avoids a copy of all entries
-        own = starts[k : k + CHUNK]
+        chunk = starts[k : k + CHUNK]
         end = starts[k + CHUNK] if k + CHUNK < len(starts) else len(matrix.data)
-        squares = matrix.data[own[0] : end] ** 2
-        longest = max(longest, float(np.add.reduceat(squares, own - own[0]).max()))
+        squares = matrix.data[chunk[0] : end] ** 2
+        longest = max(longest, float(np.add.reduceat(squares, chunk - chunk[0]).max()))
     return math.sqrt(longest)
 
 

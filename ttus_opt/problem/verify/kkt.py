@@ -86,14 +86,14 @@ def bound_duals(program: Program, bounds: Array | None) -> dict[str, Array]:
     z = np.zeros(program.n_variables) if bounds is None else bounds
     lower, upper = program.box
     above, below = np.maximum(z, 0.0), np.minimum(z, 0.0)
-    found = {}
+    duals = {}
     for bound in program.bounds:
         # the tightest limit has the multiplier, the first one among equals
         holds = bound.upper == upper
         reaches = bound.lower == lower
-        found[bound.name] = (above * holds + below * reaches)[bound.part]
+        duals[bound.name] = (above * holds + below * reaches)[bound.part]
         above, below = above * ~holds, below * ~reaches
-    return found
+    return duals
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,13 @@ def kkt_residuals(
         return NOT_FINITE
     point = _digest(program, x, duals, tolerance)
     # a solver's own check is not repeated by the verdict
-    found: KKT | None = program.judged.get(point)
-    if found is None:
+    residuals: KKT | None = program.judged.get(point)
+    if residuals is None:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = _residuals(program, x, duals, tolerance)
+            residuals = _residuals(program, x, duals, tolerance)
         program.judged.clear()
-        program.judged[point] = found
-    return found if np.isfinite(found.worst_relative) else NOT_FINITE
+        program.judged[point] = residuals
+    return residuals if np.isfinite(residuals.worst_relative) else NOT_FINITE
 
 
 @functools.lru_cache(maxsize=1)
@@ -185,7 +185,7 @@ def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes
     The arrays may be views of a recording or of a matrix that is edited.
     For a matrix a product stands, which takes a fifth of the time of hashing it.
     """
-    found = hashlib.sha256(repr(tolerance).encode())
+    digest = hashlib.sha256(repr(tolerance).encode())
     parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
     probe = _probe(program.n_variables)
     matrices = [term.matrix for term in program.terms]
@@ -200,10 +200,10 @@ def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes
     parts += [(f"row {name}", values) for name, values in duals.rows.items()]
     parts += [(f"term {name}", values) for name, values in duals.terms.items()]
     for name, values in parts:
-        found.update(repr((name, None if values is None else values.shape)).encode())
+        digest.update(repr((name, None if values is None else values.shape)).encode())
         if values is not None:
-            found.update(np.ascontiguousarray(values, dtype=float).data)
-    return found.digest()
+            digest.update(np.ascontiguousarray(values, dtype=float).data)
+    return digest.digest()
 
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:

@@ -45,8 +45,8 @@ def calibration_picture(
         left, right = figure.subplots(1, 2)
         _grey_diagonal(left, 0.0, 100.0)
         left.plot([95.0, 95.0], [100.0 * c for c in ASKED], color="0.8", lw=6.0)
-        own = [(c.stated_N, c.error_N) for c in curves.values()]
-        ends = np.concatenate([np.concatenate(pair) for pair in own])
+        pairs = [(c.stated_N, c.error_N) for c in curves.values()]
+        ends = np.concatenate([np.concatenate(pair) for pair in pairs])
         ends = ends[ends > 0.0]
         low, high = (ends.min(), ends.max()) if ends.size else (0.1, 1.0)
         _grey_diagonal(right, 0.8 * low, 1.25 * high)

@@ -17,12 +17,12 @@ _SHADES = "cividis"  # uniform in greyscale too
 
 
 def next_press_picture(
-    found: NextPresses, measured: Trajectory | None = None
+    presses: NextPresses, measured: Trajectory | None = None
 ) -> Figure:
     """Draw the unrolled skin with the places to press next.
 
     Args:
-        found: The suggestions.
+        presses: The suggestions.
         measured: Recordings that were fitted, drawn as dots.
 
     Returns:
@@ -30,23 +30,23 @@ def next_press_picture(
         height: before the suggested presses, which are numbered, and after them. What
         lies outside the region asked for is pale.
     """
-    degrees, heights = np.degrees(found.theta), 100.0 * found.z
+    degrees, heights = np.degrees(presses.theta), 100.0 * presses.z
     columns, column = np.unique(degrees, return_inverse=True)
     lines, line = np.unique(heights, return_inverse=True)
-    top = float(found.before.max())
+    top = float(presses.before.max())
     with look():
         figure = new_figure(9.0, 4.2)
         both = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, std, title in zip(
             both,
-            (found.before, found.after),
+            (presses.before, presses.after),
             ("before the presses", "after them"),
             strict=True,
         ):
             shades = np.full((len(lines), len(columns)), np.nan)
             pale = np.ones_like(shades)
             shades[line, column] = std
-            pale[line, column] = np.where(found.in_region, 1.0, 0.35)
+            pale[line, column] = np.where(presses.in_region, 1.0, 0.35)
             shown = axes.pcolormesh(
                 columns, lines, shades, cmap=_SHADES, vmin=0.0, vmax=top, alpha=pale
             )
@@ -56,7 +56,7 @@ def next_press_picture(
             x, y, z = measured.position.T
             around = np.degrees(np.arctan2(y, x)) % 360.0
             both[0].plot(around, 100.0 * z, ".", ms=2, color="white", label="recorded")
-        for k, i in enumerate(found.node.tolist()):
+        for k, i in enumerate(presses.node.tolist()):
             for axes in both:
                 at = degrees[i], heights[i]
                 axes.plot(*at, "o", ms=11, color="white", mec="black")

@@ -92,12 +92,12 @@ def pose_picture(
                 _draw(axis, frames, view, longest)
                 axis.set_title(view.name)
             row[0].set_title(f"{name}: {views[0].name}")
-        found = {
+        drawn = {
             label: handle
             for axis in axes.flat
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
         }
-        figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4)
+        figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=4)
         left = f", first {len(shown)} of {len(segments)}" * (len(segments) > len(shown))
         figure.suptitle(
             "Probe and measured force in the patient frame, patient on the back, z "
@@ -183,15 +183,15 @@ def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
         outline = _outline(points @ plane)
         axis.plot(*outline.T, color="0.2", linewidth=0.7, label="probe")
     for kind, (label, ink, marker) in _KINDS.items():
-        own = (frames.kinds == kind).all(axis=1)
-        if not own.any():
+        alike = (frames.kinds == kind).all(axis=1)
+        if not alike.any():
             continue
-        at = frames.at[own] @ plane
+        at = frames.at[alike] @ plane
         axis.plot(
             *at.T, linestyle="none", marker=marker, color=ink, markersize=3, label=label
         )
         if frames.force is not None:
-            along = frames.force[own] @ plane * (LONGEST / longest / 100.0)
+            along = frames.force[alike] @ plane * (LONGEST / longest / 100.0)
             _draw_arrows(axis, at, along, ink)
     axis.set_aspect("equal", adjustable="datalim")
     axis.autoscale_view()

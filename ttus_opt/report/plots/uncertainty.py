@@ -13,12 +13,12 @@ _SHADES = "cividis"  # uniform in greyscale too
 
 
 def uncertainty_picture(
-    found: UncertaintyMap, measured: Trajectory | None = None
+    chart: UncertaintyMap, measured: Trajectory | None = None
 ) -> Figure:
     """Draw a map of uncertainty over the unrolled skin.
 
     Args:
-        found: The map.
+        chart: The map.
         measured: Recordings that were fitted, drawn as dots.
 
     Returns:
@@ -28,10 +28,10 @@ def uncertainty_picture(
     with look():
         figure = new_figure(7.0, 4.5)
         axes = figure.subplots()
-        closed = np.concatenate([found.relative, found.relative[:1]])
-        angles = np.degrees(np.append(found.theta, 2.0 * np.pi))
+        closed = np.concatenate([chart.relative, chart.relative[:1]])
+        angles = np.degrees(np.append(chart.theta, 2.0 * np.pi))
         shown = axes.pcolormesh(
-            angles, 100.0 * found.z, 100.0 * closed.T, cmap=_SHADES, shading="gouraud"
+            angles, 100.0 * chart.z, 100.0 * closed.T, cmap=_SHADES, shading="gouraud"
         )
         figure.colorbar(shown, ax=axes, label="standard deviation of a press [%]")
         if measured is not None:
@@ -40,5 +40,5 @@ def uncertainty_picture(
             axes.plot(around, 100.0 * z, ".", ms=2, color="white", label="recorded")
             axes.legend(loc="upper right")
         axes.set(xlim=(0.0, 360.0), xlabel="θ [°]", ylabel="z [cm]")
-        axes.set_ylim(100.0 * found.z[0], 100.0 * found.z[-1])
+        axes.set_ylim(100.0 * chart.z[0], 100.0 * chart.z[-1])
     return figure

@@ -64,7 +64,7 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
     varied = [str(name) for name in path.coords if str(name).endswith("_weight")]
     named = [name.removesuffix("_weight") for name in varied]
     terms = [str(term) for term in path["term"].values]
-    own = path["term_value"].sel(term=[t for t in terms if t in named]).sum("term")
+    plain = path["term_value"].sel(term=[t for t in terms if t in named]).sum("term")
     # the other terms are the objective less the weighted varied terms
     paid = sum(
         path[f"{t}_weight"] * path["term_value"].sel(term=t).fillna(0.0)
@@ -78,7 +78,7 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
     for k, at in enumerate(lines):
         shade = str(0.7 * k / max(len(lines) - 1, 1))
         colour = AFTER if len(dims) == 1 else shade
-        x, y = own.isel(at).to_numpy(), rest.isel(at).to_numpy()
+        x, y = plain.isel(at).to_numpy(), rest.isel(at).to_numpy()
         axes.loglog(x, y, color=colour, marker=".", linewidth=1.1)
         if k == 0:
             _write_weights(axes, x, y, path[dims[0]].to_numpy())
