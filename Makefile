@@ -41,7 +41,7 @@ help:
 	@echo "make notebooks   run the notebooks and store their outputs, made small"
 	@echo "make lab         open the notebooks in JupyterLab"
 	@echo "make docs        build the documentation into site/, notebooks included"
-	@echo "make docs-check  check pages, also in a browser, links, names, examples"
+	@echo "make docs-check  check pages, also in a browser, links, names"
 	@echo "make picture     draw the README's pictures"
 	@echo "make oldest      run the fast tests with the oldest versions allowed"
 	@echo "make newest      run the fast tests with the newest versions, pre-releases too"
@@ -99,15 +99,13 @@ picture: demo $(DOCS_STAMP)
 
 docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
-	$(BIN)/python docs/examples.py
 	$(BIN)/python docs/first_hour.py
 	$(BIN)/python -m mkdocs build --strict
 	$(BIN)/python docs/browser.py site
 
-# `make slow` runs the notebooks; this is all else that may rot.
+# `make slow` runs the notebooks and the pages' blocks; this is all else that may rot.
 docs-check: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
-	$(BIN)/python docs/examples.py
 	RUN_NOTEBOOKS=false $(BIN)/python -m mkdocs build --strict --site-dir .cache/site
 	$(BIN)/python docs/browser.py .cache/site
 

@@ -3,12 +3,9 @@
 import contextlib
 import io
 import re
-import shlex
 from pathlib import Path
 
 import pytest
-
-from ttus_opt.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -35,29 +32,6 @@ def test_the_python_lines_print_what_is_said(readme):
     # to the digits that are printed, give or take one
     assert error == pytest.approx(said_error, abs=0.011)
     assert force == pytest.approx(said_force, abs=0.11)
-
-
-@pytest.mark.slow
-def test_the_shown_commands_have_these_options(readme, capsys):
-    joined = readme.replace("\\\n", " ")
-    commands = re.findall(r"^ttus-opt (\w+) (.*)$", joined, re.M)
-    assert [name for name, _ in commands] == [
-        "surface",
-        "fit",
-        "path",
-        "evaluate",
-        "render",
-        "session",
-        "session",
-        "benchmark",
-        "experiment",
-    ]
-    for name, words in commands:
-        with pytest.raises(SystemExit):
-            main([name, "--help"])
-        told = capsys.readouterr().out
-        for word in shlex.split(words):
-            assert not word.startswith("-") or word in told
 
 
 def test_files_and_folders_it_names_are_there(readme):

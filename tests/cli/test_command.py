@@ -138,3 +138,39 @@ def test_limits_are_the_library_s():
     ):
         (own,) = (o for o in commands[name].params if o.name == option)
         assert own.default == expected
+
+
+def typed_names(group=None, names=()):
+    """Every command of the program, in groups too, as it is typed."""
+    group = group or typer.main.get_command(app)
+    for name, found in group.commands.items():
+        if hasattr(found, "commands"):
+            yield from typed_names(found, (*names, name))
+        else:
+            yield " ".join((*names, name))
+
+
+@pytest.mark.parametrize("name", list(typed_names()))
+def test_every_command_takes_short_help_a_log_and_quiet(run, name):
+    answer = run(f"{name} -h")
+    assert answer.status == 0 and answer.out.startswith(f"Usage: ttus-opt {name} ")
+    for option in ("-v, --verbose", "-q, --quiet", "-h, --help"):
+        assert option in answer.out
+    assert max(map(len, answer.out.splitlines())) <= 80
+
+
+def test_all_that_is_missing_is_named_at_once(run):
+    told = run("fit --probe sphere:0.02")
+    assert told.status == 2
+    assert told.errors == [
+        "error: missing: --surface, --trajectory, -o/--output: see ttus-opt fit --help"
+    ]
+    said = run("synchronise -o a.csv").errors
+    assert said[0].startswith("error: missing: poses, --wrenches: see ")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_shown(run, monkeypatch, shell):
+    monkeypatch.setattr("shellingham.detect_shell", lambda: (shell, shell))
+    monkeypatch.delenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", raising=False)
+    assert "_TTUS_OPT_COMPLETE" in run("--show-completion").out

@@ -236,9 +236,9 @@ def test_evaluate_tells_errors_by_recording_distance_and_depth(
     frames = [sum(one["frames"] for one in kind) for kind in kinds]
     assert frames[0] == frames[1] > 30
     table = run(both).out
-    assert "| press.csv " in table and "| other.csv " in table
-    assert "| 0 to 2 cm from fitted places" in table
-    assert "| 0.5 to 1 of the deepest fitted" in table
+    assert "\npress.csv " in table and "\nother.csv " in table
+    assert "\n0 to 2 cm from fitted places" in table
+    assert "\n0.5 to 1 of the deepest fitted" in table
 
 
 def test_evaluate_says_when_the_fitted_places_are_unknown(run, files, field, tmp_path):
@@ -378,7 +378,7 @@ def test_module_runs_as_a_process(tmp_path):
     assert process.returncode == 2
     assert process.stdout == ""
     assert len(process.stderr.splitlines()) == 1
-    assert process.stderr.startswith("error: Missing argument")
+    assert process.stderr.startswith("error: missing: ")
 
 
 @pytest.mark.slow

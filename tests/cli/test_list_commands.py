@@ -1,6 +1,9 @@
-"""``ttus-opt solvers``: what a solver takes, in words."""
+"""``ttus-opt solvers`` and ``formulations``: what there is, in 80 columns."""
 
-from ttus_opt.cli.list_commands import _takes
+import pytest
+
+from ttus_opt.cli.list_commands import TAKES, _letters
+from ttus_opt.problem import formulation
 from ttus_opt.solvers import registry
 
 
@@ -9,5 +12,17 @@ def test_only_some_solvers_need_a_laplace_term():
     general = [one for one in solvers if one.capabilities.any_terms]
     assert 0 < len(general) < len(solvers)
     for one in solvers:
-        assert ("any terms" in _takes(one)) == (one in general)
-        assert ("Laplace and measured rows" in _takes(one)) == (one not in general)
+        assert ("A" in _letters(one)) == (one in general)
+        assert set(_letters(one)) <= {*TAKES, "·"}
+
+
+@pytest.mark.parametrize("name", ["solvers", "formulations"])
+def test_lists_fit_80_columns_and_leave_nothing_out(run, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    told = run(name).out
+    assert max(map(len, told.splitlines())) <= 80
+    known = {"solvers": registry.solvers(), "formulations": formulation.available()}
+    for one in known[name]:
+        assert getattr(one, "name", one) in told
+        for option in getattr(one, "options", ()):
+            assert str(option) in told

@@ -32,9 +32,8 @@ def test_a_session(run, tmp_path, output):
 
 def test_what_is_refused(run, tmp_path, output):
     recording = copied(tmp_path)
-    refused(run(f"session {recording}"), "--output is missing")
-    refused(run(f"session {tmp_path} -o {output}"), "session.yaml", "--example")
-    refused(run(f"session {recording} -o {output} --example"), "leave --output out")
+    refused(run(f"session {recording}"), "--output")
+    refused(run(f"session {tmp_path} -o {output}"), "session.yaml", "ttus-opt example")
     changed(recording, "tracker.frame", "robot")
     words = ("session.json: tracker.frame must be tracker or scan or patient",)
     refused(run(f"session {recording} -o {output}"), *words)
@@ -59,15 +58,6 @@ def test_an_interrupt_says_what_is_complete(run, tmp_path, output, monkeypatch):
     assert answer.status == 130
     assert answer.errors[0] == f"complete in {output}: surface, registration"
     assert {f.name for f in output.iterdir()} == {"session.json", "surface.nc"}
-
-
-def test_the_example(run, tmp_path):
-    folder = tmp_path / "recording"
-    told = json.loads(run(f"session {folder} --example --json").out)
-    assert told["truth"]["offset"] == 0.83
-    assert (folder / "session.json").is_file()
-    (folder / "note.txt").touch()
-    refused(run(f"session {folder} --example"), "holds other files")
 
 
 def test_a_recording_of_openigtlink(run, output):

@@ -21,6 +21,7 @@ from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
 from ttus_opt.cli.demo_command import demo
 from ttus_opt.cli.doctor_command import doctor
 from ttus_opt.cli.evaluate_command import evaluate
+from ttus_opt.cli.example_command import example
 from ttus_opt.cli.experiment_command import experiment
 from ttus_opt.cli.fit_command import fit
 from ttus_opt.cli.hand_eye_command import hand_eye as hand_eye_of_streams
@@ -47,7 +48,7 @@ app = typer.Typer(
     name="ttus-opt",
     help="Patient models for haptic tele-ultrasound: scan, fit, evaluate, render.",
     epilog="Example: ttus-opt demo",
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -57,6 +58,9 @@ JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render, 
 #: Default time limits: of commands that solve many times, and of others [s]
 LONG, USUAL = 3600.0, 600.0
 MANY_SOLVES = (refine_poses, tune, path, session, experiment)
+
+#: Commands whose output is a folder
+FOLDERS = (demo, session, experiment, benchmark)
 
 #: A benchmark limits every solve, a recording or a live session lasts as long as is
 #: asked for, a page is open until it is closed, and the others are over in a moment
@@ -76,6 +80,7 @@ UNLIMITED = (
 for function in (
     *(
         demo,
+        example,
         doctor,
         record,
         hand_eye_of_streams,
@@ -104,7 +109,13 @@ for function in (
 ):
     usual = LONG if function in MANY_SOLVES else USUAL
     limit = None if function in UNLIMITED else usual
-    add_command(app, function, judges=function in JUDGES, time_limit=limit)
+    add_command(
+        app,
+        function,
+        judges=function in JUDGES,
+        time_limit=limit,
+        folder=function in FOLDERS,
+    )
 cameras = typer.Typer(
     help="Find markers in a photo, or a camera's place from pairs of poses.",
     epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "

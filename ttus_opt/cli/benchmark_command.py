@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import tell
+from ttus_opt.cli.console import bars_shown, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
 from ttus_opt.core.errors import InputError
@@ -206,7 +206,8 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
 
     total = len(suite.plan)  # tells what is wrong before anything runs
     shape = "{desc} |{bar:20}| {elapsed}{postfix}"
-    with tqdm(total=total, file=sys.stderr, bar_format=shape) as bar:
+    quiet = not bars_shown()
+    with tqdm(total=total, file=sys.stderr, bar_format=shape, disable=quiet) as bar:
         watched = _Watched(bar)
         try:
             # a file or a pipe gets finished runs only

@@ -20,18 +20,50 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
+from ttus_opt.cli.console import logging_to_stderr
+from ttus_opt.cli.standard_streams import standard_streams
 from ttus_opt.cli.time_limit import time_limited
-from ttus_opt.core.errors import MistakeWarning
+from ttus_opt.core.errors import InputError, MistakeWarning
 
 #: Options that say the same in every command
 COMMON = {
     "force": "Allow an output to replace one of the inputs.",
     "json": "Print JSON on stdout, for other programs.",
+    "verbose": "Say on stderr what is read, chosen and solved; -vv says more.",
+    "quiet": "Show no bars; warnings and errors remain.",
     "time_limit": "Time limit of the command [s]; what is complete by then is kept.",
     "strict": "End with an error where a mistake in what was given is likely, instead "
     "of a warning.",
 }
+
+
+KEYWORD = inspect.Parameter.KEYWORD_ONLY
+
+#: Options that every command has, with their defaults
+EVERYWHERE: dict[str, tuple[Any, Any]] = {
+    "verbose": (
+        Annotated[int, typer.Option("-v", "--verbose", count=True, show_default=False)],
+        0,
+    ),
+    "quiet": (Annotated[bool, typer.Option("-q", "--quiet")], False),
+}
+
+
+class _Command(TyperCommand):
+    """A command that names everything that is missing, not the first of it."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse, after a look at what is missing."""
+        if not ctx.resilient_parsing and not {*args} & {*ctx.help_option_names}:
+            given = self.make_parser(ctx).parse_args(args=list(args))[0]
+            needed = (p for p in self.get_params(ctx) if p.required)
+            missing = [p for p in needed if given.get(p.name) in (None, (), [])]
+            if missing:
+                names = ", ".join("/".join(p.opts) for p in missing)
+                raise InputError(f"missing: {names}: see {ctx.command_path} --help")
+        return list(super().parse_args(ctx, args))
 
 
 def add_command(
@@ -40,6 +72,7 @@ def add_command(
     *,
     judges: bool = False,
     time_limit: float | None = None,
+    folder: bool = False,
 ) -> None:
     """Make a function a command of its name.
 
@@ -48,6 +81,7 @@ def add_command(
         function: What it does. Its parameters are options and groups of options.
         judges: Whether it warns of likely mistakes; it then has the option --strict.
         time_limit: Default of its option --time-limit [s]; None for no limit.
+        folder: Whether its output is a folder.
     """
     signature = inspect.signature(function, eval_str=True)
     about, words, example = _words(function)
@@ -59,32 +93,44 @@ def add_command(
             parameters += _of_group(groups[name])
         else:
             parameters.append(_option(name, parameter.annotation, parameter, words))
-    added: dict[str, Any] = {"strict": False} if judges else {}
     own_limit = "time_limit" in signature.parameters
-    if time_limit is not None and not own_limit:
-        added |= {"time_limit": time_limit}
-    for name, default in added.items():
-        kind = inspect.Parameter.KEYWORD_ONLY
-        parameter = inspect.Parameter(name, kind, default=default)
-        parameters.append(_option(name, type(default), parameter, words))
+    limited_here = time_limit is not None and not own_limit
+    added: dict[str, tuple[Any, Any]] = {
+        **({"strict": (bool, False)} if judges else {}),
+        **({"time_limit": (float, time_limit)} if limited_here else {}),
+        **EVERYWHERE,
+    }
+    for name, (kind, default) in added.items():
+        parameter = inspect.Parameter(name, KEYWORD, default=default)
+        parameters.append(_option(name, kind, parameter, words))
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
-        for name, group in groups.items():
-            own = {f.name: given.pop(f.name) for f in dataclasses.fields(group)}
-            given[name] = group(**own)
-        limit = None
-        if time_limit is not None:
-            limit = given["time_limit"] if own_limit else given.pop("time_limit")
-        with warnings.catch_warnings(), time_limited(limit):
-            if judges and given.pop("strict"):
-                warnings.simplefilter("error", MistakeWarning)
-            function(**given)
+        with (
+            logging_to_stderr(given.pop("verbose"), quiet=given.pop("quiet")),
+            standard_streams(given, folder=folder),
+        ):
+            _grouped(given, groups)
+            limit = None
+            if time_limit is not None:
+                limit = given["time_limit"] if own_limit else given.pop("time_limit")
+            with warnings.catch_warnings(), time_limited(limit):
+                if judges and given.pop("strict"):
+                    warnings.simplefilter("error", MistakeWarning)
+                function(**given)
 
     own = signature.replace(parameters=parameters)
     run.__signature__ = own  # type: ignore[attr-defined]  # typer's way
     name = function.__name__.replace("_", "-")
-    app.command(name, help=about, epilog=f"Example: {example}")(run)
+    epilog = f"Example: {example}"
+    app.command(name, cls=_Command, help=about, epilog=epilog)(run)
+
+
+def _grouped(given: dict[str, Any], groups: dict[str, Any]) -> None:
+    """Put options that belong to a group into one, in place."""
+    for name, group in groups.items():
+        own = {f.name: given.pop(f.name) for f in dataclasses.fields(group)}
+        given[name] = group(**own)
 
 
 def _of_group(group: Any) -> list[inspect.Parameter]:
@@ -112,7 +158,7 @@ def _option(
         option = copy.copy(option)
         option.help = words.get(name)
         annotation = Annotated[kind, option]
-    return parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=annotation)
+    return parameter.replace(kind=KEYWORD, annotation=annotation)
 
 
 def _words(documented: object) -> tuple[str, dict[str, str], str]:

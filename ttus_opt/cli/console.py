@@ -1,22 +1,34 @@
-"""What the commands say: JSON, one-line warnings and errors, a stage bar on stderr."""
+"""What commands say: JSON, tables, one-line warnings and errors, a bar, a log."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import re
+import shutil
 import sys
+import textwrap
 import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 from ttus_opt.core.errors import TtusWarning
 from ttus_opt.core.json_values import plain
+
+if TYPE_CHECKING:
+    from ttus_opt.report.document import Table
+
+LOG = logging.getLogger(__name__)
+
+#: The logger of the whole package
+PACKAGE = logging.getLogger("ttus_opt")
 
 #: How keywords of the library are written as options.
 OPTIONS = {
@@ -70,12 +82,83 @@ def print_json(content: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(plain(content), indent=2, ensure_ascii=False))
 
 
+@dataclass
+class _Words:
+    """Where words go: to stderr where a result takes stdout; a folder is not named."""
+
+    to_stderr: bool = False
+    unnamed: str = ""
+
+
+_words = _Words()
+
+
 def tell(facts: Mapping[str, Any], *lines: str, json: bool) -> None:
     """Say what was done: facts for machines, lines for people."""
     if json:
         print_json(facts)
     elif lines:
-        typer.echo("\n".join(lines))
+        text = "\n".join(lines)
+        if _words.unnamed:
+            text = text.replace(_words.unnamed, "")
+        typer.echo(text, err=_words.to_stderr)
+
+
+@contextlib.contextmanager
+def words_beside(taken: bool, place: str) -> Iterator[None]:
+    """What was done is said on stderr where stdout is taken by a command's result.
+
+    Args:
+        taken: Whether it is.
+        place: Folder of the files that stand for streams, left out of what is said.
+    """
+    _words.to_stderr, _words.unnamed = taken, place
+    try:
+        yield
+    finally:
+        _words.to_stderr, _words.unnamed = False, ""
+
+
+def fitted(table: Table) -> str:
+    """A table that is no wider than the terminal."""
+    return table.fitted(shutil.get_terminal_size().columns)
+
+
+def wrapped(text: str) -> str:
+    """A paragraph that is no wider than the terminal."""
+    return textwrap.fill(text, shutil.get_terminal_size().columns)
+
+
+@contextlib.contextmanager
+def logging_to_stderr(verbose: int, *, quiet: bool) -> Iterator[None]:
+    """Show what the package logs, above a bar, with the seconds since the beginning.
+
+    Args:
+        verbose: 0 for nothing, 1 for what is read, chosen and solved, 2 for more.
+        quiet: Show no bars (`bars_shown`).
+    """
+    begun, before = time.monotonic(), PACKAGE.level
+    handler = logging.Handler()
+
+    def show(record: logging.LogRecord) -> None:
+        room = record.name.removeprefix("ttus_opt.")
+        text = one_line(record.getMessage())
+        _write(f"{time.monotonic() - begun:7.2f} s  {room}: {text}")
+
+    handler.emit = show  # type: ignore[method-assign]
+    levels = (logging.WARNING, logging.INFO, logging.DEBUG)
+    PACKAGE.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
+    PACKAGE.addHandler(handler)
+    try:
+        yield
+    finally:
+        PACKAGE.removeHandler(handler)
+        PACKAGE.setLevel(before)
+
+
+def bars_shown() -> bool:
+    """Whether bars are wanted; a command's --quiet says that they are not."""
+    return PACKAGE.isEnabledFor(logging.WARNING)
 
 
 @contextlib.contextmanager
@@ -130,13 +213,15 @@ class Stages:
 
     def __enter__(self) -> Stages:
         """Start the clock."""
-        self._thread.start()
+        if bars_shown():
+            self._thread.start()
         return self
 
     def __call__(self, stage: str) -> None:
         """A stage begins; the one before is done."""
         self._begun += 1
         self._stage = stage
+        LOG.info("%d of %d: %s", self._begun, self._total, stage)
 
     def __exit__(
         self,
@@ -148,7 +233,8 @@ class Stages:
         if kind is None:
             self._begun = self._total + 1
         self._finished.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
 
     def _show(self) -> None:
         # a file or a pipe gets lines for long work only, and every few seconds

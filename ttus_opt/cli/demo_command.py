@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.cli.options import voxel_counts
 
 
@@ -32,4 +32,4 @@ def demo(
             output, shape=voxel_counts(shape), weights=weights, progress=begin
         )
     line = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
-    tell(result.as_dict(), str(error_table(result.comparisons)), line, json=json)
+    tell(result.as_dict(), fitted(error_table(result.comparisons)), line, json=json)

@@ -7,7 +7,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
@@ -142,7 +142,7 @@ def _table(each: list[RecordingLine], far: list[Bin], deep: list[Bin]) -> list[s
     for one in deep:
         rows[f"{_between(one, 1.0, ' of')} the deepest fitted"] = one.errors
     known = {name: errors for name, errors in rows.items() if errors is not None}
-    lines = [str(errors_by_name(known))] if known else []
+    lines = [fitted(errors_by_name(known))] if known else []
     if not far:
         lines.append(
             "near and far: unknown, the field file does not say where it was fitted: "

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ttus_opt.cli.console import tell
+from ttus_opt.cli.console import fitted, tell, wrapped
 
 if TYPE_CHECKING:
     from ttus_opt.solvers.base import Solver
+
+
+#: What a solver can take, by a letter
+TAKES = {
+    "A": "any terms (else Laplace and measured rows)",
+    "E": "equalities",
+    "I": "inequalities",
+    "P": "penalties other than squares",
+    "T": "a time limit",
+    "K": "keeps work for the next solve",
+}
 
 
 def solvers(json: bool = False) -> None:
@@ -21,22 +32,25 @@ def solvers(json: bool = False) -> None:
 
     known, order = registry.solvers(), registry.estimating()
     facts = {"solvers": [_solver(s) for s in known.values()], "auto_tries": order}
-    header = ["solver", "installed", "solves", "a re-solve keeps", "about"]
     body = [
-        [
-            name,
-            "yes" if solver.installed else f"no: pip install {solver.pip_name}",
-            ", ".join(_takes(solver)),
-            solver.capabilities.keeps or "nothing",
-            solver.summary,
-        ]
+        [name, _letters(solver), solver.summary]
         for name, solver in known.items()
+        if solver.installed
     ]
-    auto = (
-        "\nauto picks the installed solver with the lowest time estimate for the "
-        f"problem, from {', '.join(order)}"
-    )
-    tell(facts, str(Table(header, body)), auto, json=json)
+    absent = [
+        f"{name} ({solver.pip_name})"
+        for name, solver in known.items()
+        if not solver.installed
+    ]
+    meanings = ", ".join(f"{letter} {what}" for letter, what in TAKES.items())
+    paragraphs = [
+        meanings,
+        f"Not installed, with the package to install: {', '.join(absent) or 'none'}",
+        "auto picks the installed solver with the lowest time estimate for the "
+        f"problem, from {', '.join(order)}",
+    ]
+    listed = fitted(Table(["solver", "takes", "about"], body))
+    tell(facts, listed, *(f"\n{wrapped(p)}" for p in paragraphs), json=json)
 
 
 def formulations(json: bool = False) -> None:
@@ -50,23 +64,32 @@ def formulations(json: bool = False) -> None:
 
     known = formulation.available()
     rows = [{"name": f.name, "summary": f.summary, "options": f.options} for f in known]
-    body = [[f.name, f.summary, ", ".join(map(str, f.options)) or "–"] for f in known]
-    listed = str(Table(["formulation", "about", "options"], body))
-    own = "\nName your own file, with a function build(scene, **options), by its path."
-    tell({"formulations": rows}, listed, own, json=json)
+    measured = [f.options for f in known if f.options]
+    usual = [o for o in measured[0] if all(o in own for own in measured)]
+    body = []
+    for found in known:
+        further = ", ".join(str(o) for o in found.options if o not in usual)
+        body.append([found.name, found.summary + f" [{further}]" * bool(further)])
+    listed = fitted(Table(["formulation", "about [further options]"], body))
+    own = wrapped(
+        f"All with measurements take {', '.join(map(str, usual))}. Name your own file, "
+        "with a function build(scene, **options), by its path."
+    )
+    tell({"formulations": rows}, listed, f"\n{own}", json=json)
 
 
-def _takes(solver: Solver) -> list[str]:
+def _letters(solver: Solver) -> str:
+    """What of `TAKES` a solver takes; a dot for what it does not."""
     can = solver.capabilities
-    takes = {
-        "any terms": can.any_terms,
-        "equalities": can.equalities,
-        "inequalities": can.inequalities,
-        "penalties other than squares": can.nonquadratic,
-        "time limit": can.time_limit,
+    able = {
+        "A": can.any_terms,
+        "E": can.equalities,
+        "I": can.inequalities,
+        "P": can.nonquadratic,
+        "T": can.time_limit,
+        "K": bool(can.keeps),
     }
-    listed = [what for what, able in takes.items() if able]
-    return listed if can.any_terms else ["Laplace and measured rows", *listed]
+    return "".join(letter if able[letter] else "·" for letter in TAKES)
 
 
 def _solver(solver: Solver) -> dict[str, object]:

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.core.errors import InputError
 
 #: Port that sessions use unless told otherwise
@@ -36,7 +36,7 @@ def demo(
     with Stages(N_SESSIONS) as begin:
         found = run_demo(output, prior=prior, loss=loss, progress=begin)
     line = f"{found.seconds:.0f} s; report.html, live.png and session.mcap in {output}/"
-    tell(found.as_dict(), str(found.table), "", line, json=json)
+    tell(found.as_dict(), fitted(found.table), "", line, json=json)
 
 
 def report(

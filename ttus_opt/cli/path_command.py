@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, bars_shown, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
@@ -111,7 +111,7 @@ def path(
         solver=problem.solver,
         tolerance=problem.tolerance,
         extras=extras,
-        progress=True,
+        progress=bars_shown(),
         file=output,
         jobs=jobs,
         dask=dask,

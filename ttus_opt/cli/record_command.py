@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import tell
+from ttus_opt.cli.console import bars_shown, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, warn
 
@@ -131,7 +131,7 @@ def _counter() -> Callable[[int], None] | None:
         return None
     from tqdm import tqdm
 
-    bar = tqdm(file=sys.stderr, unit=" messages", leave=False)
+    bar = tqdm(file=sys.stderr, unit=" messages", leave=False, disable=not bars_shown())
 
     def show(count: int) -> None:
         bar.update(count - bar.n)

@@ -8,13 +8,11 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.core.errors import InputError
 
 
 def session(
     folder: Annotated[Path, typer.Argument()],
-    output: Path | None = None,
-    example: bool = False,
+    output: Path,
     trust: bool = False,
     json: bool = False,
 ) -> None:
@@ -25,18 +23,12 @@ def session(
     Args:
         folder: Folder with a session.yaml that describes it, or that file.
         output: Folder for the results.
-        example: Write a synthetic recording into FOLDER instead.
         trust: Execute the Python files that session.yaml names, a formulation or a
             solver; without it they are refused.
 
     Example:
         ttus-opt session recording -o results
     """
-    if example:
-        _write_example(folder, output, json)
-        return
-    if output is None:
-        raise InputError("--output is missing: give a folder for the results")
     from ttus_opt.report.document import text
     from ttus_opt.session import run_session
     from ttus_opt.session.report import summary
@@ -60,15 +52,3 @@ def session(
     said = text(summary(result)[2:])
     where = f"\nreport.md, report.html, session.json and all steps in {output}/"
     tell(facts, said, where, json=json)
-
-
-def _write_example(folder: Path, output: Path | None, json: bool) -> None:
-    from ttus_opt.session.synthetic import write_recording
-
-    if output is not None:
-        raise InputError("--example writes into FOLDER: leave --output out")
-    with Stages(1) as begin:
-        begin("making the recording")
-        truth = write_recording(folder)
-    line = f"{folder}: a synthetic recording; ttus-opt session {folder} -o results"
-    tell({"folder": str(folder), "truth": truth.as_dict()}, line, json=json)

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 PACKAGES = ("ttus-opt", "numpy", "scipy", "numba")
 
 #: Options that say nothing of the field
-NOT_OF_THE_FIELD = ("output", "json", "force", "picture", "uncertainty_picture")
+NOT_OF_THE_FIELD = (
+    *("output", "json", "force", "picture", "uncertainty_picture"),
+    *("verbose", "quiet"),
+)
 
 
 def sources(

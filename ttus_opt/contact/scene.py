@@ -6,6 +6,7 @@ linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a scan or a 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -35,6 +36,8 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sampling import check_sampling
 from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
+
+LOG = logging.getLogger(__name__)
 
 #: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
 LARGEST_BOUNDARY = 1e9
@@ -145,7 +148,7 @@ class Scene:
             known = identified_scale(laplace, rows.N, place, force, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
-        return cls(
+        scene = cls(
             voxmap,
             shell,
             trajectory,
@@ -161,6 +164,8 @@ class Scene:
             known.not_identified,
             watch.compile,
         )
+        LOG.info("%r in %.2f s, %d values in N", scene, watch.seconds, rows.N.nnz)
+        return scene
 
     def __repr__(self) -> str:
         return f"Scene({', '.join(self._facts().values())})"

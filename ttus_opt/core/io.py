@@ -11,6 +11,7 @@ import contextlib
 import datetime
 import glob
 import hashlib
+import logging
 import math
 import numbers
 import os
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 #: Longest value of a file that an error shows [characters]
 LONGEST_VALUE = 40
 
+LOG = logging.getLogger(__name__)
+
 #: What the netCDF library raises for a damaged file, by what is damaged
 UNREADABLE = (OSError, ValueError, RuntimeError, KeyError, AttributeError)
 
@@ -66,6 +69,7 @@ def existing_file(
         raise FileError(f"{what} file {file} is empty: record or export it again")
     if size > largest:
         raise FileError(f"{file} is too large for a {what} file: wrong file?")
+    LOG.debug("reads %s as a %s, %d bytes", file, what, size)
     return file
 
 
@@ -196,7 +200,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         ) from error
     try:
         yield temporary
+        size = temporary.stat().st_size
         temporary.replace(target)
+        LOG.info("wrote %s, %d bytes", path, size)
     except FileError:
         raise
     except OSError as error:

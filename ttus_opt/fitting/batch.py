@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +29,8 @@ from ttus_opt.solvers.base import Prepared, Request, Solver
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.weights.weight_choice import Word
+
+LOG = logging.getLogger(__name__)
 
 #: KKT tolerance of the fits during a search; the final fit has the requested one
 SEARCH_TOLERANCE = 1e-4
@@ -216,6 +220,15 @@ class Fitter:
             solver, self._reduction.program
         )
         self._assembly = declared.scene.seconds + watch.seconds
+        others = ", ".join(s.name for s in self._others) or "no other"
+        n = self._reduction.program.n_variables
+        LOG.info(
+            "%s: %d unknowns, by %s, then %s",
+            declared.name,
+            n,
+            self._backend.name,
+            others,
+        )
         self._compile = declared.scene.compile_seconds + watch.compile
         watch = Stopwatch()
         self._prepared = self._loaded()
@@ -308,6 +321,14 @@ class Fitter:
             candidate,
             self._request,
             timings,
+        )
+        LOG.info(
+            "%s: %s after %.2f s, %s iterations, KKT %.1e",
+            self._backend.name,
+            solution.status.name,
+            spent,
+            solution.iterations,
+            math.nan if solution.kkt is None else solution.kkt.worst_relative,
         )
         return replace(solution, compressed=self._compression.rows)
 

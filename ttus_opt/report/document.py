@@ -7,7 +7,9 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from ttus_opt.core import html_card, io
@@ -26,6 +28,10 @@ _STYLE = (
     "td,th{border:1px solid #ccc;padding:.25em .6em;text-align:left}"
     "th{background:#f3f3f3}img{max-width:100%}figcaption{color:#555}"
 )
+
+
+#: Longest cell that is never broken [characters]
+UNBROKEN = 16
 
 
 class Block:
@@ -110,9 +116,47 @@ class Table(Block):
         text.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
         return "\n".join(text)
 
+    def fitted(self, width: int) -> str:
+        r"""As text in so many columns, where words allow: cells are broken at blanks.
+
+        >>> print(Table(["", "force [N]"], [["near the fitted skin", "1"]]).fitted(21))
+                        force
+                        [N]
+        near the        1
+        fitted skin
+        """
+        whole = str(self)
+        if len(whole.partition("\n")[0]) <= width:
+            return whole
+        pieces = [[_longest(c.split()) for c in self.header]]
+        pieces += [[_longest(_breakable(c)) for c in row] for row in self.rows]
+        least = [max(column) for column in zip(*pieces, strict=True)]
+        widths = least.copy()  # a header is broken to the width of what it stands over
+        for row in self.rows:
+            widths = [max(w, len(c)) for w, c in zip(widths, row, strict=True)]
+        while sum(widths) + 2 * (len(widths) - 1) > width and widths != least:
+            wide = [w if w > m else 0 for w, m in zip(widths, least, strict=True)]
+            widths[wide.index(max(wide))] -= 1
+        lines = []
+        for row in (self.header, *self.rows):
+            parts = [wrap(c, w) for c, w in zip(row, widths, strict=True)]
+            for line in zip_longest(*parts, fillvalue=""):
+                cells = (c.ljust(w) for c, w in zip(line, widths, strict=True))
+                lines.append("  ".join(cells).rstrip())
+        return "\n".join(lines)
+
     def html(self, folder: Path) -> str:
         """As HTML."""
         return _styled(html_card.table(self.header, self.rows))
+
+
+def _breakable(cell: str) -> list[str]:
+    """Parts of a cell that stay on one line."""
+    return [cell] if len(cell) <= UNBROKEN else cell.split()
+
+
+def _longest(words: Sequence[str]) -> int:
+    return max(map(len, words), default=0)
 
 
 @dataclass(frozen=True)

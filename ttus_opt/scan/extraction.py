@@ -8,6 +8,7 @@ near the spokes (`ttus_opt.scan.candidates`), filter the contour over the angle
 
 from __future__ import annotations
 
+import logging
 from typing import Literal
 
 import numpy as np
@@ -25,6 +26,8 @@ from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
+
+LOG = logging.getLogger(__name__)
 
 #: Points up to this far from a spoke are its candidates [m]
 SPOKE_DISTANCE = 0.004
@@ -78,6 +81,8 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     _check_std(point_std, len(cloud))
     plane = axis.supporting_plane(cloud) if support == "find" else support
     points, std = _body_points(cloud, point_std, axis, plane)
+    bed = "no table was found" if plane is None else "the table is left out"
+    LOG.info("%d of %d points are the body's: %s", len(points), len(cloud), bed)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
     reach = (spoke_distance, slice_distance)

@@ -241,8 +241,8 @@ def _found(path: Path) -> Path:
         if (path / name).is_file():
             return path / name
     raise FileError(
-        f"{path} has no {NAMES[0]} that describes it: write one, or copy that of "
-        "ttus-opt session DIR --example"
+        f"{path} has no {NAMES[0]} that describes it: write one after that in "
+        "recording/ of ttus-opt example"
     )
 
 

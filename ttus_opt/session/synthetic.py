@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from ttus_opt import example
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
-from ttus_opt.phantom.camera import ScanSetup, depth_image
+from ttus_opt.phantom.camera import ScanSetup, View, depth_image
 from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
@@ -155,9 +156,11 @@ def write_recording(
         )
     io.check_output(place / "session.json")
     moved, stretches = _motion_of_all(seconds, tilts)
-    cameras = _write_scan(place, scan)
+    images = {f"depth_{i}.png": view for i, view in enumerate(VIEWS)}
+    cameras = write_depth(place, images, scan)
     _tracked(moved, truth, tracker).save(place / "tracker.csv", digits=9)
-    write_netcdf_wrenches(_sensed(moved, truth, sensor), place / "force.nc")
+    times = np.arange(0.0, moved.time[-1], 1.0 / SENSOR_RATE)
+    write_netcdf_wrenches(sensed(moved, times, truth, sensor), place / "force.nc")
     _write_json(place / "tags.json", _tag_pairs(truth, tags))
     description = _description(truth, stretches, shape, cameras)
     _write_json(place / "session.json", description)  # last: the folder is whole
@@ -179,7 +182,7 @@ def _motion_of_all(
     seconds: float, rng: np.random.Generator
 ) -> tuple[Trajectory, dict[str, tuple[float, float]]]:
     """The probe's whole trajectory, patient frame, and the times of each recording."""
-    parts, begin = [_tilts(rng)], FREE + PAUSE
+    parts, begin = [tilts(rng)], FREE + PAUSE
     stretches = {}
     for name in RECORDINGS:
         own = recording(name, seconds)
@@ -190,7 +193,7 @@ def _motion_of_all(
     return Trajectory.concatenate(parts), stretches
 
 
-def _tilts(rng: np.random.Generator) -> Trajectory:
+def tilts(rng: np.random.Generator) -> Trajectory:
     """A probe held 15 cm above the belly, tilted anew every second."""
     held = np.arange(0.0, FREE + 0.5, 1.0)
     # the probe's z into the skin
@@ -206,7 +209,7 @@ def _tilts(rng: np.random.Generator) -> Trajectory:
     return Trajectory(time, place, turns(time).as_matrix(), none, none)
 
 
-def _at(moved: Trajectory, time: Array) -> Trajectory:
+def at_times(moved: Trajectory, time: Array) -> Trajectory:
     """Pose and contact at other times, by slerp and linear interpolation."""
     assert moved.force is not None
     assert moved.torque is not None
@@ -222,7 +225,7 @@ def _patient_to_scan() -> Array:
     return inverse(frame().scan_to_patient)
 
 
-def _shaken(
+def shaken(
     motions: Array, shift: float, turn: float, rng: np.random.Generator
 ) -> Array:
     """Motions with noise, shape (T, 4, 4)."""
@@ -247,15 +250,16 @@ def _tracked(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> Traje
     gaps = np.flatnonzero(np.diff(moved.time) > 0.5 * PAUSE)
     for begin in moved.time[gaps]:
         hidden |= (time > begin + 0.5) & (time < begin + PAUSE - 0.5)
-    seen = _at(moved, time[~hidden])
-    target = _shaken(_targets(seen, truth), SHIFT_NOISE, TURN_NOISE, rng)
+    seen = at_times(moved, time[~hidden])
+    target = shaken(_targets(seen, truth), SHIFT_NOISE, TURN_NOISE, rng)
     return Trajectory(seen.time, target[:, :3, 3].copy(), target[:, :3, :3].copy())
 
 
-def _sensed(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> WrenchStream:
-    """The force sensor's readings, on its own clock."""
-    time = np.arange(0.0, moved.time[-1], 1.0 / SENSOR_RATE)
-    here = _at(moved, time)
+def sensed(
+    moved: Trajectory, time: Array, truth: Truth, rng: np.random.Generator
+) -> WrenchStream:
+    """The force sensor's readings at times of the poses, on its own clock."""
+    here = at_times(moved, time)
     assert here.force is not None
     assert here.torque is not None
     shell_centre = np.zeros(3)  # the example's torques are about the probe's centre
@@ -281,8 +285,8 @@ def _tag_pairs(truth: Truth, rng: np.random.Generator) -> list[list[list[list[fl
     moved = Trajectory(np.arange(float(TAG_POSES)), place, turns)
     target = _targets(moved, truth)
     tag = truth.tracker_to_scan @ target @ truth.tag_to_target
-    tag = _shaken(tag, TAG_SHIFT_NOISE, TAG_TURN_NOISE, rng)
-    target = _shaken(target, SHIFT_NOISE, TURN_NOISE, rng)
+    tag = shaken(tag, TAG_SHIFT_NOISE, TAG_TURN_NOISE, rng)
+    target = shaken(target, SHIFT_NOISE, TURN_NOISE, rng)
     return [[a.tolist(), b.tolist()] for a, b in zip(tag, target, strict=True)]
 
 
@@ -328,26 +332,28 @@ def _description(
     }
 
 
-def _write_scan(folder: Path, rng: np.random.Generator) -> list[list[list[float]]]:
-    """Write depth images [mm] and intrinsics; return the cameras' poses."""
+def write_depth(
+    folder: Path, views: Mapping[str, View], rng: np.random.Generator
+) -> list[list[list[float]]]:
+    """Write depth images [mm] by file name and intrinsics; the cameras' poses."""
     import cv2
 
     poses = []
-    for number, view in enumerate(VIEWS):
+    for name, view in views.items():
         depth = depth_image(ScanSetup(TORSO), view, rng, noise=DEPTH_NOISE)
         whole = np.nan_to_num(np.round(1e3 * depth), nan=0.0).astype(np.uint16)
         _, content = cv2.imencode(".png", whole)
-        with io.replacing(folder / f"depth_{number}.png") as temporary:
+        with io.replacing(folder / name) as temporary:
             temporary.write_bytes(content.tobytes())
         right, up, ahead = view.axes()
         axes = np.stack([right, -up, ahead], axis=1)  # x right, y down
         pose = homogeneous(axes, view.eye)
         poses.append((_patient_to_scan() @ pose).tolist())
-    centre = (VIEWS[0].pixels - 1) / 2
-    focal = centre / float(np.tan(VIEWS[0].opening))
+    centre = (view.pixels - 1) / 2  # alike for all
+    focal = centre / float(np.tan(view.opening))
     camera = {
-        "width": VIEWS[0].pixels,
-        "height": VIEWS[0].pixels,
+        "width": view.pixels,
+        "height": view.pixels,
         "K": [focal, 0.0, centre, 0.0, focal, centre, 0.0, 0.0, 1.0],
         "D": [],
     }
