@@ -177,7 +177,7 @@ def _write_scans(place: Path, rng: np.random.Generator) -> None:
     turn = frame().rotation @ np.array([[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]])
     above = frame().to_scan(np.array([[0.0, 0.2, 0.2]]))[0]
     held = shaken(np.tile(homogeneous(turn, above), (20, 1, 1)), 2e-4, 1e-3, rng)
-    _save_motions(0.05 * np.arange(20), held, place / "probe_pose.csv")
+    _save_motions(np.linspace(0.0, 0.95, 20), held, place / "probe_pose.csv")
 
 
 def _write_probe(path: Path) -> None:
