@@ -31,7 +31,12 @@ PAGES = [README, ROOT / "docs" / "index.md", *sorted(ROOT.glob("docs/how-to/*.md
 BLOCK = re.compile(r'^```([\w-]*)(?: title="(.+?)")?[^\n]*\n(.*?)^```', re.M | re.S)
 
 #: Packages without which a page cannot run
-NEEDS = {"message": "pcodec", "viewer": "viser", "own-regulariser": "cvxpy"}
+NEEDS = {
+    "message": "pcodec",
+    "live": "msgspec",
+    "viewer": "viser",
+    "own-regulariser": "cvxpy",
+}
 
 
 @dataclass(frozen=True)
