@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -45,3 +46,24 @@ def test_files_and_folders_it_names_are_there(readme):
 
 def test_the_picture_is_small():
     assert (ROOT / "docs" / "overview.png").stat().st_size < 100_000
+
+
+def test_a_citation_names_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    for key, value in (
+        ("version", project["version"]),
+        ("license", project["license"]),
+        ("  - name", project["authors"][0]["name"]),
+    ):
+        assert f"\n{key}: {value}\n" in cited
+
+
+def test_a_package_index_gets_no_link_that_leads_nowhere(readme):
+    hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]
+    made = hooks["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]
+    for one in made:
+        readme = re.sub(one["pattern"], one["replacement"], readme)
+    links = re.findall(r"\]\(([^)]*)\)", readme)
+    assert not [link for link in links if not link.startswith("http")]
+    assert "A first hour goes" in readme and "```python\nimport ttus_opt" in readme
