@@ -1,7 +1,5 @@
 """Rows of solvers as a run would give them."""
 
-from __future__ import annotations
-
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row, RunSpec

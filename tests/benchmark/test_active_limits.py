@@ -1,7 +1,5 @@
 """Counting active limits: by hand, and the same from solvers that share nothing."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 
@@ -14,7 +12,6 @@ from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.problem.verify.kkt import Duals
-from ttus_opt.solvers.base import Solver
 
 #: A small case whose limits hold back or not
 TINY = replace(
@@ -22,7 +19,7 @@ TINY = replace(
 )
 
 
-def test_by_hand() -> None:
+def test_by_hand():
     # ‖x - (-1, 2, -3e-9, 5)‖² with x ≥ 0, x₂ ≤ 1 and x₄ = 4: two bounds hold back, a
     # third by nothing that counts; the equality is no limit
     target = np.array([-1.0, 2.0, -3e-9, 5.0])
@@ -40,7 +37,7 @@ def test_by_hand() -> None:
     assert active_limits(problem, x, remains) == 0
 
 
-def test_inequality_rows_count() -> None:
+def test_inequality_rows_count():
     problem = program(
         [term(np.eye(2), [3.0, 3.0])],
         [rows("most", [[1, 0], [0, 1], [1, 1]], [-INF] * 3, [1.0, 2.0, 9.0])],
@@ -51,7 +48,7 @@ def test_inequality_rows_count() -> None:
 
 @pytest.mark.slow
 @taking.over({"osqp", "scs", "clarabel"})
-def test_solvers_agree(solver: Solver) -> None:
+def test_solvers_agree(solver):
     name = solver.name
     counts = {}
     for how, weight in (("", 1e-2), ("reversed", 100.0)):

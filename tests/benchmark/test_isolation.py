@@ -1,9 +1,6 @@
 """A run in its own process: a crash, an exception or a limit is a row."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -13,19 +10,18 @@ from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Request
 
 
-def assembly() -> RunSpec:
+def assembly():
     return parts()["assembly"].plan([TINY], Settings())[0]
 
 
 @pytest.mark.slow
-def test_crash_is_a_row(tmp_path: Path) -> None:
+def test_crash_is_a_row(tmp_path):
     seen: list[str] = []
     spec = trapped(tmp_path, "import os\nos.abort()")
     (row,) = run_isolated(spec, tmp_path, None, lambda stage, since: seen.append(stage))
@@ -37,7 +33,7 @@ def test_crash_is_a_row(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_exception_is_a_row_with_its_last_line(tmp_path: Path) -> None:
+def test_exception_is_a_row_with_its_last_line(tmp_path):
     spec = trapped(tmp_path, "raise KeyError('my own mistake')")
     (row,) = run_isolated(spec, tmp_path)
     assert row["status"] == "refused"
@@ -46,7 +42,7 @@ def test_exception_is_a_row_with_its_last_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_memory_limit_is_a_row(tmp_path: Path) -> None:
+def test_memory_limit_is_a_row(tmp_path):
     deed = "import time\nimport numpy\nkeep = numpy.ones(2**28)\ntime.sleep(60)"
     (row,) = run_isolated(trapped(tmp_path, deed), tmp_path, 2**30)
     assert row["status"] == "memory limit"
@@ -54,7 +50,7 @@ def test_memory_limit_is_a_row(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path: Path) -> None:
+def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path):
     """Refused by its own process, which had a size by then."""
     deed = """from ttus_opt.core.errors import InputError
 raise InputError("not on this grid")"""
@@ -64,9 +60,7 @@ raise InputError("not on this grid")"""
 
 
 @pytest.mark.slow
-def test_who_does_not_stop_is_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_does_not_stop_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr(isolation, "LATE_SECONDS", 0.5)
     deed = """import time
 from ttus_opt.solvers.packages import closed_form
@@ -78,7 +72,7 @@ closed_form._Factorised.solve = lambda self: time.sleep(60)"""
 
 
 @pytest.mark.slow
-def test_other_parts_fail_as_rows_as_well(tmp_path: Path) -> None:
+def test_other_parts_fail_as_rows_as_well(tmp_path):
     gone = replace(TINY, name="gone", surface=str(tmp_path / "no.nc"))
     (row,) = run_isolated(replace(assembly(), case=gone), tmp_path)
     assert row["status"] == "refused"
@@ -90,19 +84,18 @@ def test_other_parts_fail_as_rows_as_well(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_compiling_and_assembling_may_take_longer() -> None:
+def test_compiling_and_assembling_may_take_longer():
     assert isolation._allowed("first", 100.0) == pytest.approx(205.0)
     assert isolation._allowed("again", 100.0) == pytest.approx(115.0)
     assert isolation._allowed("scene", 100.0) == isolation.PREPARATION
     assert isolation._allowed("scene", 2000.0) == pytest.approx(2205.0)
 
 
-def test_an_ended_run_tells_the_residual_it_reached(tmp_path: Path) -> None:
+def test_an_ended_run_tells_the_residual_it_reached(tmp_path):
     """What a solver reports on the way is what is left when its process is ended."""
     assert isolation._reached(tmp_path) == {}
     request = Request(told=Progress(tmp_path).reached)
     fitter = Fitter(load("eq10", small_scene()), solver="osqp", request=request)
     kkt = fitter.solve().kkt
-    assert kkt is not None
     reached = isolation._reached(tmp_path)["residual_reached"]
     assert reached == pytest.approx(kkt.worst_relative, rel=1e-6)

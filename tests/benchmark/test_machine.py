@@ -1,13 +1,11 @@
 """The machine a table was measured with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.benchmark.machine import describe
 
 
-def test_machine_names_what_decides_a_figure() -> None:
+def test_machine_names_what_decides_a_figure():
     facts = describe()
     assert int(facts["cores"]) >= 1
     assert facts["numpy"] == np.__version__

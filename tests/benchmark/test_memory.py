@@ -1,7 +1,5 @@
 """Memory: the peak of a process sees an allocation, and can be begun anew."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -26,7 +24,7 @@ print(before, during, memory.peak_bytes())
 
 
 @pytest.mark.slow
-def test_peak_memory_sees_an_allocation_and_forgets_it() -> None:
+def test_peak_memory_sees_an_allocation_and_forgets_it():
     if not Path("/proc/self/clear_refs").exists():
         pytest.skip("this system does not tell a process's peak")
     # in a process of its own: this one has freed pages that an array would take again
@@ -41,7 +39,7 @@ def test_peak_memory_sees_an_allocation_and_forgets_it() -> None:
     assert after < during - 64 * 2**20
 
 
-def test_sizes_grow_with_what_is_held() -> None:
+def test_sizes_grow_with_what_is_held():
     before = memory.current_bytes()
     held = np.ones(2**24)
     assert memory.current_bytes() - before > 0.9 * held.nbytes

@@ -1,7 +1,5 @@
 """Performance profiles against ratios by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -30,7 +28,7 @@ ROWS = [
 ]
 
 
-def test_ratios_by_hand() -> None:
+def test_ratios_by_hand():
     found = ratios(ROWS)
     assert found["a"] == pytest.approx([1.0, 3.0, 1.0])
     assert found["b"] == pytest.approx([4.0, 1.0, math.inf])
@@ -41,7 +39,7 @@ def test_ratios_by_hand() -> None:
     assert math.isnan(share([], 2.0))
 
 
-def test_the_table_ranks_who_is_near_the_best() -> None:
+def test_the_table_ranks_who_is_near_the_best():
     found = ranked(ROWS)
     assert list(found) == ["a", "b"]
     lines = str(profile_table(found)).splitlines()
@@ -50,7 +48,7 @@ def test_the_table_ranks_who_is_near_the_best() -> None:
     assert lines[3].split("|")[-2].strip() == "67%"
 
 
-def test_the_picture_has_the_steps() -> None:
+def test_the_picture_has_the_steps():
     axes = profile_picture(ranked(ROWS)).axes[0]
     steps = {line.get_label(): line for line in axes.lines}
     tau, height = (np.asarray(v) for v in steps["b"].get_data())

@@ -1,9 +1,5 @@
 """Pictures of a run: every mark is a row's, failures stand at the time limit."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import matplotlib.image
 import numpy as np
 
@@ -13,7 +9,7 @@ from ttus_opt.benchmark.pictures import INKS, MARKERS, solver_styles
 from ttus_opt.benchmark.summary import MIB, NOT_RUN
 
 
-def rows() -> list[dict[str, object]]:
+def rows():
     small, large = row("one", 2.0, 1.0), row("one", 30.0, 1.0)
     return [
         large | {"voxels": 5000},
@@ -23,7 +19,7 @@ def rows() -> list[dict[str, object]]:
     ]
 
 
-def test_solvers_are_told_apart_without_colour() -> None:
+def test_solvers_are_told_apart_without_colour():
     names = [f"s{i:02d}" for i in range(len(INKS) * len(MARKERS))]
     styles = solver_styles([*names, *names])
     assert list(styles) == names
@@ -32,7 +28,7 @@ def test_solvers_are_told_apart_without_colour() -> None:
     assert solver_styles(reversed(names)) == styles
 
 
-def test_curves_are_the_rows_and_failures_are_unfilled() -> None:
+def test_curves_are_the_rows_and_failures_are_unfilled():
     given = sorted(rows(), key=lambda each: (each["voxels"], each["solver"]))
     inks = solver_styles(["one", "two"])
     drawn = {name: figure for name, _, figure in pictures._pictures(given, inks)}
@@ -52,7 +48,7 @@ def test_curves_are_the_rows_and_failures_are_unfilled() -> None:
     assert not len(memory[3].get_xdata())  # a failure without a figure
 
 
-def test_a_picture_is_saved_for_each_formulation(tmp_path: Path) -> None:
+def test_a_picture_is_saved_for_each_formulation(tmp_path):
     other = [each | {"formulation": "robust", "kkt": None} for each in rows()[:2]]
     never = failed("three", NOT_RUN[0]) | {"voxels": 1000, "formulation": "gone"}
     drawn = pictures.pictures([*rows(), *other, never])

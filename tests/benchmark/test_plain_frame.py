@@ -1,7 +1,5 @@
 """Whole-array numpy agrees with the rows of the fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-def test_a_numpy_frame_is_the_rows_of_the_fit(sampling: str) -> None:
+def test_a_numpy_frame_is_the_rows_of_the_fit(sampling):
     scene = small_scene(sampling)
     values = np.random.default_rng(1).normal(size=scene.voxmap.grid.shape)
     field = PotentialField(scene.voxmap, values, sampling)

@@ -1,16 +1,13 @@
 """What a run tells its parent, in the order of its stages."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 
 from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES, Progress
 
 
-def test_stages_are_told_as_they_begin_and_measured_as_they_end(tmp_path: Path) -> None:
+def test_stages_are_told_as_they_begin_and_measured_as_they_end(tmp_path):
     progress = Progress(tmp_path)
     for stage in ("scene", "first", "scene"):
         progress(stage)
@@ -25,14 +22,14 @@ def test_stages_are_told_as_they_begin_and_measured_as_they_end(tmp_path: Path) 
     assert all(peak > 2**20 for peak in progress.peaks.values())
 
 
-def test_the_last_residual_stands(tmp_path: Path) -> None:
+def test_the_last_residual_stands(tmp_path):
     progress = Progress(tmp_path)
     for residual in (1e-2, 1.0 / 3.0):
         progress.reached(residual)
     assert float((tmp_path / RESIDUAL).read_text()) == 1.0 / 3.0
 
 
-def test_what_is_kept_may_lie_in_a_folder_of_its_own(tmp_path: Path) -> None:
+def test_what_is_kept_may_lie_in_a_folder_of_its_own(tmp_path):
     path = Progress(tmp_path).keep("profiles/eq10.txt")
     path.write_text("a profile")
     assert (tmp_path / KEPT / "profiles" / "eq10.txt").read_text() == "a profile"

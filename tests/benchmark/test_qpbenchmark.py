@@ -1,13 +1,10 @@
 """The test set of qpbenchmark: the problems it yields are this package's."""
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +13,11 @@ FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "ttus.py"
 
 
 @pytest.fixture(scope="module")
-def test_set() -> Any:
+def test_set():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its packages are full of deprecations
         pytest.importorskip("qpbenchmark", reason="qpbenchmark is not installed")
         spec = importlib.util.spec_from_file_location("ttus_test_set", FILE)
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         made = module.Ttus()
@@ -30,7 +25,7 @@ def test_set() -> Any:
         return made
 
 
-def test_problems_are_sparse_named_and_solvable(test_set: Any) -> None:
+def test_problems_are_sparse_named_and_solvable(test_set):
     import qpsolvers
 
     problems = {problem.name: problem for problem in test_set}
@@ -46,7 +41,7 @@ def test_problems_are_sparse_named_and_solvable(test_set: Any) -> None:
     assert np.isfinite(answer.x).all()
 
 
-def test_its_documented_command_runs(test_set: Any, tmp_path: Path) -> None:
+def test_its_documented_command_runs(test_set, tmp_path):
     """As the test set's own docstring says it, for one problem and one solver."""
     line = next(v for v in test_set.__doc_of_file__.splitlines() if " run " in v)
     words = line.split()
@@ -66,6 +61,6 @@ def test_its_documented_command_runs(test_set: Any, tmp_path: Path) -> None:
     assert (tmp_path / "ttus.md").read_text().startswith("# ")
 
 
-def test_no_group_of_settings_passes_anything(test_set: Any) -> None:
+def test_no_group_of_settings_passes_anything(test_set):
     assert set(test_set.tolerances) == set(test_set.solver_settings)
     assert max(t.gap for t in test_set.tolerances.values()) <= 1e-3

@@ -1,15 +1,11 @@
 """The report and the CSV files beside the rows."""
 
-from __future__ import annotations
-
 import csv
-from pathlib import Path
 
 import pytest
 
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark.report import write_report
-from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
 
 ROWS = [
@@ -20,23 +16,23 @@ ROWS = [
 ]
 
 
-def written(folder: Path, found: dict[str, list[Row]], **settings: bool) -> str:
+def written(folder, found, **settings):
     path = write_report(
         folder,
         found,
-        Settings(**settings),  # type: ignore[arg-type]
+        Settings(**settings),
         command="ttus-opt benchmark",
         machine={"cores": "2"},
     )
     return path.read_text("utf-8")
 
 
-def headings(text: str) -> list[str]:
+def headings(text):
     return [line for line in text.splitlines() if line.startswith("## ")]
 
 
 @pytest.mark.slow
-def test_report_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
+def test_report_has_the_closed_form_first_and_pictures(tmp_path):
     text = written(tmp_path, {"solvers": ROWS}, memory=True)
     assert headings(text)[0] == "## Against the closed form Q p = d"
     assert "## Memory by stage [MiB]" in headings(text)
@@ -52,13 +48,13 @@ def test_report_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
         assert (tmp_path / picture).stat().st_size > 2_000
 
 
-def test_report_of_failures_alone(tmp_path: Path) -> None:
+def test_report_of_failures_alone(tmp_path):
     for status in ("refused", "time limit"):
         text = written(tmp_path, {"solvers": [failed("slow", status)]})
         assert "`closed_form` has no answer here" in text
 
 
-def test_report_of_other_parts_alone(tmp_path: Path) -> None:
+def test_report_of_other_parts_alone(tmp_path):
     lost = {"case": "S", "status": "time limit", "detail": "ended during updates"}
     text = written(tmp_path, {"solvers": [], "recursion": [lost], "ripple": []})
     assert headings(text) == ["## One measurement at a time", "## Machine"]
@@ -66,7 +62,7 @@ def test_report_of_other_parts_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_rows_are_there_as_csv(tmp_path: Path) -> None:
+def test_rows_are_there_as_csv(tmp_path):
     written(tmp_path, {"solvers": ROWS})
     with (tmp_path / "solvers.csv").open(newline="") as file:
         told = list(csv.DictReader(file))

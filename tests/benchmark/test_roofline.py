@@ -1,12 +1,9 @@
 """Bytes of a V-cycle: from the sizes of the levels, and bounded by what they hold."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark import roofline
-from ttus_opt.laplace.system import LaplaceSystem
 
 #: What the passes of a V-cycle read and write, a word per colour: right side b, x,
 #: residual r, inverse pivots d, conductances R, T, Z, weights w of the transfers
@@ -22,11 +19,11 @@ x0 T0 T1 Z0 Z1 r1 r1 | r1 {WEIGHTS} | {WEIGHTS} x1 x1 |
 """
 
 
-def laplace(shape: tuple[int, int, int]) -> LaplaceSystem:
+def laplace(shape):
     return small_scene("trilinear", shape=shape, n_poses=2, seed=0).laplace
 
 
-def test_colours_are_those_of_the_passes() -> None:
+def test_colours_are_those_of_the_passes():
     for passes, count in (
         (FINEST, roofline.FINEST),
         (COARSER, roofline.COARSER),
@@ -35,7 +32,7 @@ def test_colours_are_those_of_the_passes() -> None:
         assert len(passes.replace("|", " ").split()) == count
 
 
-def test_bytes_are_those_of_the_levels() -> None:
+def test_bytes_are_those_of_the_levels():
     multigrid = laplace((12, 32, 16)).multigrid
     level, cycle = roofline.cycle_bytes(multigrid)
     hierarchy = multigrid.hierarchy
@@ -48,7 +45,7 @@ def test_bytes_are_those_of_the_levels() -> None:
     assert cycle - direct < 20 * level + 60 * coarser
 
 
-def test_eight_times_the_voxels_are_eight_times_the_bytes() -> None:
+def test_eight_times_the_voxels_are_eight_times_the_bytes():
     small, large = (
         roofline.cycle_bytes(laplace(shape).multigrid)[1]
         for shape in ((12, 32, 16), (24, 64, 32))
@@ -56,7 +53,7 @@ def test_eight_times_the_voxels_are_eight_times_the_bytes() -> None:
     assert large / small == pytest.approx(8.0, rel=0.25)
 
 
-def test_what_is_measured_is_told() -> None:
+def test_what_is_measured_is_told():
     told = roofline.roofline(laplace((12, 32, 16)))
     # a solve moves more than its V-cycles
     assert told["bytes_solve"] > told["cycles"] * told["bytes_cycle"]

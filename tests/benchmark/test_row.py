@@ -1,7 +1,5 @@
 """Questions: they survive the way to another process, and tell themselves apart."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -15,14 +13,14 @@ SPEC = RunSpec(
 )
 
 
-def test_a_question_survives_json() -> None:
+def test_a_question_survives_json():
     for spec in (SPEC, RunSpec("ripple", None, {"voxel": 0.001})):
         again = RunSpec.from_dict(json.loads(json.dumps(spec.as_dict())))
         assert again == spec
         assert again.key == spec.key
 
 
-def test_the_key_tells_questions_apart() -> None:
+def test_the_key_tells_questions_apart():
     for other in (
         replace(SPEC, part="rendering"),
         replace(SPEC, time_limit=1.0),
@@ -32,7 +30,7 @@ def test_the_key_tells_questions_apart() -> None:
         assert other.key != SPEC.key
 
 
-def test_a_run_is_named_by_what_tells_it_apart() -> None:
+def test_a_run_is_named_by_what_tells_it_apart():
     assert SPEC.title == "S eq10 osqp"
     assert RunSpec("recursion", SPEC.case, {"updates": 3}).title == "S recursion"
     assert RunSpec("ripple", None, {"voxel": 0.001}).title == "– 0.001"

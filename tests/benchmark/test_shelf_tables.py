@@ -1,25 +1,19 @@
 """The documentation's tables of the shelf, and its rows that are measured."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.benchmark.rows import failed, row
-from ttus_opt.benchmark.row import Row
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
-def script(name: str) -> Any:
+def script(name):
     spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -28,7 +22,7 @@ def script(name: str) -> Any:
 TABLES = script("shelf_tables")
 
 
-def answer(formulation: str, seconds: float, **other: Any) -> Row:
+def answer(formulation, seconds, **other):
     solver = other.pop("solver", "auto")
     told = {"formulation": formulation, "cpu_first": seconds, "taken": "structured"}
     return row(solver, 99.0, 1.0, **told, **other)
@@ -46,7 +40,7 @@ ROWS = [
 ]
 
 
-def test_ratios_growth_and_failures_by_hand() -> None:
+def test_ratios_growth_and_failures_by_hand():
     lines = {
         line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
         for line in TABLES.shelf_table(ROWS).splitlines()[2:]
@@ -59,7 +53,7 @@ def test_ratios_growth_and_failures_by_hand() -> None:
     assert math.isnan(TABLES.growth(ROWS[:1]))
 
 
-def test_late_by_the_clock_of_a_busy_machine_is_not_late() -> None:
+def test_late_by_the_clock_of_a_busy_machine_is_not_late():
     late = answer("eq10", 30.0, status="time limit", detail="solved after 184 s")
     assert TABLES.solved(late)  # its limit is 100 s
     assert not TABLES.solved(late | {"cpu_first": 101.0})
@@ -68,7 +62,7 @@ def test_late_by_the_clock_of_a_busy_machine_is_not_late() -> None:
     assert (told["status"], told["seconds_first"]) == ("solved", 30.0)
 
 
-def test_missed_goals_are_told_and_met_ones_are_not() -> None:
+def test_missed_goals_are_told_and_met_ones_are_not():
     told = TABLES.missed(ROWS)
     assert [line.split(":")[0].split(" (")[0] for line in told] == [
         "`tikhonov` on M",
@@ -80,7 +74,7 @@ def test_missed_goals_are_told_and_met_ones_are_not() -> None:
     assert told[-1].endswith("10 × faster than the best general solver (goal 20 ×)")
 
 
-def test_a_folder_is_read_once_and_markers_are_filled(tmp_path: Path) -> None:
+def test_a_folder_is_read_once_and_markers_are_filled(tmp_path):
     text = "".join(json.dumps([each]) + "\n" for each in (*ROWS, ROWS[0]))
     (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
     keys = {each["key"] for each in ROWS}
@@ -102,7 +96,7 @@ def test_a_folder_is_read_once_and_markers_are_filled(tmp_path: Path) -> None:
         TABLES.filled(page, "b", "new")
 
 
-def test_the_markers_are_in_the_pages() -> None:
+def test_the_markers_are_in_the_pages():
     root = FOLDER.parent
     for page, names in (
         (root / "docs" / "benchmark.md", "shelf general profile perturbed missed"),
@@ -113,14 +107,14 @@ def test_the_markers_are_in_the_pages() -> None:
             assert text.count(f"<!-- {name}: end -->") == 1, (page, name)
 
 
-def test_every_row_of_the_page_is_measured() -> None:
+def test_every_row_of_the_page_is_measured():
     rows = script("performance_rows")
     assert [rows.begins(row) for row in rows.told_rows()] == list(rows.ROWS)
     with pytest.raises(KeyError, match="put it into ROWS"):
         rows.begins("a new row")
 
 
-def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path: Path) -> None:
+def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path):
     earlier = [answer("eq10", 0.1), answer("tikhonov", 0.3)]
     later = [answer("eq10", 0.2), answer("tikhonov", 0.4)]
     for name, rows in (("a", earlier), ("b", later)):

@@ -1,11 +1,8 @@
 """Which tables a benchmark of solvers shows, by how many problems it has."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.benchmark.rows import row
-from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.solver_report import FEWEST, MANY, sections, terminal
 from ttus_opt.report.document import Picture, text
@@ -13,7 +10,7 @@ from ttus_opt.report.document import Picture, text
 QUIET = Settings(closed_form="")
 
 
-def problems(count: int) -> list[Row]:
+def problems(count):
     """Two solvers on each, the second twice as slow."""
     rows = []
     for k in range(count):
@@ -24,7 +21,7 @@ def problems(count: int) -> list[Row]:
 
 
 @pytest.mark.parametrize("count", [1, FEWEST, MANY, MANY + 1])
-def test_the_terminal_has_a_table_for_each_of_few_problems(count: int) -> None:
+def test_the_terminal_has_a_table_for_each_of_few_problems(count):
     """And a line for each of many; a profile from two of them on."""
     said = terminal(problems(count), QUIET)
     each = [f"C{k}, eq10, {1000 * (k + 1):,} voxels:" in said for k in range(count)]
@@ -38,14 +35,14 @@ def test_the_terminal_has_a_table_for_each_of_few_problems(count: int) -> None:
     assert "Against the closed form" not in said
 
 
-def test_the_reference_comes_first_where_there_is_one() -> None:
+def test_the_reference_comes_first_where_there_is_one():
     rows = [row("closed_form", 4.0, 2.0, case="C0", voxels=1000), *problems(1)]
     assert terminal(rows, Settings()).startswith("Against the closed form:")
     assert not terminal(rows, QUIET).startswith("Against")
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_sections_of_one_and_of_two_problems(count: int) -> None:
+def test_sections_of_one_and_of_two_problems(count):
     rows = problems(count)
     rows[0]["seconds_assembly"], rows[1]["seconds_assembly"] = 0.5, 0.3
     rows[0]["poses"] = rows[1]["poses"] = None

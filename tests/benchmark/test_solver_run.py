@@ -1,10 +1,6 @@
 """One run of a solver: its row against dense algebra, and what is no answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,16 +9,15 @@ from tests.benchmark.tiny import TINY
 from ttus_opt.benchmark import solver_run
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.progress import KEPT, Progress
-from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.row import RunSpec
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
+from ttus_opt.solvers.base import Candidate, Claim, Prepared
 from ttus_opt.solvers.packages.closed_form import ClosedForm
 
 CASE = replace(TINY, shape=(6, 9, 6), n_poses=5, n_points=200)
 
 
-def spec_of(time_limit: float = 60.0, **options: Any) -> RunSpec:
+def spec_of(time_limit=60.0, **options):
     asked = {
         "formulation": "eq10",
         "options": {"force_weight": 0.3, "torque_weight": 0.1},
@@ -33,7 +28,7 @@ def spec_of(time_limit: float = 60.0, **options: Any) -> RunSpec:
     return RunSpec("solvers", CASE, asked | options, time_limit)
 
 
-def minimiser(program: Program) -> np.ndarray:
+def minimiser(program):
     """By dense algebra."""
     roots = [np.sqrt(term.weight) for term in program.terms]
     pairs = list(zip(roots, program.terms, strict=True))
@@ -42,11 +37,11 @@ def minimiser(program: Program) -> np.ndarray:
     return np.linalg.lstsq(M, t)[0]
 
 
-def measured(folder: Path, spec: RunSpec) -> Row:
+def measured(folder, spec):
     return solver_run.measured(spec, Progress(folder))
 
 
-def test_a_row_tells_of_the_minimiser_and_of_every_repeat(tmp_path: Path) -> None:
+def test_a_row_tells_of_the_minimiser_and_of_every_repeat(tmp_path):
     spec = spec_of(repeat=3)
     row = measured(tmp_path, spec)
     program = load("eq10", CASE.build(), **spec.options["options"]).compile()
@@ -72,14 +67,14 @@ class Failing(ClosedForm):
 
     name = "failing"
 
-    def __init__(self, after: int) -> None:
+    def __init__(self, after):
         self._left = after
         self.seen: list[np.ndarray] = []
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
+    def prepare(self, program, request):
         return _Failing(self, super().prepare(program, request), program)
 
-    def solved(self, forces: np.ndarray) -> bool:
+    def solved(self, forces):
         """Whether to solve once more."""
         if len(forces) == 3 * CASE.n_poses:
             self.seen.append(forces)
@@ -88,29 +83,27 @@ class Failing(ClosedForm):
 
 
 class _Failing(Prepared):
-    def __init__(self, owner: Failing, real: Prepared, program: Program) -> None:
+    def __init__(self, owner, real, program):
         self._owner, self._real = owner, real
         self.update(program)
 
-    def update(self, program: Program) -> None:
+    def update(self, program):
         self._forces = next(t.target for t in program.terms if t.name == "force")
         self._real.update(program)
 
-    def solve(self) -> Candidate:
+    def solve(self):
         if self._owner.solved(self._forces):
             return self._real.solve()
         return Candidate(None, claim=Claim.GAVE_UP, detail="had\n  enough")
 
 
-def failing(monkeypatch: pytest.MonkeyPatch, after: int) -> Failing:
+def failing(monkeypatch, after):
     solver = Failing(after)
     monkeypatch.setattr(solver_run, "solver_of", lambda options: solver)
     return solver
 
 
-def test_the_same_program_is_solved_again_with_other_values(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_same_program_is_solved_again_with_other_values(monkeypatch, tmp_path):
     solver = failing(monkeypatch, 100)
     row = measured(tmp_path, spec_of(repeat=2))
     own, other = CASE.build().f, with_new_values(CASE.build(), seed=1).f
@@ -121,9 +114,7 @@ def test_the_same_program_is_solved_again_with_other_values(
     assert row["objective"] == pytest.approx(best, rel=1e-9)  # of the first one
 
 
-def test_no_answer_is_a_row_without_figures(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_no_answer_is_a_row_without_figures(monkeypatch, tmp_path):
     failing(monkeypatch, 0)
     row = measured(tmp_path, spec_of(repeat=3))
     assert (row["status"], row["detail"]) == ("failed", "had enough")
@@ -132,9 +123,7 @@ def test_no_answer_is_a_row_without_figures(
     assert not list(tmp_path.rglob("*.npy"))
 
 
-def test_what_fails_on_other_values_only_says_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_fails_on_other_values_only_says_so(monkeypatch, tmp_path):
     failing(monkeypatch, 1)
     row = measured(tmp_path, spec_of())
     assert row["status"] == "solved"
@@ -143,9 +132,7 @@ def test_what_fails_on_other_values_only_says_so(
     assert "seconds_again" not in row
 
 
-def test_an_answer_after_its_time_is_none(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_answer_after_its_time_is_none(monkeypatch, tmp_path):
     """A solver that looks at no clock; nor is there a second round."""
     failing(monkeypatch, 100)
     row = measured(tmp_path, spec_of(1e-9, repeat=3))

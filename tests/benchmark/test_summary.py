@@ -1,11 +1,8 @@
 """Means, exponents and tables over rows, by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.benchmark.rows import failed, row
-from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import (
     closed_form_table,
     growth_table,
@@ -18,12 +15,12 @@ from ttus_opt.benchmark.summary import (
 )
 
 
-def test_shifted_geometric_mean_by_hand() -> None:
+def test_shifted_geometric_mean_by_hand():
     assert shifted_geometric_mean([3.0, 8.0], shift=1.0) == pytest.approx(5.0)
     assert shifted_geometric_mean([7.0], shift=10.0) == pytest.approx(7.0)
 
 
-def test_failures_count_as_the_time_limit_and_refusals_do_not() -> None:
+def test_failures_count_as_the_time_limit_and_refusals_do_not():
     rows = [
         row("fast", 1.0, 5.0),
         failed("slow"),
@@ -38,12 +35,12 @@ def test_failures_count_as_the_time_limit_and_refusals_do_not() -> None:
     assert slow["first"] == pytest.approx((101.0 * 4.0) ** 0.5 - 1.0)
 
 
-def test_the_worst_residual_is_a_relative_one() -> None:
+def test_the_worst_residual_is_a_relative_one():
     assert worst_relative(row("a", 1.0, 1.0)) == 2e-8
     assert worst_relative(failed("b")) is None
 
 
-def test_tables_say_ratios_and_reasons() -> None:
+def test_tables_say_ratios_and_reasons():
     rows = [
         row("closed_form", 10.0, 8.0, difference_from_closed_form=0.0),
         row("other", 1.0, 8.0, difference_from_closed_form=3e-7),
@@ -60,7 +57,7 @@ def test_tables_say_ratios_and_reasons() -> None:
     assert ratio(1.0, None) == "–"
 
 
-def test_table_tells_active_limits() -> None:
+def test_table_tells_active_limits():
     table = row_table([row("a", 1.0, 1.0, active_limits=37), failed("b")])
     lines = str(table).splitlines()
     assert lines[0].rstrip("| ").endswith("active limits")
@@ -68,8 +65,8 @@ def test_table_tells_active_limits() -> None:
     assert lines[3].rstrip("| ").endswith("–")
 
 
-def test_growth_is_the_slope_of_verified_answers() -> None:
-    def sized(solver: str, case: str, voxels: int, seconds: float) -> Row:
+def test_growth_is_the_slope_of_verified_answers():
+    def sized(solver, case, voxels, seconds):
         return row(solver, seconds, 1.0, case=case, voxels=voxels)
 
     rows = [

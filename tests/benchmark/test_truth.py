@@ -1,13 +1,10 @@
 """The table of the default against all others: `benchmarks/truth.py`."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,17 +17,17 @@ SHAPE = ["--shape", "12", "24", "12"]
 
 
 @pytest.fixture(scope="module")
-def truth() -> Any:
+def truth():
     """The script, with its table."""
     sys.path.insert(0, str(FOLDER))
-    import truth  # type: ignore[import-not-found]
+    import truth
 
     yield truth
     sys.path.remove(str(FOLDER))
 
 
 @pytest.fixture
-def contacts(truth: Any) -> Any:
+def contacts(truth):
     """Contacts on a patch of 60 mm, the last 40 to judge by."""
     rng = np.random.default_rng(3)
     place = np.c_[rng.uniform(-30.0, 30.0, (240, 2)), np.zeros(240)]
@@ -39,13 +36,13 @@ def contacts(truth: Any) -> Any:
     return truth.Contacts(rng.uniform(2.0, 20.0, 240), place, direction)
 
 
-def judged(rival: Any, contacts: Any, force: Any) -> Any:
+def judged(rival, contacts, force):
     """Largest error where nothing was fitted, over the mean force."""
     law = rival(contacts[:200], force[:200])
     return np.abs(law(contacts[200:]) - force[200:]).max() / force.mean()
 
 
-def test_a_spring_is_recovered(truth: Any, contacts: Any) -> None:
+def test_a_spring_is_recovered(truth, contacts):
     assert judged(truth.linear_spring, contacts, 0.4 * contacts.depth) < 1e-12
     other = 0.4 * contacts.depth**2  # then by least squares
     stiffness = np.linalg.lstsq(contacts.depth[:, None], other, rcond=None)[0]
@@ -53,7 +50,7 @@ def test_a_spring_is_recovered(truth: Any, contacts: Any) -> None:
     np.testing.assert_allclose(law(contacts), stiffness * contacts.depth)
 
 
-def test_the_nearest_has_both_place_and_depth(truth: Any) -> None:
+def test_the_nearest_has_both_place_and_depth(truth):
     place = np.zeros((4, 3))
     place[2:, 0] = 50.0
     depth, force = np.array([4.0, 8.0, 4.0, 8.0]), np.array([1.0, 2.0, 3.0, 4.0])
@@ -62,21 +59,21 @@ def test_the_nearest_has_both_place_and_depth(truth: Any) -> None:
     assert truth.nearest_neighbour(x, force)(y).tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
-def test_a_power_law_is_recovered(truth: Any, contacts: Any) -> None:
+def test_a_power_law_is_recovered(truth, contacts):
     force = 0.1 * contacts.depth**1.7
     for rival in (truth.kriged_power_law, truth.gaussian_process):
         assert judged(rival, contacts, force) < 1e-9
 
 
-def kernel(truth: Any, at: Any, centres: Any) -> Any:
+def kernel(truth, at, centres):
     """Matérn 3/2 without unit."""
     far = np.sqrt(3.0) * truth.distance(at, centres)
     return (1.0 + far) * np.exp(-far)
 
 
 def test_a_law_that_varies_as_the_process_says_is_recovered(
-    truth: Any, contacts: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    truth, contacts, monkeypatch
+):
     """A law whose mean is c hᵃ exactly, its centres among what is fitted.
 
     It is recovered exactly with its own lengths, closely with lengths by evidence.
@@ -102,9 +99,7 @@ def test_a_law_that_varies_as_the_process_says_is_recovered(
             assert judged(rival, contacts, force) < 1e-6
 
 
-def test_a_table_of_the_bundled_example_is_kept_and_continued(
-    truth: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_of_the_bundled_example_is_kept_and_continued(truth, tmp_path, capsys):
     kept, page, dots = tmp_path / "kept", tmp_path / "t.md", tmp_path / "t.png"
     asked = ["--results", str(kept), "--cases", "example", *SHAPE]
     models = ["--models", "laplace_only", "r:linear_spring"]
@@ -131,7 +126,7 @@ def test_a_table_of_the_bundled_example_is_kept_and_continued(
     assert capsys.readouterr().err.startswith("example default")
 
 
-def test_scores_are_over_the_frames_of_each_kind(truth: Any, tmp_path: Path) -> None:
+def test_scores_are_over_the_frames_of_each_kind(truth, tmp_path):
     for name in ("surface.nc", "press_fit.csv"):
         shutil.copy(example.path(name), tmp_path)
     own = tmp_path, ("press_fit.csv",), {"press": "press_fit.csv"}
@@ -147,7 +142,7 @@ def test_scores_are_over_the_frames_of_each_kind(truth: Any, tmp_path: Path) -> 
     assert tissue["error_N"] == pytest.approx(0.1 * size[rows].mean())
 
 
-def test_losses_and_wins_by_hand(truth: Any) -> None:
+def test_losses_and_wins_by_hand(truth):
     found = {
         "a press": {"default": 0.2, "eq10": 0.1, "r:x": 0.8},
         "b tissue": {"default": 0.1, "eq10": 0.104, "r:x": 0.2},
@@ -168,16 +163,14 @@ def test_losses_and_wins_by_hand(truth: Any) -> None:
         (["--cases", "tissue", "--tissue", "."], "no case tissue.*scored.txt in"),
     ],
 )
-def test_what_is_not_there_is_told(
-    truth: Any, given: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_there_is_told(truth, given, said, capsys):
     with pytest.raises(SystemExit) as stopped:
         truth.main(given)
     assert stopped.value.code == 2
     assert re.search(said, capsys.readouterr().err)
 
 
-def test_missing_folders_are_skipped_with_a_reason(truth: Any, tmp_path: Path) -> None:
+def test_missing_folders_are_skipped_with_a_reason(truth, tmp_path):
     found, skipped = truth.cases(tmp_path, None, None, None)
     assert [case.name for case in found] == ["example", "example_drag"]
     assert skipped[0] == f"phantom: no {tmp_path}/phantom/surface.nc"

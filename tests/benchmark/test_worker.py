@@ -1,11 +1,8 @@
 """The process of one run: what it measures, and what it says of a failure."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ import pytest
 from ttus_opt.benchmark import memory, worker
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import STAGES, Progress
+from ttus_opt.benchmark.progress import STAGES
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.core.errors import InputError, MissingPackageError
 
@@ -28,10 +25,10 @@ class Mine(Part):
     title = legend = "Mine"
     columns: Sequence[Column] = (Column("Number", "number"),)
 
-    def __init__(self, failure: BaseException | None = None) -> None:
+    def __init__(self, failure=None):
         self._failure = failure
 
-    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
+    def measure(self, spec, begin):
         begin("small")
         if self._failure is not None:
             raise self._failure
@@ -41,11 +38,11 @@ class Mine(Part):
 
 
 @pytest.fixture
-def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def asked(tmp_path, monkeypatch):
     """Rows of a run of such a part, in this process."""
     monkeypatch.setattr(memory, "end_this_first", lambda: None)
 
-    def run(failure: BaseException | None = None) -> list[Row]:
+    def run(failure=None):
         monkeypatch.setattr(worker, "parts", lambda: {"mine": Mine(failure)})
         (tmp_path / QUESTION).write_text(json.dumps(SPEC.as_dict()))
         worker.main(tmp_path)
@@ -55,7 +52,7 @@ def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return run
 
 
-def test_every_row_has_what_is_common_and_its_own(asked: Any, tmp_path: Path) -> None:
+def test_every_row_has_what_is_common_and_its_own(asked, tmp_path):
     one, three = asked()
     assert (one["number"], three["number"]) == (1, 3)
     assert (one["detail"], three["detail"]) == ("own", "")
@@ -65,7 +62,7 @@ def test_every_row_has_what_is_common_and_its_own(asked: Any, tmp_path: Path) ->
     assert [json.loads(line)["stage"] for line in stages] == ["small", "large"]
 
 
-def test_memory_is_that_of_the_largest_stage(asked: Any) -> None:
+def test_memory_is_that_of_the_largest_stage(asked):
     """Also of the last one, which no other ends."""
     if not Path("/proc/self/clear_refs").exists():
         pytest.skip("this system does not tell a process's peak")
@@ -85,9 +82,7 @@ def test_memory_is_that_of_the_largest_stage(asked: Any) -> None:
         (InputError("not on this grid"), "refused", "not on this grid"),
     ],
 )
-def test_a_failure_is_one_row_without_values(
-    asked: Any, failure: BaseException, status: str, detail: str
-) -> None:
+def test_a_failure_is_one_row_without_values(asked, failure, status, detail):
     (row,) = asked(failure)
     assert (row["status"], row["detail"]) == (status, detail)
     assert "number" not in row and row["voxel"] == 3
@@ -95,7 +90,7 @@ def test_a_failure_is_one_row_without_values(
     assert set(row["memory_by_stage"]) == {"small"}
 
 
-def test_a_mistake_in_a_part_ends_the_process(asked: Any) -> None:
+def test_a_mistake_in_a_part_ends_the_process(asked):
     """Its parent makes a row of that."""
     with pytest.raises(ZeroDivisionError):
         asked(ZeroDivisionError())

@@ -1,7 +1,5 @@
 """A tiny case, and a formulation that behaves on its stand-in only."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace

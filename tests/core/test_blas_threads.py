@@ -1,16 +1,12 @@
 """One thread for small matrices, and as many as before afterwards."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from ttus_opt.core.blas_threads import one_blas_thread
 
 
-def threads() -> set[int]:
+def threads():
     """Of numpy's and scipy's libraries; those that solvers bring are their own."""
     return {
         one["num_threads"]
@@ -21,14 +17,14 @@ def threads() -> set[int]:
 
 
 @pytest.fixture(autouse=True)
-def two_threads() -> Iterator[None]:
+def two_threads():
     with threadpool_limits(limits=2, user_api="blas"):
         if threads() != {2}:
             pytest.skip("one processor, or a BLAS without threads")
         yield
 
 
-def test_one_thread_within_and_those_before_after() -> None:
+def test_one_thread_within_and_those_before_after():
     with one_blas_thread():
         assert threads() == {1}
         with one_blas_thread():
@@ -37,9 +33,9 @@ def test_one_thread_within_and_those_before_after() -> None:
     assert threads() == {2}
 
 
-def test_a_function_that_fails_restores_them() -> None:
+def test_a_function_that_fails_restores_them():
     @one_blas_thread()
-    def fail() -> None:
+    def fail():
         assert threads() == {1}
         raise ZeroDivisionError
 

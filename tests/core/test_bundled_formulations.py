@@ -1,7 +1,5 @@
 """The bundled formulations are found, whatever else is called ``formulations``."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -18,7 +16,7 @@ SHOW = (
 
 
 @pytest.mark.slow
-def test_a_users_own_file_of_that_name_changes_nothing(tmp_path: Path) -> None:
+def test_a_users_own_file_of_that_name_changes_nothing(tmp_path):
     (tmp_path / "formulations.py").write_text("raise SystemExit('not ours')\n")
     script = tmp_path / "run.py"
     script.write_text(SHOW)
@@ -33,7 +31,7 @@ def test_a_users_own_file_of_that_name_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_wheel_carries_them_inside_the_package(tmp_path: Path) -> None:
+def test_a_wheel_carries_them_inside_the_package(tmp_path):
     """Built and unpacked: no other top-level package, and eq10 is found."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
     done = subprocess.run(

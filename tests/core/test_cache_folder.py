@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import os
-from pathlib import Path
 
 import numba
 import pytest
@@ -9,9 +6,7 @@ import pytest
 from ttus_opt.core.cache_folder import cache_folder
 
 
-def test_only_a_private_folder_is_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_a_private_folder_is_trusted(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "tmp"))
@@ -29,9 +24,7 @@ def test_only_a_private_folder_is_trusted(
         assert chosen() is None
 
 
-def test_what_cannot_be_made_or_written_to_is_passed_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_made_or_written_to_is_passed_over(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
@@ -49,9 +42,7 @@ def test_what_cannot_be_made_or_written_to_is_passed_over(
     assert "cannot be created" in str(warned[0].message)
 
 
-def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setenv("HOME", str(tmp_path))
     choose, expected = cache_folder.__wrapped__, tmp_path / ".cache/ttus_opt/compiled"
@@ -73,9 +64,7 @@ def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(
         assert choose() is None
 
 
-def test_a_chosen_folder_that_others_may_write_to_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chosen_folder_that_others_may_write_to_is_not_used(tmp_path, monkeypatch):
     """As NUMBA_CACHE_DIR=/tmp would be, where someone else was first."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "shared"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))

@@ -1,7 +1,5 @@
 """A shelf finds the classes of its files, and nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 import ttus_opt.problem.constraints
@@ -9,7 +7,7 @@ import ttus_opt.problem.terms
 from ttus_opt.core import plugins
 
 
-def test_public_classes_by_the_file_they_stand_in() -> None:
+def test_public_classes_by_the_file_they_stand_in():
     found = plugins.classes_of(ttus_opt.problem.constraints)
     assert found["Sign"].__module__ == "ttus_opt.problem.constraints.sign"
     assert "Bounds" not in found  # imported there, defined elsewhere
@@ -18,6 +16,6 @@ def test_public_classes_by_the_file_they_stand_in() -> None:
 
 
 @pytest.mark.parametrize("name", ["Sine", "sign", "_Sign"])
-def test_other_names_are_refused(name: str) -> None:
+def test_other_names_are_refused(name):
     with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
         plugins.class_of(ttus_opt.problem.terms, name)

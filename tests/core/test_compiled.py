@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import contextlib
 import gc
 import importlib
@@ -10,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -73,17 +71,17 @@ Load = Callable[..., Any]
 
 
 @pytest.fixture
-def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
+def load(tmp_path, monkeypatch):
     """Load the package anew, with edits, as a new process would: (file, old, new)."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it goes by a file's second
     cache_folder.cache_clear()
 
-    def forget() -> None:
+    def forget():
         for name in [name for name in sys.modules if name.split(".")[0] == "haunted"]:
             del sys.modules[name]
 
-    def load(*edits: tuple[str, str, str], checkout: str = "here") -> Any:
+    def load(*edits, checkout="here"):
         folder = tmp_path / checkout / "haunted"
         folder.mkdir(parents=True, exist_ok=True)
         content = dict(PACKAGE)
@@ -103,11 +101,11 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
     cache_folder.cache_clear()
 
 
-def hits(dispatcher: Any) -> int:
+def hits(dispatcher):
     return sum(dispatcher.stats.cache_hits.values())
 
 
-def folders(tmp_path: Path) -> list[str]:
+def folders(tmp_path):
     """Functions that have machine code in the cache."""
     saved = (tmp_path / "cache" / "ttus_opt").glob("*/*.nbc")
     return sorted(path.parent.name.partition("-")[0] for path in saved)
@@ -125,10 +123,8 @@ EDITS = {
 
 
 @pytest.mark.parametrize("edit", [edit for edit, _ in EDITS.values()], ids=EDITS)
-def test_the_key_tells_what_a_function_is_made_of(
-    load: Load, edit: tuple[str, str, str]
-) -> None:
-    def keys(caller: Any) -> tuple[str, str]:
+def test_the_key_tells_what_a_function_is_made_of(load, edit):
+    def keys(caller):
         least = caller.step.py_func.__globals__["least"]
         return content_key(caller.twice.py_func), content_key(least.py_func)
 
@@ -140,7 +136,7 @@ def test_the_key_tells_what_a_function_is_made_of(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", some(EDITS, 1))
-def test_code_is_not_haunted_by_what_it_was_made_of(load: Load, name: str) -> None:
+def test_code_is_not_haunted_by_what_it_was_made_of(load, name):
     """numba's own cache goes by the caller's file: it would run the old callee."""
     edit, expected = EDITS[name]
     assert load().twice(0) == 2
@@ -152,9 +148,7 @@ def test_code_is_not_haunted_by_what_it_was_made_of(load: Load, name: str) -> No
     assert hits(back.twice) == 1  # both are kept
 
 
-def test_a_callee_edited_after_it_was_loaded_is_not_taken_for_its_file(
-    load: Load, tmp_path: Path
-) -> None:
+def test_a_callee_edited_after_it_was_loaded_is_not_taken_for_its_file(load, tmp_path):
     caller = load()
     file = tmp_path / "here" / "haunted" / "callee.py"
     time.sleep(0.01)  # a file system's clock
@@ -164,7 +158,7 @@ def test_a_callee_edited_after_it_was_loaded_is_not_taken_for_its_file(
     assert "haunted.caller.twice" not in folders(tmp_path)
 
 
-def test_a_constant_imported_by_value_is_part_of_the_key(load: Load) -> None:
+def test_a_constant_imported_by_value_is_part_of_the_key(load):
     """As where it depends on the machine: its file tells nothing then."""
     caller = load()
     names, keys = caller.step.py_func.__globals__, []
@@ -175,10 +169,10 @@ def test_a_constant_imported_by_value_is_part_of_the_key(load: Load) -> None:
     assert len({*keys, content_key(caller.twice.py_func)}) == len(keys) + 1
 
 
-def test_swapped_fields_of_a_named_tuple_are_seen(load: Load) -> None:
+def test_swapped_fields_of_a_named_tuple_are_seen(load):
     """The types of the fields are the same, and so is the function's code."""
 
-    def first(*edits: tuple[str, str, str]) -> Any:
+    def first(*edits):
         caller = load(*edits)
         pair = importlib.import_module("haunted.pair").Pair
         return caller.first(pair(first=1, second=2))
@@ -191,7 +185,7 @@ def test_swapped_fields_of_a_named_tuple_are_seen(load: Load) -> None:
         first(hidden)
 
 
-def test_checkouts_share_code(load: Load) -> None:
+def test_checkouts_share_code(load):
     first = load()
     assert not is_cached(first.twice)
     first.twice(0)
@@ -215,7 +209,7 @@ for path in sorted(root.glob("*/**/*kernels.py")):
 """
 
 
-def test_keys_are_the_same_in_all_processes() -> None:
+def test_keys_are_the_same_in_all_processes():
     """The order of a set, in which options are given, is another in each."""
     other = subprocess.run(
         [sys.executable, "-c", KEYS],
@@ -231,7 +225,7 @@ def test_keys_are_the_same_in_all_processes() -> None:
     assert len(other) > 20
 
 
-def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
+def test_code_nobody_asks_for_is_removed(load, tmp_path):
     load().twice(0)
     folder = tmp_path / "cache" / "ttus_opt"
     for path in folder.iterdir():
@@ -247,12 +241,10 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     assert not (folder / "of an older version").exists()
 
 
-def test_where_nothing_can_be_kept_nothing_is_missing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_nothing_can_be_kept_nothing_is_missing(monkeypatch):
     """Without a folder, without a file, without numba, or with numba's own cache."""
 
-    def double(x: int) -> int:
+    def double(x):
         return 2 * x
 
     names: dict[str, Any] = {"compiled": compiled, "__name__": "typed"}
@@ -266,9 +258,7 @@ def test_where_nothing_can_be_kept_nothing_is_missing(
 
 
 @pytest.mark.slow
-def test_what_another_process_compiles_is_waited_for(
-    load: Load, tmp_path: Path
-) -> None:
+def test_what_another_process_compiles_is_waited_for(load, tmp_path):
     load().twice(0)
     (code,) = (tmp_path / "cache" / "ttus_opt").glob("haunted.caller.twice-*/*.nbc")
     content = code.read_bytes()
@@ -286,9 +276,7 @@ def test_what_another_process_compiles_is_waited_for(
 
 
 @pytest.mark.slow
-def test_processes_at_once_do_not_take_each_other_s_code(
-    load: Load, tmp_path: Path
-) -> None:
+def test_processes_at_once_do_not_take_each_other_s_code(load, tmp_path):
     """numba's index alone may give two lists of types the same file."""
     load()
     script = (
@@ -317,8 +305,8 @@ def test_processes_at_once_do_not_take_each_other_s_code(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes of folders")
 def test_code_an_administrator_compiled_is_read_where_nothing_can_be_written(
-    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    load, tmp_path, monkeypatch
+):
     load().twice(0)
     folder = tmp_path / "cache" / "ttus_opt"
     before = sorted(path.stat().st_mtime_ns for path in folder.rglob("*"))
@@ -329,7 +317,7 @@ def test_code_an_administrator_compiled_is_read_where_nothing_can_be_written(
     assert sorted(path.stat().st_mtime_ns for path in folder.rglob("*")) == before
 
 
-def test_a_stopwatch_tells_compiling_apart(load: Load) -> None:
+def test_a_stopwatch_tells_compiling_apart(load):
     caller, begun = load(), time.perf_counter()
     watch = module.Stopwatch()
     caller.twice(0)
@@ -343,9 +331,7 @@ def test_a_stopwatch_tells_compiling_apart(load: Load) -> None:
     assert watch.compile == first
 
 
-def test_a_folder_that_cannot_be_written_to_is_no_failure(
-    load: Load, tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_written_to_is_no_failure(load, tmp_path):
     caller = load()
     assert cache_folder() == tmp_path / "cache" / "ttus_opt"
     (tmp_path / "cache" / "ttus_opt").rmdir()
@@ -353,13 +339,13 @@ def test_a_folder_that_cannot_be_written_to_is_no_failure(
         assert caller.twice(0) == 2
 
 
-def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
+def test_an_inner_function_is_called_by_compiled_ones_only():
     @compiled(inner=True)
-    def half(x: float) -> float:
+    def half(x):
         return 0.5 * x
 
     @compiled()
-    def quarter(x: float) -> float:
+    def quarter(x):
         return 0.5 * half(x)
 
     assert quarter(2.0) == 0.5
@@ -367,12 +353,10 @@ def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
         half(2.0)  # where numba would end the process
 
 
-def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(monkeypatch):
     """The compiler is told so."""
 
-    def looked_up(table: Any, place: Any, out: Any) -> None:
+    def looked_up(table, place, out):
         for i in range(out.size):
             out[i] = table[place[i]]
 
@@ -387,28 +371,26 @@ def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
     assert said == [True, False]
 
 
-def test_without_compilation_the_function_itself_is_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_compilation_the_function_itself_is_left(monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
 
     @compiled(nogil=True)
-    def square(x: float) -> float:
+    def square(x):
         return x * x
 
     assert type(square) is type(lambda: None)
 
 
-def test_garbage_is_left_alone_while_compiling_and_not_after() -> None:
+def test_garbage_is_left_alone_while_compiling_and_not_after():
     class Watch(event.Listener):
-        def on_start(self, _: event.Event) -> None:
+        def on_start(self, _):
             collected.append(gc.isenabled())
 
-        def on_end(self, _: event.Event) -> None:
+        def on_end(self, _):
             pass
 
-    def wrong(x: int) -> int:
-        return x + "none"  # type: ignore[operator, no-any-return]
+    def wrong(x):
+        return x + "none"
 
     collected: list[bool] = []
     with event.install_listener("numba:run_pass", Watch()):

@@ -1,7 +1,5 @@
 """One base for all errors, each also what Python calls that kind of fault."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest
@@ -19,14 +17,14 @@ KINDS = {
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_an_error_is_caught_as_what_it_is(name: str) -> None:
+def test_an_error_is_caught_as_what_it_is(name):
     kind = getattr(errors, name)
     for caught in (errors.TtusError, KINDS[name]):
         with pytest.raises(caught, match="what to do"):
             raise kind("what to do")
 
 
-def test_no_error_is_left_out() -> None:
+def test_no_error_is_left_out():
     own = {
         name
         for name, kind in inspect.getmembers(errors, inspect.isclass)

@@ -1,7 +1,5 @@
 """What a notebook shows: the facts, escaped, and a picture that decodes."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -14,7 +12,6 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.html_card import card, sections_svg, signed_map
 from ttus_opt.fitting.checks.sanity import check_recordings
 from ttus_opt.solvers.registry import solvers
@@ -30,11 +27,10 @@ FIELD = PotentialField(
 )
 
 
-def pixels_of(html: str) -> Array:
+def pixels_of(html):
     from matplotlib.image import imread  # not with this module: a card loads none
 
     found = re.search(r"base64,([^\"]+)", html)
-    assert found is not None
     return np.asarray(imread(io.BytesIO(base64.b64decode(found[1])), format="png"))
 
 
@@ -46,8 +42,8 @@ def pixels_of(html: str) -> Array:
         (FIELD, ["p -1.5 to 2 N/cm²", "boundary_scale 2", "coefficient 0.25 ± 0.013"]),
     ],
 )
-def test_facts_stand_in_both_forms(shown: object, facts: list[str]) -> None:
-    html = shown._repr_html_()  # type: ignore[attr-defined]
+def test_facts_stand_in_both_forms(shown, facts):
+    html = shown._repr_html_()
     for fact in facts:
         assert fact in repr(shown)
         assert fact in html
@@ -57,7 +53,7 @@ def test_facts_stand_in_both_forms(shown: object, facts: list[str]) -> None:
     ElementTree.fromstring(html)  # well formed
 
 
-def test_short_forms_of_probe_and_trajectory() -> None:
+def test_short_forms_of_probe_and_trajectory():
     shell = "PointShell(300 points, 40 × 30 × 30 mm, "
     assert repr(SCENE.shell).startswith(shell)
     assert repr(SCENE.trajectory) == "Trajectory(12 frames, 0.55 s, with wrenches)"
@@ -67,7 +63,7 @@ def test_short_forms_of_probe_and_trajectory() -> None:
 
 
 @pytest.mark.slow
-def test_everything_public_is_one_short_line() -> None:
+def test_everything_public_is_one_short_line():
     solution = tt.fit(SCENE, "eq10_sign", solver="structured")
     field = solution.field
     evaluated = tt.evaluate(field, SCENE.shell, SCENE.trajectory)
@@ -104,9 +100,7 @@ def test_everything_public_is_one_short_line() -> None:
         (np.cos, (1 / 2, 7 / 8), (1 / 2, 1 / 8)),
     ],
 )
-def test_the_card_of_a_field_is_its_section(
-    wave: np.ufunc, high: tuple[float, float], low: tuple[float, float]
-) -> None:
+def test_the_card_of_a_field_is_its_section(wave, high, low):
     """x to the right and y upwards, red where the field is positive."""
     grid = SCENE.voxmap.grid
     values = wave(grid.theta)[None, :, None] * np.ones(grid.shape)
@@ -119,12 +113,12 @@ def test_the_card_of_a_field_is_its_section(
     assert red[0, 0] == blue[0, 0] == 1.0  # beyond the grid
 
 
-def test_a_card_escapes_what_it_shows() -> None:
+def test_a_card_escapes_what_it_shows():
     html = card("a<b", {"x&y": '"z"'}, "")
     assert "a&lt;b" in html and "x&amp;y" in html and "&quot;z&quot;" in html
 
 
-def test_a_map_is_red_above_zero_and_blue_below() -> None:
+def test_a_map_is_red_above_zero_and_blue_below():
     html = signed_map(np.array([[2.0, 0.0, -1.0], [0.0, 1.0, -2.0]]))
     pixels = pixels_of(html)
     assert pixels.shape == (2, 3, 3)
@@ -134,7 +128,7 @@ def test_a_map_is_red_above_zero_and_blue_below() -> None:
     np.testing.assert_allclose(pixels[1, 2], [0, 0, 1])
 
 
-def test_sections_hold_every_outline_circle_and_dot() -> None:
+def test_sections_hold_every_outline_circle_and_dot():
     square = 0.1 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1.0]])
     svg = ElementTree.fromstring(sections_svg([square, 0.5 * square], [0.2], square))
     assert len(svg.findall("polygon")) == 2
@@ -145,7 +139,7 @@ def test_sections_hold_every_outline_circle_and_dot() -> None:
 
 
 @pytest.mark.slow
-def test_a_card_loads_no_plotting_package() -> None:
+def test_a_card_loads_no_plotting_package():
     program = (
         "import sys, tests.core.test_html_card as t; t.FIELD._repr_html_()\n"
         "print('matplotlib' in sys.modules)"

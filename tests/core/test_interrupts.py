@@ -1,7 +1,5 @@
 """Signals wait until a file is written, each of them, and then do what they would."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -19,7 +17,7 @@ from ttus_opt.core.interrupts import (
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM])
-def test_a_signal_comes_when_all_is_written(kind: signal.Signals) -> None:
+def test_a_signal_comes_when_all_is_written(kind):
     came: list[str] = []
     before = signal.signal(kind, lambda *_: came.append("signal"))
     try:
@@ -33,7 +31,7 @@ def test_a_signal_comes_when_all_is_written(kind: signal.Signals) -> None:
         signal.signal(kind, before)
 
 
-def test_an_interrupt_ends_what_comes_after() -> None:
+def test_an_interrupt_ends_what_comes_after():
     done = False
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -45,17 +43,17 @@ def test_an_interrupt_ends_what_comes_after() -> None:
     assert done
 
 
-def test_a_mistake_meanwhile_leaves_the_handlers_as_they_were() -> None:
+def test_a_mistake_meanwhile_leaves_the_handlers_as_they_were():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyError), signals_deferred():
         raise KeyError("a mistake")
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_another_thread_may_write_as_well() -> None:
+def test_another_thread_may_write_as_well():
     before, within = signal.getsignal(signal.SIGINT), list[object]()
 
-    def write() -> None:
+    def write():
         with signals_deferred():
             within.append(signal.getsignal(signal.SIGINT))
 
@@ -66,7 +64,7 @@ def test_another_thread_may_write_as_well() -> None:
 
 
 @pytest.mark.parametrize("kind", ["signal.SIGINT", "INTERRUPT"])
-def test_what_loads_ends_at_once_and_without_a_traceback(kind: str) -> None:
+def test_what_loads_ends_at_once_and_without_a_traceback(kind):
     program = f"""
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -85,7 +83,7 @@ with ended_at_once():
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, INTERRUPT])
-def test_once_loaded_an_interrupt_is_an_exception(kind: signal.Signals) -> None:
+def test_once_loaded_an_interrupt_is_an_exception(kind):
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -98,7 +96,7 @@ def test_once_loaded_an_interrupt_is_an_exception(kind: signal.Signals) -> None:
             signal.signal(each, handler)
 
 
-def test_an_interrupt_that_is_ignored_stays_so() -> None:
+def test_an_interrupt_that_is_ignored_stays_so():
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -109,7 +107,7 @@ def test_an_interrupt_that_is_ignored_stays_so() -> None:
             signal.signal(each, handler)
 
 
-def test_a_handler_that_was_set_meanwhile_stays() -> None:
+def test_a_handler_that_was_set_meanwhile_stays():
     before = signal.getsignal(signal.SIGINT)
     try:
         with ended_at_once():

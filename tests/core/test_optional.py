@@ -1,9 +1,6 @@
 """A package that is not installed is named, with the command that installs it."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -11,21 +8,17 @@ from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.core.optional import load
 
 
-def test_a_missing_package_is_named_with_its_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(MissingPackageError, match=r'pip install "ttus-opt\[phantom\]"'):
         load("skfem", "phantom")
 
 
-def test_a_package_that_is_there_is_given() -> None:
+def test_a_package_that_is_there_is_given():
     assert load("json", "any") is sys.modules["json"]
 
 
-def test_what_a_package_itself_misses_is_not_hidden(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_package_itself_misses_is_not_hidden(tmp_path, monkeypatch):
     (tmp_path / "lame.py").write_text("import not_there_either\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="not_there_either") as told:

@@ -1,17 +1,12 @@
 """Results are taken where they are of the same inputs, else computed again."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from ttus_opt.core.errors import FileError
 from ttus_opt.core.saved_results import append_line, computed_once, read_lines
 
 
-def result(file: Path, value: float, **inputs: Any) -> Any:
+def result(file, value, **inputs):
     """Value of a result: what was computed, or what is in the file."""
     return computed_once(
         file,
@@ -22,7 +17,7 @@ def result(file: Path, value: float, **inputs: Any) -> Any:
     )
 
 
-def test_a_result_of_the_same_inputs_is_not_computed_again(tmp_path: Path) -> None:
+def test_a_result_of_the_same_inputs_is_not_computed_again(tmp_path):
     file = tmp_path / "eq10.json"
     assert result(file, 1.0, weight=0.5, shape=(8, 16, 8)) == 1.0
     assert result(file, 2.0, weight=0.5, shape=(8, 16, 8)) == 1.0
@@ -36,15 +31,15 @@ def test_a_result_of_the_same_inputs_is_not_computed_again(tmp_path: Path) -> No
     "content",
     [b"", b"{", b"null", b"[1]", b"\xff\xfe\x00", 100_000 * b"[", b'{"weight": 1.0}'],
 )
-def test_a_damaged_result_is_computed_again(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_result_is_computed_again(tmp_path, content):
     file = tmp_path / "eq10.json"
     file.write_bytes(content)
     assert result(file, 2.0, weight=1.0) == 2.0
     assert result(file, 3.0, weight=1.0) == 2.0
 
 
-def test_a_result_whose_other_file_is_lost_is_computed_again(tmp_path: Path) -> None:
-    def load(content: dict[str, Any]) -> float:
+def test_a_result_whose_other_file_is_lost_is_computed_again(tmp_path):
+    def load(content):
         raise FileError("field.nc not found")
 
     file = tmp_path / "eq10.json"
@@ -54,7 +49,7 @@ def test_a_result_whose_other_file_is_lost_is_computed_again(tmp_path: Path) -> 
     assert result(file, 3.0) == 2.0
 
 
-def test_lines_before_and_after_a_truncated_one_are_read(tmp_path: Path) -> None:
+def test_lines_before_and_after_a_truncated_one_are_read(tmp_path):
     file = tmp_path / "new" / "rows.jsonl"
     assert read_lines(file) == []
     append_line(file, [{"key": "a"}])

@@ -1,7 +1,5 @@
 """Work side by side, also where a system does not say which cores there are."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
@@ -12,43 +10,41 @@ import pytest
 from ttus_opt.core.threads import in_parts, parts_of, side_by_side, usable_cores
 
 
-def test_results_stand_in_the_order_of_the_things() -> None:
+def test_results_stand_in_the_order_of_the_things():
     assert side_by_side(lambda a, b: a - b, range(9), range(0, 90, 10)) == [
         a - 10 * a for a in range(9)
     ]
     assert side_by_side(str, []) == []
 
 
-def test_an_error_reaches_the_caller() -> None:
+def test_an_error_reaches_the_caller():
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda a: 1 / a, [1, 0])
 
 
-def test_cores_are_those_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cores_are_those_of_this_process(monkeypatch):
     own = {0: {2, 5, 7}}  # by the number of a process, 0 for this one
     monkeypatch.setattr(os, "sched_getaffinity", own.__getitem__, raising=False)
     assert usable_cores() == 3
 
 
 @pytest.mark.parametrize(("told", "cores"), [(3, 3), (None, 1)])
-def test_systems_without_affinity(
-    told: int | None, cores: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_systems_without_affinity(told, cores, monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: told)
     assert usable_cores() == cores
 
 
-def test_as_many_at_a_time_as_there_are_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_as_many_at_a_time_as_there_are_cores(monkeypatch):
     monkeypatch.setattr("ttus_opt.core.threads.usable_cores", lambda: 2)
     both = threading.Barrier(2, timeout=20.0)
     side_by_side(lambda _: both.wait(), range(2))
 
 
-def test_parts_are_done_at_the_same_time_each_once() -> None:
+def test_parts_are_done_at_the_same_time_each_once():
     together, done = threading.Barrier(3, timeout=20.0), []
 
-    def work(part: tuple[int, int]) -> None:
+    def work(part):
         together.wait()
         done.append(part)
 
@@ -59,12 +55,10 @@ def test_parts_are_done_at_the_same_time_each_once() -> None:
 
 
 @pytest.mark.parametrize("failing", [0, 1])
-def test_a_part_that_fails_reaches_the_caller_when_the_others_are_done(
-    failing: int,
-) -> None:
+def test_a_part_that_fails_reaches_the_caller_when_the_others_are_done(failing):
     start, done = threading.Barrier(2, timeout=20.0), []
 
-    def work(part: tuple[int, int]) -> None:
+    def work(part):
         start.wait()
         if part[0] == failing:
             raise ZeroDivisionError
@@ -76,7 +70,7 @@ def test_a_part_that_fails_reaches_the_caller_when_the_others_are_done(
     assert done == [(1 - failing, 2)]
 
 
-def test_what_is_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_shared(monkeypatch):
     """Large things, by all cores but not too many, unless these have work already."""
     monkeypatch.setattr("ttus_opt.core.threads.usable_cores", lambda: 3)
     assert (parts_of(9, 10), parts_of(10, 10)) == (1, 3)
@@ -89,7 +83,7 @@ def test_what_is_shared(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-def test_parts_in_a_forked_process() -> None:
+def test_parts_in_a_forked_process():
     """Which has none of the threads that its parent kept."""
     in_parts(lambda part: None, 2)
     child = os.fork()

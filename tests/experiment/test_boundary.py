@@ -1,24 +1,17 @@
 """Errors over boundary values: what is kept comes back as it was."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from ttus_opt.experiment import boundary
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
 
 
-def test_a_fit_that_failed_is_kept_as_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_that_failed_is_kept_as_one(tmp_path, monkeypatch):
     fits: Any = None
     file = tmp_path / "boundary.json"
 
-    def failed(fits: Any, weight: float, factor: float) -> BoundaryError:
+    def failed(fits, weight, factor):
         return BoundaryError("lean", factor, 2.0 * factor, 0.5, float("nan"))
 
     monkeypatch.setattr(boundary, "_at", failed)

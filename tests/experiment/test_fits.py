@@ -1,13 +1,11 @@
 """Results that are kept: taken when they are of the same making, else made anew."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import recordings, rivals
 from ttus_opt.experiment.boundary import boundary_errors
@@ -21,12 +19,12 @@ class BegunError(Exception):
     """The work is done again."""
 
 
-def begin(*_: object, **__: object) -> None:
+def begin(*_, **__):
     raise BegunError
 
 
 @pytest.fixture
-def judge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PatientFits:
+def judge(tmp_path, monkeypatch):
     """Knows what it was given, and cannot fit."""
     monkeypatch.setattr(PatientFits, "scene", begin)
     no_shell = SimpleNamespace(from_spec=lambda spec: None)
@@ -41,37 +39,32 @@ ROW = Row("lean", "press_test", False, LAPLACE.name, "true", SCORE).as_dict()
 
 @pytest.mark.parametrize("rows", [[ROW], [{}], [1], {}, None, "rows"])
 def test_a_result_of_another_shape_or_without_its_field_is_made_anew(
-    tmp_path: Path, judge: PatientFits, rows: object
-) -> None:
+    tmp_path, judge, rows
+):
     told = {"digest": "digest", "shape": [8, 16, 8], "setting": LAPLACE.as_dict()}
     kept = {**told, "facts": {}, "rows": rows}
     write_json(tmp_path / "laplace_scaled.json", kept)
     if rows == {}:  # a fit that failed has no rows, and is not tried again
         assert judge.fitted(LAPLACE).field is None
         return
-    with pytest.raises(BegunError):
-        judge.fitted(LAPLACE)
+    refuses(BegunError, "", judge.fitted, LAPLACE)
 
 
 def test_boundary_values_and_comparators_of_another_shape_are_made_anew(
-    tmp_path: Path, judge: PatientFits, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, judge, monkeypatch
+):
     factors = [10.0**k for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
     told = {"digest": "digest", "weight": 1.0, "factors": factors}
     file = tmp_path / "boundary.json"
     write_json(file, {**told, "rows": [{"patient": "lean"}]})
-    with pytest.raises(BegunError):
-        boundary_errors(judge, 1.0, file, "digest")
+    refuses(BegunError, "", boundary_errors, judge, 1.0, file, "digest")
     kept = {"digest": "digest", "rival": "kelvin_voigt", "rows": [{}], "facts": {}}
     write_json(tmp_path / "rival-kelvin_voigt.json", kept)
     monkeypatch.setattr(rivals, "_judged", begin)
-    with pytest.raises(BegunError):
-        rivals.rival(judge, "kelvin_voigt", tmp_path, "digest")
+    refuses(BegunError, "", rivals.rival, judge, "kelvin_voigt", tmp_path, "digest")
 
 
-def test_an_edited_file_of_ones_own_is_fitted_again(
-    tmp_path: Path, judge: PatientFits
-) -> None:
+def test_an_edited_file_of_ones_own_is_fitted_again(tmp_path, judge):
     own = tmp_path / "mine.py"
     own.write_text("one = 1\n")
     setting = Setting("mine", str(own))
@@ -80,14 +73,11 @@ def test_an_edited_file_of_ones_own_is_fitted_again(
     write_json(tmp_path / "mine.json", kept)
     assert judge.fitted(setting).rows == ()
     own.write_text("one = 2\n")
-    with pytest.raises(BegunError):
-        judge.fitted(setting)
+    refuses(BegunError, "", judge.fitted, setting)
     assert LAPLACE.source == {}
 
 
-def test_recordings_of_two_makings_are_never_mixed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recordings_of_two_makings_are_never_mixed(tmp_path, monkeypatch):
     patient: Any = SimpleNamespace(name="lean", digest=str)
     patient.surface = lambda: SimpleNamespace(save=lambda file: None)
     stamp = tmp_path / "digest.txt"
@@ -101,5 +91,4 @@ def test_recordings_of_two_makings_are_never_mixed(
     assert not stamp.exists()
     stamp.write_text(patient.digest(3.0))
     (tmp_path / "sweep_test_true.csv").unlink()
-    with pytest.raises(BegunError):
-        recordings.examine(patient, tmp_path, 3.0)
+    refuses(BegunError, "", recordings.examine, patient, tmp_path, 3.0)

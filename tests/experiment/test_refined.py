@@ -1,13 +1,9 @@
 """Fits to refined poses take refined recordings, and are judged at reported ones."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from tests.conftest import presses, torso
 from ttus_opt.contact.scene import Scene
@@ -16,15 +12,13 @@ from ttus_opt.experiment.fits import FITTED, PatientFits
 from ttus_opt.experiment.settings import BY_DEFAULT, REFINED
 
 
-def test_only_the_fitted_recordings_are_refined(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_fitted_recordings_are_refined(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     recorded = {name: presses(torso(), 4, rng) for name in (*FITTED, "press_test")}
     refined = [presses(torso(), 4, rng) for _ in FITTED]
     given: list[Scene] = []
 
-    def refine(scene: Scene) -> Any:
+    def refine(scene):
         given.append(scene)
         return SimpleNamespace(recordings=refined)
 

@@ -1,10 +1,6 @@
 """Comparators by name, what they are fitted to and judged on, and what is kept."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +15,7 @@ from ttus_opt.probe.trajectory import Trajectory
 RECORDINGS = ("press_fit", "sweep_fit", "press_test", "sweep_test")
 
 
-def test_names_of_comparators() -> None:
+def test_names_of_comparators():
     known = tuple(comparators.available())
     assert chosen(()) == ()
     assert chosen(("signed_distance", "kelvin_voigt", "signed_distance")) == (
@@ -31,7 +27,7 @@ def test_names_of_comparators() -> None:
         chosen(("all", "kelvin"))
 
 
-def recordings(seed: int) -> dict[str, Trajectory]:
+def recordings(seed):
     rng = np.random.default_rng(seed)
     return {name: presses(torso(), 12, rng) for name in RECORDINGS}
 
@@ -39,14 +35,14 @@ def recordings(seed: int) -> dict[str, Trajectory]:
 class Share:
     """Renders a share of the force that was measured at a pose, 1 N elsewhere."""
 
-    def __init__(self, share: float, known: list[Trajectory]) -> None:
+    def __init__(self, share, known):
         self._share, self._known = share, known
         self.fitted: list[Trajectory] = []
 
-    def fit(self, given: list[Trajectory]) -> None:
+    def fit(self, given):
         self.fitted = given
 
-    def wrenches(self, own: Trajectory) -> np.ndarray:
+    def wrenches(self, own):
         wrench = np.tile([1.0, 0, 0, 0, 0, 0], (len(own), 1))
         if any(own is each for each in self._known):
             wrench[:, :3] = self._share * own.force
@@ -54,7 +50,7 @@ class Share:
 
 
 @pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> Any:
+def patient(monkeypatch):
     """A patient's fits, with recordings and a comparator of no physics."""
     measured, true = recordings(0), recordings(1)
     fits = SimpleNamespace(
@@ -67,9 +63,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> Any:
         ),
         made=[],
     )
-    fits.row = lambda *given: PatientFits.row(fits, *given)  # type: ignore[arg-type]
+    fits.row = lambda *given: PatientFits.row(fits, *given)
 
-    def create(name: str, **_: Any) -> Share:
+    def create(name, **_):
         if name == "cannot":
             raise TtusError("no sliding in these recordings")
         fits.made.append(Share(0.8, [*measured.values(), *true.values()]))
@@ -79,9 +75,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> Any:
     return fits
 
 
-def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(
-    patient: Any, tmp_path: Path
-) -> None:
+def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient, tmp_path):
     found = rival(patient, "share", tmp_path, "digest")
     measured, true = patient.examination.measured, patient.examination.true
     (model,) = patient.made
@@ -104,7 +98,7 @@ def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(
     assert found.facts["processor_seconds"] >= 0.0
 
 
-def test_what_was_found_is_kept(patient: Any, tmp_path: Path) -> None:
+def test_what_was_found_is_kept(patient, tmp_path):
     """Until the recordings are others."""
     first = rival(patient, "share", tmp_path, "digest")
     again = rival(patient, "share", tmp_path, "digest")
@@ -114,7 +108,7 @@ def test_what_was_found_is_kept(patient: Any, tmp_path: Path) -> None:
     assert len(patient.made) == 2
 
 
-def test_one_that_cannot_be_fitted_has_its_reason(patient: Any, tmp_path: Path) -> None:
+def test_one_that_cannot_be_fitted_has_its_reason(patient, tmp_path):
     for _ in range(2):  # found, and kept
         found = rival(patient, "cannot", tmp_path, "digest")
         assert found.rows == ()

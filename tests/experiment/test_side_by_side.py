@@ -1,15 +1,11 @@
 """Tasks side by side: each is done once, what was found is the same, dask by name."""
 
-from __future__ import annotations
-
 import contextlib
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt import experiment
 from ttus_opt.core.errors import InputError, MissingPackageError
 from ttus_opt.experiment import side_by_side
@@ -27,7 +23,7 @@ PLAN = experiment.Plan(
 
 
 @pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+def done(monkeypatch):
     """What is done, by threads, that share this list; nothing is computed."""
     joblib = pytest.importorskip("joblib")
     seen: list[tuple[str, str]] = []
@@ -35,17 +31,17 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     class Fits:
         stamp = ""
 
-        def __init__(self, examination: Any, folder: Path, *_: object) -> None:
+        def __init__(self, examination, folder, *_):
             self.folder = folder
 
-        def fitted(self, setting: Any) -> None:
+        def fitted(self, setting):
             seen.append((self.folder.name, setting.name))
 
     @contextlib.contextmanager
-    def threads(jobs: int, address: str) -> Iterator[Any]:
+    def threads(jobs, address):
         yield joblib.Parallel(jobs, "threading", return_as="generator_unordered")
 
-    def noted(name: str) -> Any:
+    def noted(name):
         return lambda fits, *_: seen.append((fits.folder.name, name))
 
     monkeypatch.setattr(side_by_side, "task_pool", threads)
@@ -65,9 +61,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     return seen
 
 
-def test_every_task_of_every_patient_is_done_once(
-    done: list[tuple[str, str]], tmp_path: Path
-) -> None:
+def test_every_task_of_every_patient_is_done_once(done, tmp_path):
     told: list[str] = []
     everyone = patients()
     side_by_side.do_ahead(everyone, PLAN, tmp_path, told.append)
@@ -87,7 +81,7 @@ def test_every_task_of_every_patient_is_done_once(
 
 
 @pytest.mark.slow
-def test_tasks_reach_other_processes() -> None:
+def test_tasks_reach_other_processes():
     joblib = pytest.importorskip("joblib")
     who, settings = patients()[0], PLAN.settings
     with task_pool(2, "") as run:
@@ -95,12 +89,12 @@ def test_tasks_reach_other_processes() -> None:
         assert sorted(found) == sorted(_arrived(who, PLAN, one) for one in settings)
 
 
-def _arrived(*task: Any) -> str:
+def _arrived(*task):
     who, plan, setting = task
     return f"{who.digest(2.0)} {plan} {setting.as_dict()}"
 
 
-def test_dask_is_asked_for_by_name(tmp_path: Path) -> None:
+def test_dask_is_asked_for_by_name(tmp_path):
     plan = replace(PLAN, dask="127.0.0.1:1")
     try:
         import distributed  # noqa: F401
@@ -110,12 +104,11 @@ def test_dask_is_asked_for_by_name(tmp_path: Path) -> None:
     else:
         with pytest.raises(InputError, match="no dask scheduler answers"):
             side_by_side.do_ahead([], plan, tmp_path, str)
-    with pytest.raises(InputError, match="jobs must be at least 1"):
-        replace(PLAN, jobs=0)
+    refuses(InputError, "jobs must be at least 1", replace, PLAN, jobs=0)
 
 
 @pytest.mark.long
-def test_tasks_run_on_a_dask_cluster(tmp_path: Path) -> None:
+def test_tasks_run_on_a_dask_cluster(tmp_path):
     distributed = pytest.importorskip("distributed")
     joblib = pytest.importorskip("joblib")
     with (

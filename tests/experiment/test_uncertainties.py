@@ -1,10 +1,6 @@
 """Stated uncertainty of a patient: what is kept comes back, and why there is none."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +16,7 @@ from ttus_opt.report.calibration_curve import CalibrationCurve
 SETTING = Setting("eq10_auto", "eq10", weights=AUTO)
 
 
-def fits(status: Status = Status.SOLVED) -> Any:
+def fits(status=Status.SOLVED):
     solution = SimpleNamespace(status=status, field=None)
     return SimpleNamespace(
         solved=lambda setting: (solution, None, {}),
@@ -29,9 +25,7 @@ def fits(status: Status = Status.SOLVED) -> Any:
     )
 
 
-def test_what_is_kept_comes_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_kept_comes_back(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     curve = CalibrationCurve.of((rng.standard_normal((20, 3)), np.ones((20, 3))))
     figures = Calibration(0.1, float("nan"), 0.95, float("nan"), 0.3, float("nan"), 20)
@@ -49,10 +43,8 @@ def test_what_is_kept_comes_back(
         stated_uncertainty(fits(), SETTING, tmp_path, "another word")
 
 
-def test_a_refusal_and_a_failed_fit_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
+def test_a_refusal_and_a_failed_fit_are_told(tmp_path, monkeypatch):
+    def refuse(*_):
         raise InputError("no uncertainty for viscous_drag: …")
 
     monkeypatch.setattr(uncertainties, "uncertainty", refuse)

@@ -1,7 +1,5 @@
 """Curves of stated uncertainty, where errors are drawn from what is stated or wider."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -15,7 +13,7 @@ N = 20_000
 
 
 @pytest.mark.parametrize("wider", [1.0, 2.0])
-def test_shares_are_those_of_the_normal_distribution(wider: float) -> None:
+def test_shares_are_those_of_the_normal_distribution(wider):
     """Errors k times as wide lie within z with share 2Φ(z / k) − 1."""
     rng = np.random.default_rng(3)
     std = rng.uniform(0.1, 3.0, (N, 3))
@@ -29,7 +27,7 @@ def test_shares_are_those_of_the_normal_distribution(wider: float) -> None:
     assert found.coverage == found.force[LEVELS.index(0.95)]
 
 
-def test_groups_go_from_least_to_most_stated_and_hold_their_own_errors() -> None:
+def test_groups_go_from_least_to_most_stated_and_hold_their_own_errors():
     rng = np.random.default_rng(4)
     size = np.repeat(np.arange(1.0, GROUPS + 1.0), 10)
     std = rng.permutation(size)[:, None] * np.array([2.0, 1.0, 2.0]) / 3.0
@@ -39,14 +37,14 @@ def test_groups_go_from_least_to_most_stated_and_hold_their_own_errors() -> None
     assert np.isnan(found.torque).all()
 
 
-def test_few_frames_make_fewer_groups() -> None:
+def test_few_frames_make_fewer_groups():
     three = np.ones((3, 3))
     assert len(CalibrationCurve.of((three, three)).stated_N) == 1
     twelve = np.ones((12, 3))
     assert len(CalibrationCurve.of((twelve, twelve)).stated_N) == 2
 
 
-def test_what_is_written_comes_back() -> None:
+def test_what_is_written_comes_back():
     rng = np.random.default_rng(5)
     made = CalibrationCurve.of((rng.standard_normal((30, 3)), np.ones((30, 3))))
     again = CalibrationCurve.from_dict(json.loads(json.dumps(plain(made.as_dict()))))

@@ -1,7 +1,5 @@
 """Errors near and far from the fitted places, light and deep, by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -30,11 +28,11 @@ from ttus_opt.scan.surface import Surface
 RADIUS, BALL = 0.1, 0.02
 
 
-def cylinder() -> Surface:
+def cylinder():
     return Surface.from_radius(np.full((36, 21), RADIUS), np.linspace(0.0, 0.2, 21))
 
 
-def presses(angle: np.ndarray, depth: np.ndarray) -> Trajectory:
+def presses(angle, depth):
     """A ball pressed along the radius at half the height."""
     r, n = RADIUS + BALL - depth, len(depth)
     at = np.c_[r * np.cos(angle), r * np.sin(angle), np.full(n, 0.1)]
@@ -44,7 +42,7 @@ def presses(angle: np.ndarray, depth: np.ndarray) -> Trajectory:
     )
 
 
-def test_depth_and_place_of_a_ball_on_a_cylinder() -> None:
+def test_depth_and_place_of_a_ball_on_a_cylinder():
     n = CHUNK + 50  # more than is in memory at once
     angle, depth = np.linspace(0.3, 5.0, n), np.linspace(-0.002, 0.008, n)
     shell = PointShell.sphere(BALL, 3000)
@@ -57,7 +55,7 @@ def test_depth_and_place_of_a_ball_on_a_cylinder() -> None:
     assert not found.depth[depth < 0.0].any()
 
 
-def test_a_file_keeps_places_to_half_a_cell() -> None:
+def test_a_file_keeps_places_to_half_a_cell():
     rng = np.random.default_rng(0)
     place = rng.uniform(-0.05, 0.05, (300, 3)) * [1.0, 1.0, 0.0]
     depth = np.r_[np.zeros(100), rng.uniform(0.001, 0.02, 200)]
@@ -70,7 +68,7 @@ def test_a_file_keeps_places_to_half_a_cell() -> None:
     assert read.distance(place[:100]).max() > 2.0 * CELL  # these were in the air
 
 
-def test_many_places_are_kept_in_larger_cells() -> None:
+def test_many_places_are_kept_in_larger_cells():
     place = np.random.default_rng(1).uniform(0.0, 0.4, (20_000, 3)) * [1.0, 1.0, 0.0]
     kept = FittedContacts.of(Contacts(place, np.ones(len(place))))
     assert kept is not None and len(kept.cells) <= MOST_CELLS
@@ -78,7 +76,7 @@ def test_many_places_are_kept_in_larger_cells() -> None:
     assert kept.distance(place).max() <= kept.cell / math.sqrt(2.0) + 1e-12
 
 
-def test_nothing_is_kept_of_a_probe_in_the_air() -> None:
+def test_nothing_is_kept_of_a_probe_in_the_air():
     assert FittedContacts.of(Contacts(np.zeros((5, 3)), np.zeros(5))) is None
 
 
@@ -94,12 +92,12 @@ def test_nothing_is_kept_of_a_probe_in_the_air() -> None:
         {"cell_m": 0.004, "deepest_m": "deep", "cells": [[1, 2, 3]]},
     ],
 )
-def test_damaged_contacts_are_refused(facts: object) -> None:
+def test_damaged_contacts_are_refused(facts):
     with pytest.raises(FileError, match="fit the field again"):
         FittedContacts.from_text(json.dumps(facts))
 
 
-def test_every_frame_in_contact_is_in_one_bin_of_each_kind() -> None:
+def test_every_frame_in_contact_is_in_one_bin_of_each_kind():
     """Fitted at one place, 10 mm deep; errors of 1, 2, … N at chosen distances."""
     away = np.array([0.0, 0.019, 0.021, 0.06, 0.3, 0.5])
     depth = np.array([0.004, 0.006, 0.01, 0.012, 0.004, 0.0])  # the last in the air
@@ -123,7 +121,7 @@ def test_every_frame_in_contact_is_in_one_bin_of_each_kind() -> None:
     assert empty.as_dict() == {"from": 0.0, "to": 1.0, "frames": 0, "errors": None}
 
 
-def test_tilted_probes_touch_as_in_the_rows_and_as_for_comparators() -> None:
+def test_tilted_probes_touch_as_in_the_rows_and_as_for_comparators():
     scene = small_scene("trilinear", n_poses=20)
     poses, surface = scene.trajectory, scene.voxmap.surface
     tilted = replace(poses, rotation=Rotation.random(20, random_state=2).as_matrix())

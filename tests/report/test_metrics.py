@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.contact.friction import Sliding, coulomb_rows
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
@@ -19,7 +18,7 @@ FIELD = PotentialField(
 )
 
 
-def test_rendered_series_is_the_renderers() -> None:
+def test_rendered_series_is_the_renderers():
     evaluation = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
     renderer = Renderer(FIELD, SCENE.shell)
     for t in range(20):
@@ -34,7 +33,7 @@ def test_rendered_series_is_the_renderers() -> None:
         )
 
 
-def test_a_perfect_field_has_no_error() -> None:
+def test_a_perfect_field_has_no_error():
     seen = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
     perfect = replace(
         SCENE.trajectory, force=seen.rendered_force, torque=seen.rendered_torque
@@ -47,14 +46,14 @@ def test_a_perfect_field_has_no_error() -> None:
     assert 0 < errors.frames_in_contact <= 20
 
 
-def turned(vectors: np.ndarray, degrees: float) -> np.ndarray:
+def turned(vectors, degrees):
     """Each turned by an angle about an axis of its own across it."""
     across = np.cross(vectors, [0.3, -0.5, 0.8])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     return Rotation.from_rotvec(np.deg2rad(degrees) * across).apply(vectors)
 
 
-def test_known_errors_by_hand() -> None:
+def test_known_errors_by_hand():
     """Measured: the rendered force doubled and turned by 30°, torque halved and by 50°.
 
     Angles of both are told over the frames above the thresholds only.
@@ -84,7 +83,7 @@ def test_known_errors_by_hand() -> None:
     assert errors.frames_with_torque == (touching & (0.5 * twist > 2e-4)).sum() > 3
 
 
-def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre() -> None:
+def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre():
     """A frame just above counts, one just below does not; [N] and [N·m]."""
     force, torque = np.zeros((20, 3)), np.zeros((20, 3))
     force[:5, 0], force[5, 0] = 0.501, 0.499
@@ -97,7 +96,7 @@ def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre() -
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference"])
-def test_drag_is_judged_with_force_and_torque(acts_at: str) -> None:
+def test_drag_is_judged_with_force_and_torque(acts_at):
     """By the rows of a fit with friction: through the reference it has no torque."""
     drag = {"friction_coefficient": 0.3, "drag_at_reference": acts_at == "reference"}
     sliding = Sliding.of(SCENE.voxmap, SCENE.shell, SCENE.trajectory, acts_at)
@@ -120,14 +119,14 @@ def test_drag_is_judged_with_force_and_torque(acts_at: str) -> None:
     assert turning > 1e-3 if acts_at == "contact" else turning == 0.0
 
 
-def test_angles_are_exact_when_small_and_right_for_zeros() -> None:
+def test_angles_are_exact_when_small_and_right_for_zeros():
     a = np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0]])
     b = np.array([[1.0, 1e-9, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 0]])
     expected = [np.degrees(1e-9), 180.0, 90.0, 90.0]
     np.testing.assert_allclose(angles(a, b), expected, rtol=1e-9)
 
 
-def test_errors_are_told_in_short() -> None:
+def test_errors_are_told_in_short():
     """Torque in thousandths of a N·m."""
     force, torque = np.zeros((20, 3)), np.zeros((20, 3))
     force[:5, 0], torque[:5, 1] = 2.0, 0.02
@@ -140,14 +139,14 @@ def test_errors_are_told_in_short() -> None:
     )
 
 
-def test_no_frame_in_contact_has_no_angle() -> None:
+def test_no_frame_in_contact_has_no_angle():
     still = replace(SCENE.trajectory, force=np.zeros((20, 3)))
     errors = evaluate(FIELD, SCENE.shell, still).errors
     assert errors.frames_in_contact == 0
     assert np.isnan(errors.force_angle_error_deg)
 
 
-def test_the_share_told_apart_counts_frames_with_a_force_of_either() -> None:
+def test_the_share_told_apart_counts_frames_with_a_force_of_either():
     """By hand: 0.36 N is felt, and 18° where the measured force has a direction."""
     x, y = np.eye(3)[:2]
     force, force_hat = np.zeros((20, 3)), np.zeros((20, 3))
@@ -162,13 +161,12 @@ def test_the_share_told_apart_counts_frames_with_a_force_of_either() -> None:
     assert errors.frames_in_contact == 3
 
 
-def test_a_trajectory_without_wrench_is_refused() -> None:
+def test_a_trajectory_without_wrench_is_refused():
     bare = replace(SCENE.trajectory, force=None, torque=None)
-    with pytest.raises(InputError, match="no wrench"):
-        evaluate(FIELD, SCENE.shell, bare)
+    refuses(InputError, "no wrench", evaluate, FIELD, SCENE.shell, bare)
 
 
-def test_some_frames_are_judged_as_if_recorded_alone() -> None:
+def test_some_frames_are_judged_as_if_recorded_alone():
     measured = replace(SCENE.trajectory, force=np.full((20, 3), 0.7))
     own = np.arange(20) % 3 == 0
     whole = evaluate(FIELD, SCENE.shell, measured, force_threshold=1.0)

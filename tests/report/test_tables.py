@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from ttus_opt.report.tables import Comparison, error_section, error_table
 NAN = float("nan")
 
 
-def evaluation(magnitude: float, angle: float = 3.0) -> Evaluation:
+def evaluation(magnitude, angle=3.0):
     errors = Errors(
         magnitude, 2 * magnitude, 0.0, angle, 0.004, 0.005, NAN, 40, 30, 0, 0.5, 0.01
     )
@@ -26,22 +24,22 @@ COMPARISONS = [
 ]
 
 
-def cells(line: str) -> list[str]:
+def cells(line):
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_table_columns_are_aligned_and_complete() -> None:
+def test_table_columns_are_aligned_and_complete():
     lines = str(Table(["name", "n"], [["a", "1"], ["longer", "22"]])).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert [cells(line) for line in lines[2:]] == [["a", "1"], ["longer", "22"]]
 
 
-def test_table_refuses_rows_of_another_length() -> None:
+def test_table_refuses_rows_of_another_length():
     with pytest.raises(ValueError, match="zip"):
         str(Table(["a", "b"], [["1", "2", "3"]]))
 
 
-def test_error_table_shows_before_and_after_in_the_stated_units() -> None:
+def test_error_table_shows_before_and_after_in_the_stated_units():
     lines = str(error_table(COMPARISONS)).splitlines()
     header, first, second = cells(lines[0]), cells(lines[2]), cells(lines[3])
     assert first[0] == "press_fit (same)" and second[0] == "press_test (new)"
@@ -52,7 +50,7 @@ def test_error_table_shows_before_and_after_in_the_stated_units() -> None:
     assert first[-1] == "– → –"  # no torque direction: NaN is never printed
 
 
-def test_the_section_has_the_table_and_the_threshold() -> None:
+def test_the_section_has_the_table_and_the_threshold():
     said = text(error_section(COMPARISONS))
     assert str(error_table(COMPARISONS)) in said
     assert "force above 0.5 N" in said

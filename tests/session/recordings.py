@@ -1,7 +1,5 @@
 """A short synthetic recording on a coarse grid, and its description to be spoilt."""
 
-from __future__ import annotations
-
 import functools
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What single steps of a session start from."""
 
-from __future__ import annotations
-
 from ttus_opt.phantom.example_data import true_surface
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream
@@ -12,8 +10,6 @@ from ttus_opt.session.registration import Registration, probe_poses, register
 SURFACE = true_surface()
 
 
-def streams(
-    session: Description,
-) -> tuple[Registration, Trajectory, WrenchStream]:
+def streams(session: Description) -> tuple[Registration, Trajectory, WrenchStream]:
     frames = register(session.tracker, SURFACE)
     return frames, probe_poses(session.tracker, frames), read_forces(session)

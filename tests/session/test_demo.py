@@ -1,9 +1,6 @@
 """The demo on a coarse grid; the full one is the README's command."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,29 +13,27 @@ from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.fixture(scope="module")
-def stages() -> list[str]:
+def stages():
     return []
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("demo")
 
 
 @pytest.fixture(scope="module")
-def result(folder: Path, stages: list[str]) -> demo.DemoResult:
+def result(folder, stages):
     return demo.run(folder, shape=(24, 60, 24), progress=stages.append)
 
 
-def test_both_fits_hold_their_own_check(result: demo.DemoResult) -> None:
+def test_both_fits_hold_their_own_check(result):
     assert result.before.status is Status.SOLVED
     assert result.after.status is Status.SOLVED
     assert result.after.formulation == "eq10"
 
 
-def test_measurements_lower_the_errors_of_unseen_motion(
-    result: demo.DemoResult,
-) -> None:
+def test_measurements_lower_the_errors_of_unseen_motion(result):
     unseen = [case for case in result.comparisons if not case.seen]
     assert [case.recording for case in unseen] == ["press_test", "sweep_test"]
     for case in unseen:
@@ -47,15 +42,13 @@ def test_measurements_lower_the_errors_of_unseen_motion(
         assert after.force_angle_error_deg < before.force_angle_error_deg
 
 
-def test_the_scan_gives_the_true_skin(result: demo.DemoResult) -> None:
+def test_the_scan_gives_the_true_skin(result):
     assert result.surface_error.mean < 2e-3
     assert result.surface_error.p95 < 5e-3
     assert 0.3 < result.surface_error.observed < 0.8
 
 
-def test_every_file_is_there_and_readable(
-    result: demo.DemoResult, folder: Path
-) -> None:
+def test_every_file_is_there_and_readable(result, folder):
     written = {path.name for path in folder.iterdir()}
     assert written == {
         *demo.PICTURES,
@@ -75,19 +68,17 @@ def test_every_file_is_there_and_readable(
         assert picture.startswith(b"\x89PNG") and 2_000 < len(picture) < 300_000
 
 
-def test_progress_is_told_as_often_as_announced(
-    result: demo.DemoResult, stages: list[str]
-) -> None:
+def test_progress_is_told_as_often_as_announced(result, stages):
     assert len(stages) == demo.N_STAGES == len(set(stages))
 
 
-def test_figures_go_into_json(result: demo.DemoResult) -> None:
+def test_figures_go_into_json(result):
     told = json.loads(json.dumps(result.as_dict()))
     assert told["status"] == "solved"
     assert [row["seen"] for row in told["errors"]] == [True, True, False, False]
 
 
-def test_fitted_and_unseen_recordings_differ() -> None:
+def test_fitted_and_unseen_recordings_differ():
     from ttus_opt import example
 
     poses = [
@@ -100,9 +91,7 @@ def test_fitted_and_unseen_recordings_differ() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_ends_below_what_can_be_felt(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_ends_below_what_can_be_felt(tmp_path, capsys):
     from ttus_opt.cli import main
 
     with pytest.raises(SystemExit) as stop:

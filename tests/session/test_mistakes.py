@@ -1,10 +1,5 @@
 """Gaps, repeated rows and wrong descriptions: each is bridged, or named."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,21 +16,18 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 
-def begins(recording: Path) -> float:
+def begins(recording):
     """When the first stretch to fit to begins [s]."""
     return float(described(recording)["recordings"]["press_fit"]["from"])
 
 
-def without(
-    recording: Path, stream: str, lost: Callable[[np.ndarray], np.ndarray]
-) -> None:
+def without(recording, stream, lost):
     """Take rows out of the tracker's or the sensor's file, by their times."""
     if stream == "tracker":
         poses = read_trajectory(recording / "tracker.csv")
         poses.select(~lost(poses.time)).save(recording / "tracker.csv")
         return
     read = read_netcdf_wrenches(recording / "force.nc")
-    assert read.torque is not None
     kept = ~lost(read.time)
     kept = WrenchStream(read.time[kept], read.force[kept], read.torque[kept])
     write_netcdf_wrenches(kept, recording / "force.nc")
@@ -57,7 +49,7 @@ def without(
         ),
     ],
 )
-def test_gaps_are_bridged_by_nothing(tmp_path: Path, stream: str, gap: float) -> None:
+def test_gaps_are_bridged_by_nothing(tmp_path, stream, gap):
     recording = copied(tmp_path)
     start = begins(recording) + 0.4
     without(recording, stream, lambda time: (time >= start) & (time < start + gap))
@@ -69,7 +61,7 @@ def test_gaps_are_bridged_by_nothing(tmp_path: Path, stream: str, gap: float) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stream", ["tracker", "force"])
-def test_a_lost_stretch_and_lost_rows(tmp_path: Path, stream: str) -> None:
+def test_a_lost_stretch_and_lost_rows(tmp_path, stream):
     recording = copied(tmp_path)
     rng = np.random.default_rng(0)
     without(recording, stream, lambda time: rng.random(len(time)) < 0.2)
@@ -81,7 +73,7 @@ def test_a_lost_stretch_and_lost_rows(tmp_path: Path, stream: str) -> None:
         run_session(recording, tmp_path / "out")
 
 
-def test_repeated_rows_are_left_out(tmp_path: Path) -> None:
+def test_repeated_rows_are_left_out(tmp_path):
     recording = copied(tmp_path)
     head, *rows = (recording / "tracker.csv").read_text().splitlines()
     twice = [row for i, row in enumerate(rows) for row in [row] * (1 + (i % 9 == 0))]
@@ -95,7 +87,7 @@ def test_repeated_rows_are_left_out(tmp_path: Path) -> None:
         read_trajectory(recording / "tracker.csv")
 
 
-def jumped(recording: Path) -> None:
+def jumped(recording):
     poses = read_trajectory(recording / "tracker.csv")
     late = (poses.time > begins(recording) + 2.0)[:, None]
     position = poses.position + late * [0.05, 0.0, 0.0]
@@ -111,7 +103,7 @@ def jumped(recording: Path) -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
-def test_a_mistake_is_named(tmp_path: Path, key: str, value: object, told: str) -> None:
+def test_a_mistake_is_named(tmp_path, key, value, told):
     recording = copied(tmp_path)
     if key == "title":
         jumped(recording)

@@ -1,7 +1,5 @@
 """The field of a session: fitted to some stretches, tested on all of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,15 +13,14 @@ import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt import example
 from ttus_opt.core.errors import InputError, MistakeWarning
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-from ttus_opt.problem.program import Program
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import NoSolutionError
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.scan.surface import Surface
 from ttus_opt.session import model
 from ttus_opt.session.description import FitPlan
 from ttus_opt.session.model import KEYS, fit_model, judge
-from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.base import Candidate, Capabilities, Solver
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE, SHELL = torso(), ellipsoid()
@@ -33,7 +30,7 @@ RECORDINGS = {name: presses(SURFACE, 10, RNG) for name in ("first", "second", "t
 USE = {"third": True, "first": False, "second": True}
 
 
-def session(**changed: Any) -> Any:
+def session(**changed):
     """Two stretches that are fitted and one that is not, in an order of their own."""
     told: dict[str, Any] = {
         "formulation": "eq10",
@@ -46,13 +43,13 @@ def session(**changed: Any) -> Any:
     return SimpleNamespace(fit=plan, recordings=parts)
 
 
-def scene() -> tt.Scene:
+def scene():
     voxmap = Voxmap.from_surface(SURFACE, shape=SHAPE, r_inner=R_INNER)
     both = tt.Trajectory.concatenate([RECORDINGS["third"], RECORDINGS["second"]])
     return tt.Scene.assemble(voxmap, SHELL, both, sampling="trilinear")
 
 
-def test_the_field_is_that_of_the_stretches_that_are_fitted() -> None:
+def test_the_field_is_that_of_the_stretches_that_are_fitted():
     found = fit_model(session(), SURFACE, SHELL, RECORDINGS)
     own = scene()
     for solution, name, options in (
@@ -66,17 +63,14 @@ def test_the_field_is_that_of_the_stretches_that_are_fitted() -> None:
     assert found.after.chosen == found.choice.lines
 
 
-def test_every_stretch_is_judged_with_both_fields() -> None:
+def test_every_stretch_is_judged_with_both_fields():
     """In the order of the description, with whether it was fitted."""
     both = fit_model(session(), SURFACE, SHELL, RECORDINGS)
     found = judge(session(), both, SHELL, RECORDINGS)
     assert [(c.recording, c.seen) for c in found] == list(USE.items())
     for each in found:
         own = RECORDINGS[each.recording]
-        for solution, seen in (
-            (both.before, each.before),
-            (both.after, each.after),
-        ):
+        for solution, seen in ((both.before, each.before), (both.after, each.after)):
             assert seen.errors == evaluate(solution.field, SHELL, own).errors
         if each.seen:
             after, before = each.after.errors, each.before.errors
@@ -89,25 +83,24 @@ class Wrong(Solver):
     name, summary = "wrong", "zeros"
     capabilities = Capabilities(inequalities=True, equalities=True)
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
+    def prepare(self, program, request):
         answer = Candidate(np.zeros(program.n_variables))
-        return SimpleNamespace(solve=lambda: answer)  # type: ignore[return-value]
+        return SimpleNamespace(solve=lambda: answer)
 
 
-def test_a_field_that_fails_its_check_is_no_model() -> None:
+def test_a_field_that_fails_its_check_is_no_model():
     with pytest.raises(NoSolutionError):
         fit_model(session(solver=Wrong()), SURFACE, SHELL, RECORDINGS)
     with pytest.raises(InputError, match="unknown formulation"):
         fit_model(session(formulation="eq11"), SURFACE, SHELL, RECORDINGS)
 
 
-def spoilt(press: Trajectory, cause: str) -> Trajectory:
+def spoilt(press, cause):
     """A recording as one wrong line of the description reads it."""
-    assert press.force is not None and press.torque is not None
     turn = Rotation.from_euler("x", 90.0, degrees=True).as_matrix()
     R, Rt = press.rotation, press.rotation.transpose(0, 2, 1)
 
-    def turned(matrices: np.ndarray) -> dict[str, np.ndarray]:
+    def turned(matrices):
         both = {"force": press.force, "torque": press.torque}
         return {k: (matrices @ v[..., None])[..., 0] for k, v in both.items()}
 
@@ -129,15 +122,13 @@ class JudgedError(Exception):
     """Instead of a solve."""
 
 
-def no_solve(*_: Any, **__: Any) -> None:
+def no_solve(*_, **__):
     raise JudgedError
 
 
 @pytest.mark.parametrize("cause", KEYS)
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
-def test_a_likely_mistake_is_named_by_its_key(
-    cause: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     """Before anything is solved, with a warning that --strict makes an error."""
     press = spoilt(read_trajectory(example.path("press_fit.csv")), cause)
     plan = replace(session().fit, shape=(16, 36, 16), r_inner=0.03)

@@ -1,9 +1,6 @@
 """Clock and contact wrenches, against the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from tests.session.single_steps import SURFACE, streams
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.sensors.streams import WrenchStream
-from ttus_opt.session.description import Description, read_description
+from ttus_opt.session.description import read_description
 from ttus_opt.session.readings import (
     contact_wrenches,
     joined_streams,
@@ -25,7 +22,7 @@ from ttus_opt.session.registration import probe_poses, register
 from ttus_opt.session.synthetic import Truth, perfect
 
 
-def offset(session: Description, later: float) -> float:
+def offset(session, later):
     """Of raw readings whose clock shows so much more [s]."""
     frames = register(session.tracker, SURFACE)
     poses, wrenches = probe_poses(session.tracker, frames), read_forces(session)
@@ -33,7 +30,7 @@ def offset(session: Description, later: float) -> float:
     return synchronise(session, poses, wrenches, SURFACE, frames).offset
 
 
-def test_offsets_of_raw_readings_are_found_as_far_as_is_looked(recording: Path) -> None:
+def test_offsets_of_raw_readings_are_found_as_far_as_is_looked(recording):
     """About zero, or where clocks of other epochs would begin together."""
     truth = Truth().offset
     changed(recording, "clock", {"by": "gravity", "largest_offset": 1.5})
@@ -50,12 +47,9 @@ def test_offsets_of_raw_readings_are_found_as_far_as_is_looked(recording: Path) 
 
 
 @pytest.mark.parametrize("frame", ["probe", "patient", "scan", "tracker"])
-def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(
-    recording: Path, frame: str
-) -> None:
+def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(recording, frame):
     """Of a perfect sensor, whose clock is found by contact."""
     own = perfect(5.0)["press_fit"]
-    assert own.force is not None and own.torque is not None
     for key in ("free", "clock", "force"):
         changed(recording, key, None)
     changed(recording, "force", {"file": "force.nc", "frame": frame})
@@ -72,7 +66,6 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(
     poses = replace(own, force=None, torque=None)
     timing = synchronise(session, poses, wrenches, SURFACE, frames)
     assert timing.offset == pytest.approx(0.35, abs=0.02)
-    assert timing.second is not None
     assert set(timing.second.values) == {0.0, 1.0}
     joined = joined_streams(session, poses, wrenches, replace(timing, offset=0.35))
     shell = PointShell.from_spec(session.probe)
@@ -83,7 +76,7 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(
     np.testing.assert_allclose(found.torque, own.torque[at], atol=1e-8)
 
 
-def test_poses_clock_and_load(recording: Path) -> None:
+def test_poses_clock_and_load(recording):
     """Against the truth, on the true surface: nothing but noise is left."""
     session, truth = read_description(recording), Truth()
     frames, poses, wrenches = streams(session)
@@ -93,7 +86,6 @@ def test_poses_clock_and_load(recording: Path) -> None:
     shell = PointShell.from_spec(session.probe)
     begin = float(poses.time[0])
     contact, load = contact_wrenches(session, joined, shell, frames, begin)
-    assert load is not None
     assert load.mass == pytest.approx(truth.mass, abs=0.001)
     found = cut(contact, session.recordings, begin)
     for part in session.recordings:
@@ -109,12 +101,11 @@ def test_poses_clock_and_load(recording: Path) -> None:
             assert np.abs(np.array(again).T[5:-5] - true[5:-5]).mean() < most
 
 
-def test_contact_wrenches_of_another_frame(recording: Path) -> None:
+def test_contact_wrenches_of_another_frame(recording):
     """Readings that were compensated before, probe axes: turned, and by contact."""
     session = read_description(recording)
     frames, poses, _ = streams(session)
     own = perfect(5.0)["press_fit"]
-    assert own.force is not None
     assert own.torque is not None
     force = np.einsum("tji,tj->ti", own.rotation, own.force)
     WrenchStream(own.time + 1.0, force, 0 * force).save(recording / "contact.csv")
@@ -129,6 +120,5 @@ def test_contact_wrenches_of_another_frame(recording: Path) -> None:
     shell = PointShell.from_spec(session.probe)
     contact, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None
-    assert contact.force is not None
     again = [np.interp(contact.time, own.time + 23.0, c) for c in own.force.T]
     assert np.abs(contact.force - np.array(again).T).mean() < 0.03

@@ -1,13 +1,10 @@
 """How the frames of a session lie, by the motions between them."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
-import pytest
 
+from tests.refusals import refuses
 from tests.session.recordings import copied
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.json_values import plain
@@ -19,7 +16,7 @@ from ttus_opt.session.synthetic import Truth
 TRUTH = Truth()
 
 
-def test_each_frame_has_its_own_way_to_the_patient() -> None:
+def test_each_frame_has_its_own_way_to_the_patient():
     tracker_to_scan, scan_to_patient = TRUTH.tracker_to_scan, TRUTH.tag_to_target
     frames = Registration(tracker_to_scan, scan_to_patient, None)
     assert frames.to_patient("patient") == []
@@ -30,11 +27,10 @@ def test_each_frame_has_its_own_way_to_the_patient() -> None:
     np.testing.assert_array_equal(second, scan_to_patient)
     unknown = Registration(None, scan_to_patient, None)
     assert unknown.to_patient("patient") == []
-    with pytest.raises(InputError, match="frame tracker is unknown here"):
-        unknown.to_patient("tracker")
+    refuses(InputError, "frame tracker is unknown here", unknown.to_patient, "tracker")
 
 
-def test_facts_are_what_was_found_and_nothing_else(tmp_path: Path) -> None:
+def test_facts_are_what_was_found_and_nothing_else(tmp_path):
     session = read_description(copied(tmp_path))
     frames = register(session.tracker, true_surface())
     told = json.loads(json.dumps(plain(frames.facts())))

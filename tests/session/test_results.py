@@ -1,24 +1,21 @@
 """Which folders a session writes to, and what it removes there."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
+from tests.refusals import refuses
 from tests.session.recordings import copied
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.session.results import SUMMARY, Results, complete_steps
 
 
-def silent(name: str) -> None:
+def silent(name):
     pass
 
 
 @pytest.fixture
-def done(tmp_path: Path) -> Path:
+def done(tmp_path):
     """Results of a session that came to its second step."""
     folder = tmp_path / "results"
     results = Results(folder, silent)
@@ -32,12 +29,12 @@ def done(tmp_path: Path) -> Path:
     return folder
 
 
-def test_steps_that_are_complete_are_written_down(done: Path) -> None:
+def test_steps_that_are_complete_are_written_down(done):
     assert complete_steps(done) == ["surface"]
     assert json.loads((done / SUMMARY).read_text())["surface"] == {"gap": None}
 
 
-def test_a_failed_step_says_what_is_complete(done: Path) -> None:
+def test_a_failed_step_says_what_is_complete(done):
     results = Results(done, silent)
     with results.step("surface"):
         pass
@@ -48,7 +45,7 @@ def test_a_failed_step_says_what_is_complete(done: Path) -> None:
         raise InputError("no contact")
 
 
-def test_what_an_earlier_session_wrote_is_removed_and_nothing_else(done: Path) -> None:
+def test_what_an_earlier_session_wrote_is_removed_and_nothing_else(done):
     (done / "notes.txt").touch()
     results = Results(done, silent)
     results.check([])
@@ -58,24 +55,21 @@ def test_what_an_earlier_session_wrote_is_removed_and_nothing_else(done: Path) -
     assert left == {"notes.txt"}
 
 
-def elsewhere(folder: Path) -> Path:
+def elsewhere(folder):
     (folder / "field.nc").touch()
     return folder
 
 
 @pytest.mark.parametrize("filled", [elsewhere, copied])
-def test_a_folder_of_other_work_is_refused(
-    tmp_path: Path, filled: Callable[[Path], Path]
-) -> None:
+def test_a_folder_of_other_work_is_refused(tmp_path, filled):
     """Another recording's description, too: it has the summary's name."""
     folder = filled(tmp_path)
     before = set(folder.iterdir())
-    with pytest.raises(FileError, match="holds unrelated files"):
-        Results(folder, silent).check([])
+    refuses(FileError, "holds unrelated files", Results(folder, silent).check, [])
     assert set(folder.iterdir()) == before
 
 
-def test_the_recording_itself_is_refused(tmp_path: Path) -> None:
+def test_the_recording_itself_is_refused(tmp_path):
     recording = copied(tmp_path)
     with pytest.raises(FileError, match="holds the recording"):
         Results(recording, silent).check([recording / SUMMARY])

@@ -1,7 +1,5 @@
 """What a synthetic recording shows is what its truth says, undone frame by frame."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -10,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.phantom.example_data import frame
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.session import synthetic
 from ttus_opt.session.synthetic import (
     DOWN,
@@ -28,11 +25,11 @@ SECONDS = 4.0
 
 
 @functools.cache
-def moved() -> tuple[Trajectory, dict[str, tuple[float, float]]]:
+def moved():
     return synthetic._motion_of_all(SECONDS, np.random.default_rng(1))
 
 
-def test_recordings_stand_where_they_are_said_to() -> None:
+def test_recordings_stand_where_they_are_said_to():
     whole, stretches = moved()
     for name, own in perfect(SECONDS).items():
         start, end = stretches[name]
@@ -44,7 +41,7 @@ def test_recordings_stand_where_they_are_said_to() -> None:
     assert tilted.force is not None and not tilted.force.any()
 
 
-def test_the_tracker_sees_the_target_on_the_probe() -> None:
+def test_the_tracker_sees_the_target_on_the_probe():
     """Carried back to the patient: the probe's pose, but for noise."""
     whole, _ = moved()
     truth = Truth()
@@ -61,13 +58,12 @@ def test_the_tracker_sees_the_target_on_the_probe() -> None:
     assert (np.diff(seen.time) > 1.0).sum() == 4  # hidden in every pause
 
 
-def test_the_sensor_reads_contact_weight_and_bias() -> None:
+def test_the_sensor_reads_contact_weight_and_bias():
     """Undone by the formulas of statics, one reading after the other."""
     whole, _ = moved()
     truth = Truth()
-    read = synthetic._sensed(whole, truth, np.random.default_rng(3))
-    assert read.torque is not None and whole.force is not None
-    assert whole.torque is not None
+    times = np.arange(0.0, whole.time[-1], 1.0 / synthetic.SENSOR_RATE)
+    read = synthetic.sensed(whole, times, truth, np.random.default_rng(3))
     time = read.time + truth.offset
     rng = np.random.default_rng(4)
     forces, torques = [], []
@@ -92,7 +88,7 @@ def test_the_sensor_reads_contact_weight_and_bias() -> None:
     assert np.abs(np.mean(forces, axis=0)).max() < 5.0 * FORCE_NOISE / np.sqrt(150)
 
 
-def test_tags_close_the_loop() -> None:
+def test_tags_close_the_loop():
     truth = Truth()
     pairs = np.array(synthetic._tag_pairs(truth, np.random.default_rng(5)))
     assert pairs.shape == (TAG_POSES, 2, 4, 4)

@@ -1,7 +1,5 @@
 """Every part on a small case, in little time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -3,24 +3,20 @@
 A new part is tested here by existing, when it is given a quick question below.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from tests.benchmark.parts.quick import SETTINGS, TINY, every_part, measured
-from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.parts.registry import SOLVERS
 from ttus_opt.benchmark.row import RunSpec
 
 
 @pytest.mark.slow
 @every_part
-def test_figures_are_complete_and_told(part: Part, tmp_path: Path) -> None:
+def test_figures_are_complete_and_told(part, tmp_path):
     rows = part.finished(measured(part, tmp_path), SETTINGS, tmp_path)
     json.dumps(rows)
     if part.name != SOLVERS:  # whose tables are of their own
@@ -34,7 +30,7 @@ def test_figures_are_complete_and_told(part: Part, tmp_path: Path) -> None:
 
 
 @every_part
-def test_plan_survives_json(part: Part) -> None:
+def test_plan_survives_json(part):
     plan = part.plan([TINY], SETTINGS)
     told = [json.loads(json.dumps(spec.as_dict())) for spec in plan]
     again = [RunSpec.from_dict(each) for each in told]

@@ -1,9 +1,6 @@
 """A profile has the fit and its kernels."""
 
-from __future__ import annotations
-
 import pstats
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,7 @@ from ttus_opt.benchmark.progress import KEPT
 
 
 @pytest.mark.slow
-def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
+def test_a_profile_has_the_fit_and_its_kernels(tmp_path):
     part = parts()["profile"]
     rows = measured(part, tmp_path)
     assert rows[0]["function"] == "benchmark.parts.profile._fit"
@@ -22,7 +19,7 @@ def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     by = {row["function"]: row for row in rows}
     assert by["fitting.batch.Fitter.solve"]["calls"] == 1
     saved = pstats.Stats(str(tmp_path / KEPT / "profile-tiny.prof"))
-    names = {name for _, _, name in saved.stats}  # type: ignore[attr-defined]
+    names = {name for _, _, name in saved.stats}
     # compiled kernels are told as well
     assert {"_fit", "solve", "v_cycle", "contact_rows"} <= names
     rows.append({"case": "gone", "status": "refused", "detail": "no file"})

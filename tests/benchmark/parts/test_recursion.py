@@ -1,9 +1,6 @@
 """The recursive fit is timed on what it should hold, and equals the batch fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +13,7 @@ from ttus_opt.benchmark.settings import Settings
 
 
 @pytest.mark.slow
-def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:
+def test_recursion_equals_the_batch_fit(tmp_path):
     (row,) = measured(parts()["recursion"], tmp_path)
     assert row["held"] == 30
     assert row["difference_from_batch"] < 1e-8
@@ -24,7 +21,7 @@ def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_recursion_takes_poses_again_until_there_are_enough() -> None:
+def test_recursion_takes_poses_again_until_there_are_enough():
     scene = replace(TINY, n_poses=40).build()
     own = int((scene.rows.contact_points > 0).sum())
     assert own < 100
@@ -35,7 +32,7 @@ def test_recursion_takes_poses_again_until_there_are_enough() -> None:
 
 
 @pytest.mark.slow
-def test_recursion_out_of_time_says_how_far_it_came(tmp_path: Path) -> None:
+def test_recursion_out_of_time_says_how_far_it_came(tmp_path):
     part = parts()["recursion"]
     (spec,) = part.plan([TINY], Settings(time_limit=1e-9))
     asked = replace(spec, options=QUICK["recursion"])

@@ -1,7 +1,5 @@
 """What the timing hands over; a time itself is never asserted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from ttus_opt.core.errors import InputError
 
 
 @pytest.mark.slow
-def test_every_way_is_timed_over_the_same_poses() -> None:
+def test_every_way_is_timed_over_the_same_poses():
     scene = small_scene("trilinear")
     rows = time_rendering(scene, passes=2)
     assert len({row["way"] for row in rows}) == 5
@@ -26,7 +24,7 @@ def test_every_way_is_timed_over_the_same_poses() -> None:
         assert row["median"] == pytest.approx(row["ratio_to_numpy"] * rows[0]["median"])
 
 
-def test_times_are_of_every_pose_and_pass() -> None:
+def test_times_are_of_every_pose_and_pass():
     called: list[float] = []
     poses = [(np.eye(3), np.array([x, 0.0, 0.0])) for x in (1.0, 2.0)]
     found = frame_times(lambda R, at: called.append(at[0]), poses, 3)
@@ -36,7 +34,7 @@ def test_times_are_of_every_pose_and_pass() -> None:
     assert paused["longest"] < 0.02  # the pause is not timed
 
 
-def test_needs_contact() -> None:
+def test_needs_contact():
     scene = small_scene("trilinear")
     far = replace(scene.trajectory, position=scene.trajectory.position + 1.0)
     with pytest.raises(InputError, match="no pose touches"):

@@ -1,21 +1,13 @@
 """The slide is what it says: constant depth, a field of depth alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.conftest import some
-from ttus_opt.benchmark.parts.ripple import (
-    LEAN,
-    OFFSET,
-    RADIUS,
-    cylinder_field,
-    ripple,
-)
+from ttus_opt.benchmark.parts.ripple import LEAN, OFFSET, RADIUS, cylinder_field, ripple
 
 
-def test_the_skin_is_the_leaning_cylinder() -> None:
+def test_the_skin_is_the_leaning_cylinder():
     surface = cylinder_field("trilinear", 0.004).voxmap.surface
     points = surface.points().reshape(-1, 3) - [OFFSET, 0.0, 0.0]
     axis = np.array([np.sin(LEAN), 0.0, np.cos(LEAN)])
@@ -25,9 +17,7 @@ def test_the_skin_is_the_leaning_cylinder() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("direction", some(["along", "around"], 1))
-def test_interpolation_is_steadier_than_means_and_than_coarser_voxels(
-    direction: str,
-) -> None:
+def test_interpolation_is_steadier_than_means_and_than_coarser_voxels(direction):
     found = {
         (sampling, voxel): ripple(
             sampling, voxel, direction=direction, n_points=1000, n_poses=60

@@ -1,10 +1,6 @@
 """Solvers: which run on which case, and what all rows together tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +15,13 @@ from ttus_opt.solvers import registry
 PART = parts()["solvers"]
 
 
-def named(case: str, **settings: Any) -> list[str]:
+def named(case, **settings):
     """Solvers that would run on a reference case, in order."""
     plan = PART.plan(reference_cases(case), Settings(**settings))
     return [spec.options["solver"] for spec in plan]
 
 
-def options(**settings: Any) -> dict[str, dict[str, float]]:
+def options(**settings):
     """Options by formulation."""
     asked = Settings(
         formulations=["eq10", "laplace_only"], solvers=["osqp"], **settings
@@ -35,7 +31,7 @@ def options(**settings: Any) -> dict[str, dict[str, float]]:
 
 
 @pytest.mark.slow
-def test_the_reference_is_what_fits_the_case() -> None:
+def test_the_reference_is_what_fits_the_case():
     some = {"solvers": ["osqp"]}
     assert named("S", **some) == ["closed_form", "osqp"]
     assert named("M", **some) == named("L", **some) == ["osqp"]
@@ -50,7 +46,7 @@ def test_the_reference_is_what_fits_the_case() -> None:
     assert named("S", closed_form="", **some) == ["osqp"]
 
 
-def test_weights_go_where_they_are_known() -> None:
+def test_weights_go_where_they_are_known():
     assert options()["eq10"] == {"force_weight": 1e-2, "torque_weight": 1e-2}
     assert options(weight=3.0) == {
         "eq10": {"force_weight": 3.0, "torque_weight": 3.0},
@@ -58,7 +54,7 @@ def test_weights_go_where_they_are_known() -> None:
     }
 
 
-def test_who_cannot_take_a_problem_is_refused_without_a_process() -> None:
+def test_who_cannot_take_a_problem_is_refused_without_a_process():
     asked = Settings(formulations=["eq10_sign"], solvers=["closed_form", "osqp"])
     plan = PART.plan([TINY], asked)
     refused = PART.refused(plan)
@@ -70,17 +66,13 @@ def test_who_cannot_take_a_problem_is_refused_without_a_process() -> None:
     assert told["peak_memory_bytes"] is None
 
 
-def test_gap_and_difference(tmp_path: Path) -> None:
+def test_gap_and_difference(tmp_path):
     (tmp_path / "fields").mkdir()
     np.save(tmp_path / "fields" / "closed_form.npy", np.array([3.0, 4.0]))
     np.save(tmp_path / "fields" / "other.npy", np.array([3.0, 4.5]))
     rows = [row("closed_form", 10.0, 8.0), row("other", 1.0, 10.0), failed("slow")]
     done = PART.finished(rows, Settings(), tmp_path)
-    assert [each["objective_gap"] for each in done] == [
-        0.0,
-        pytest.approx(0.25),
-        None,
-    ]
+    assert [each["objective_gap"] for each in done] == [0.0, pytest.approx(0.25), None]
     assert [each["difference_from_closed_form"] for each in done] == [
         0.0,
         pytest.approx(0.1),
@@ -88,7 +80,7 @@ def test_gap_and_difference(tmp_path: Path) -> None:
     ]
 
 
-def test_answers_that_failed_the_check_set_no_standard(tmp_path: Path) -> None:
+def test_answers_that_failed_the_check_set_no_standard(tmp_path):
     low = row("wrong", 1.0, 1.0, status="inaccurate")
     done = PART.finished([row("right", 1.0, 2.0), low], Settings(), tmp_path)
     assert done[0]["objective_gap"] == 0.0
@@ -96,7 +88,7 @@ def test_answers_that_failed_the_check_set_no_standard(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_auto_says_who_answered_and_what_it_took(tmp_path: Path) -> None:
+def test_auto_says_who_answered_and_what_it_took(tmp_path):
     (found,) = tiny_suite(tmp_path, solvers=["auto"], closed_form="").run()["solvers"]
     assert (found["solver"], found["status"]) == ("auto", "solved")
     assert found["taken"] in registry.estimating()
@@ -105,7 +97,7 @@ def test_auto_says_who_answered_and_what_it_took(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_perturbed_rows_say_how_many_limits_are_active(tmp_path: Path) -> None:
+def test_perturbed_rows_say_how_many_limits_are_active(tmp_path):
     case = replace(TINY, n_poses=24).perturbed("reversed")
     (found,) = tiny_suite(
         tmp_path,

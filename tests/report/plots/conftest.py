@@ -1,19 +1,17 @@
 """Fields and evaluations that pictures are drawn of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.conftest import ellipsoid, presses, torso
 from tests.report.plots.drawn import half_seen
-from ttus_opt.report.metrics import Evaluation, evaluate
+from ttus_opt.report.metrics import evaluate
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @pytest.fixture(scope="session")
-def fields() -> tuple[PotentialField, PotentialField]:
+def fields():
     """A field that falls off with the radius, and one with a dent under the skin."""
     voxmap = Voxmap.from_surface(half_seen(), shape=(24, 40, 12))
     grid = voxmap.grid
@@ -26,7 +24,7 @@ def fields() -> tuple[PotentialField, PotentialField]:
 
 
 @pytest.fixture(scope="session")
-def evaluations(fields: tuple[PotentialField, PotentialField]) -> dict[str, Evaluation]:
+def evaluations(fields):
     shell = ellipsoid()
     recorded = presses(torso(), 25, np.random.default_rng(0))
     names = ("Laplace alone", "fitted")

@@ -1,7 +1,5 @@
 """A half-seen torso, and what a picture drew."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,17 +1,15 @@
 """The drawn lines are the curves, and the diagonal is there to compare with."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 
+from tests.refusals import refuses
 from tests.report.plots.drawn import lines
 from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 from ttus_opt.report.calibration_curve import CalibrationCurve
 
 
-def test_curves_are_drawn_beside_the_diagonal() -> None:
+def test_curves_are_drawn_beside_the_diagonal():
     rng = np.random.default_rng(1)
     std = rng.uniform(0.1, 1.0, (80, 3))
     curves = {
@@ -37,12 +35,11 @@ def test_curves_are_drawn_beside_the_diagonal() -> None:
     assert left.get_title(loc="left") == "two"
 
 
-def test_without_a_curve_there_is_nothing_to_draw() -> None:
-    with pytest.raises(InputError, match="nothing to draw"):
-        plots.calibration_picture({})
+def test_without_a_curve_there_is_nothing_to_draw():
+    refuses(InputError, "nothing to draw", plots.calibration_picture, {})
 
 
-def test_no_error_at_all_can_be_drawn(tmp_path) -> None:
+def test_no_error_at_all_can_be_drawn(tmp_path):
     none = CalibrationCurve.of((np.zeros((10, 3)), np.zeros((10, 3))))
     figure = plots.calibration_picture({"still": none})
     plots.save_picture(figure, tmp_path / "still.png")

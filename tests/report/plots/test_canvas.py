@@ -1,12 +1,7 @@
 """What all pictures share: their files, and that nothing global is touched."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import matplotlib
 import pytest
-from matplotlib.figure import Figure
 
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.report.plots.canvas import (
@@ -21,7 +16,7 @@ from ttus_opt.report.plots.canvas import (
 BEGIN = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
 
 
-def drawn() -> Figure:
+def drawn():
     with look():
         figure = new_figure(3.0, 2.0)
         axes = figure.add_subplot()
@@ -31,7 +26,7 @@ def drawn() -> Figure:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_picture_is_a_small_file_of_its_kind(suffix: str, tmp_path: Path) -> None:
+def test_a_picture_is_a_small_file_of_its_kind(suffix, tmp_path):
     file = tmp_path / f"picture{suffix}"
     save_picture(drawn(), file)
     content = file.read_bytes()
@@ -43,7 +38,7 @@ def test_a_picture_is_a_small_file_of_its_kind(suffix: str, tmp_path: Path) -> N
     assert file.read_bytes() == content
 
 
-def test_labels_lie_within_the_picture(tmp_path: Path) -> None:
+def test_labels_lie_within_the_picture(tmp_path):
     figure = drawn()
     save_picture(figure, tmp_path / "picture.png")
     (axes,) = figure.axes
@@ -53,14 +48,14 @@ def test_labels_lie_within_the_picture(tmp_path: Path) -> None:
     assert label.x1 <= width and label.y1 <= height
 
 
-def test_the_look_is_of_these_pictures_alone() -> None:
+def test_the_look_is_of_these_pictures_alone():
     before = dict(matplotlib.rcParams)
     figure = drawn()
     assert dict(matplotlib.rcParams) == before
     assert not figure.axes[0].spines["top"].get_visible()
 
 
-def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path: Path) -> None:
+def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path):
     with pytest.raises(InputError, match=r"picture.jpg: the name must end in .png"):
         save_picture(drawn(), tmp_path / "picture.jpg")
     require_picture_suffix("PICTURE.PNG")

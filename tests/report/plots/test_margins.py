@@ -1,18 +1,11 @@
 """What stands in the margins of every picture fits into them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from tests.report.plots.drawn import half_seen
 from ttus_opt.report import plots
-from ttus_opt.report.metrics import Evaluation
 from ttus_opt.report.plots.canvas import look
-from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.mark.parametrize(
@@ -31,11 +24,7 @@ from ttus_opt.voxmap.field import PotentialField
     ],
     ids=["forces", "residuals", "overview", "surface", "potential"],
 )
-def test_margins_hold_what_stands_in_them(
-    draw: Callable[..., Figure],
-    fields: tuple[PotentialField, PotentialField],
-    evaluations: dict[str, Evaluation],
-) -> None:
+def test_margins_hold_what_stands_in_them(draw, fields, evaluations):
     figure = draw(fields, evaluations)
     with look():  # ticks are made when they are drawn
         drawn = figure.get_tightbbox()

@@ -1,31 +1,20 @@
 """The README's picture shows scan, potential and unseen forces as they are."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.report.plots.drawn import lines
-from ttus_opt.core.arrays import Array
-from ttus_opt.report.metrics import Evaluation
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 module = importlib.import_module("ttus_opt.report.plots.overview")
 
 
-def test_each_part_shows_what_was_given(
-    fields: tuple[PotentialField, PotentialField],
-    evaluations: dict[str, Evaluation],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_each_part_shows_what_was_given(fields, evaluations, monkeypatch):
     """The scan comes in its own frame, the slice from mid-height."""
     turn = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
     axis = Axis(np.array([0.1, -0.2, 1.5]), turn)
@@ -35,12 +24,10 @@ def test_each_part_shows_what_was_given(
     grid, drawn = voxmap.grid, {}
     k = grid.shape[2] // 2
 
-    def slice_of(
-        axes: Any, of: PotentialField, values: Array, at: int, _: float
-    ) -> Any:
+    def slice_of(axes, of, values, at, _):
         drawn["slice"] = of, values, at
 
-    def section_of(axes: Any, surface: Surface, z: float, cloud: Array) -> None:
+    def section_of(axes, surface, z, cloud):
         drawn["section"] = surface, z, cloud
 
     monkeypatch.setattr(module, "draw_slice", slice_of)

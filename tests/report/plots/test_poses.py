@@ -1,48 +1,41 @@
 """Poses and forces in the picture are those of the recording."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.plots import poses
 from ttus_opt.report.plots.poses import LONGEST
-from ttus_opt.scan.surface import Surface
 
 
-def drawn(recorded: Trajectory, surface: Surface | None = None) -> Figure:
+def drawn(recorded, surface=None):
     return plots.pose_picture(surface or torso(), ellipsoid(), recorded)
 
 
-def recording() -> Trajectory:
+def recording():
     return presses(torso(), 12, np.random.default_rng(0))
 
 
-def arrows(axes: Any) -> tuple[Array, Array]:
+def arrows(axes):
     """Where the arrows of a projection begin, and where they point, (n, 2) [cm]."""
     found = [c for c in axes.collections if isinstance(c, Quiver)]
     begin = np.concatenate([q.XY for q in found])
     return begin, np.concatenate([np.stack([q.U, q.V], axis=1) for q in found])
 
 
-def ordered(rows: Array) -> Array:
+def ordered(rows):
     return rows[np.lexsort(rows.T)]
 
 
-def test_arrows_are_the_forces_in_each_projection() -> None:
+def test_arrows_are_the_forces_in_each_projection():
     recorded = recording()
     figure = drawn(recorded)
-    assert recorded.force is not None
     at = recorded.position + recorded.rotation @ ellipsoid().reference
     longest = float(figure.get_suptitle().split("= ")[1].split(" N")[0])
     for panel, axes in zip(figure.axes, ([2, 0], [2, 1], [0, 1]), strict=True):
@@ -55,7 +48,7 @@ def test_arrows_are_the_forces_in_each_projection() -> None:
         )
 
 
-def test_frames_are_told_by_what_touches() -> None:
+def test_frames_are_told_by_what_touches():
     recorded = recording()
     lifted, silent = 3, 5
     position, force = recorded.position.copy(), np.array(recorded.force)
@@ -70,7 +63,7 @@ def test_frames_are_told_by_what_touches() -> None:
         assert marks[label].get_xdata() == pytest.approx([places[frame, 0]])
 
 
-def test_the_seen_side_is_up() -> None:
+def test_the_seen_side_is_up():
     full = torso()
     seen = np.broadcast_to((np.cos(full.theta) < 0)[:, None], full.radius.shape)
     figure = drawn(recording(), replace(full, observed=seen))
@@ -78,9 +71,7 @@ def test_the_seen_side_is_up() -> None:
     assert labels == ["y [cm]", "−x [cm]", "−x [cm]"]
 
 
-def test_a_row_for_each_recording_up_to_a_limit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_row_for_each_recording_up_to_a_limit(monkeypatch):
     monkeypatch.setattr(poses, "RECORDINGS", 2)
     three = Trajectory.concatenate([recording()] * 3)
     figure = drawn(three)
@@ -90,6 +81,6 @@ def test_a_row_for_each_recording_up_to_a_limit(
         plots.pose_picture(torso(), ellipsoid(), three, ["press.csv"])
 
 
-def test_poses_without_wrenches_have_no_arrows() -> None:
+def test_poses_without_wrenches_have_no_arrows():
     panel, *_ = drawn(replace(recording(), force=None, torque=None)).axes
     assert not [c for c in panel.collections if isinstance(c, Quiver)]

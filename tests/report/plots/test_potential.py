@@ -1,14 +1,10 @@
 """Slices show what changed, on scales that end at round numbers."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.core.arrays import Array
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 from ttus_opt.report.plots.potential import colour_limit, local_change, round_up
@@ -17,9 +13,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @pytest.mark.slow
-def test_potential_shows_the_slice_that_changed_most(
-    fields: tuple[PotentialField, PotentialField],
-) -> None:
+def test_potential_shows_the_slice_that_changed_most(fields):
     figure = plots.potential_slices(*fields)
     z = fields[0].voxmap.grid.z[4]
     assert figure.get_suptitle().startswith(f"Potential at z = {100 * z:.1f} cm")
@@ -31,9 +25,7 @@ def test_potential_shows_the_slice_that_changed_most(
     assert np.mean(part.get_ylim()) == pytest.approx(8.0, abs=0.7)
 
 
-def test_what_another_boundary_value_changes_everywhere_is_left_out(
-    fields: tuple[PotentialField, PotentialField],
-) -> None:
+def test_what_another_boundary_value_changes_everywhere_is_left_out(fields):
     before, after = fields
     scaled = PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
     dent = np.argmax(local_change(before, scaled))
@@ -42,13 +34,11 @@ def test_what_another_boundary_value_changes_everywhere_is_left_out(
     assert not local_change(before, scaled)[~inside].any()
 
 
-def _data(line: Any) -> tuple[Array, Array]:
+def _data(line):
     return line.get_xdata(), line.get_ydata()
 
 
-def test_one_field_in_one_slice(
-    fields: tuple[PotentialField, PotentialField],
-) -> None:
+def test_one_field_in_one_slice(fields):
     grid = fields[0].voxmap.grid
     figure = plots.field_slice(fields[0], z=grid.z[7])
     axes, bar = figure.axes
@@ -60,13 +50,10 @@ def test_one_field_in_one_slice(
     )
     skin = fields[0].voxmap.surface.radius_at(np.array(0.0), np.array(grid.z[7]))
     assert np.nanmax(np.hypot(x, y)) == pytest.approx(100 * float(skin), rel=0.05)
-    with pytest.raises(InputError, match="in metres"):
-        plots.field_slice(fields[0], z=10.0)
+    refuses(InputError, "in metres", plots.field_slice, fields[0], z=10.0)
 
 
-def test_colours_are_centred_at_zero(
-    fields: tuple[PotentialField, PotentialField],
-) -> None:
+def test_colours_are_centred_at_zero(fields):
     figure = plots.potential_slices(*fields)
     for axes in figure.axes[:6]:
         filled = axes.collections[0]
@@ -74,17 +61,14 @@ def test_colours_are_centred_at_zero(
     assert 0.5 < colour_limit(fields[0], 4) < 5.0
 
 
-def test_fields_on_two_grids_are_refused(
-    fields: tuple[PotentialField, PotentialField],
-) -> None:
+def test_fields_on_two_grids_are_refused(fields):
     voxmap = Voxmap.from_surface(torso(), shape=(20, 40, 12))
     other = PotentialField(voxmap, np.zeros((20, 40, 12)), "trilinear")
-    with pytest.raises(InputError, match="one grid"):
-        plots.potential_slices(fields[0], other)
+    refuses(InputError, "one grid", plots.potential_slices, fields[0], other)
 
 
 @pytest.mark.parametrize(
     ("value", "up"), [(0.0, 1.0), (0.16, 0.2), (2.0, 2.0), (9.4, 10.0), (73.0, 80.0)]
 )
-def test_scales_end_at_a_round_number(value: float, up: float) -> None:
+def test_scales_end_at_a_round_number(value, up):
     assert round_up(value) == pytest.approx(up)

@@ -1,14 +1,11 @@
 """Residuals are counted in full."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.report import plots
-from ttus_opt.report.metrics import Evaluation
 
 
-def test_residuals_are_counted_in_full(evaluations: dict[str, Evaluation]) -> None:
+def test_residuals_are_counted_in_full(evaluations):
     before, after = evaluations.values()
     figure = plots.residual_histogram([before], [after])
     left, right = figure.axes

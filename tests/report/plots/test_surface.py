@@ -1,14 +1,12 @@
 """Outlines are the surface, and tell what was seen."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.report.plots.drawn import half_seen, lines
 from ttus_opt.report import plots
 
 
-def test_outline_is_the_surface_and_tells_seen_from_filled() -> None:
+def test_outline_is_the_surface_and_tells_seen_from_filled():
     surface = half_seen()
     figure = plots.surface_picture(surface)
     section = next(a for a in figure.axes if a.get_title(loc="left")[:4] == "z = ")

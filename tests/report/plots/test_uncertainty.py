@@ -1,7 +1,5 @@
 """The picture of uncertainty over the skin."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.conftest import presses, torso
@@ -9,7 +7,7 @@ from ttus_opt.report import plots
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 
-def test_it_shows_the_map_in_percent_and_the_recordings() -> None:
+def test_it_shows_the_map_in_percent_and_the_recordings():
     theta, z = np.arange(6) * np.pi / 3.0, np.linspace(0.02, 0.18, 4)
     relative = np.linspace(0.1, 0.9, 24).reshape(6, 4)
     told = presses(torso(), 9, np.random.default_rng(0))
