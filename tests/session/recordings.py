@@ -70,7 +70,7 @@ def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
     to_patient = inverse(synthetic._patient_to_scan()) @ truth.tracker_to_scan
     target = homogeneous(tracked.rotation, tracked.position)
     poses = to_patient @ target @ inverse(truth.target_to_probe)
-    known = synthetic._at(moved, tracked.time)
+    known = synthetic.at_times(moved, tracked.time)
     seen = Trajectory(
         tracked.time,
         poses[:, :3, 3].copy(),
