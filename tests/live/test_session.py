@@ -105,7 +105,7 @@ def test_when_the_operator_dies_the_follower_retracts_then_stops():
     simulation = session()
     for _ in simulation.run(3.0):
         pass
-    assert simulation._sensed.wrench[0] > 1.0
+    assert simulation.sensed.wrench[0] > 1.0
     simulation.there.send = lambda now, packets: None  # kill -9
     cut = simulation.time
     assert reaches(simulation, State.HOLD, "follower") - cut <= 0.14
@@ -114,7 +114,7 @@ def test_when_the_operator_dies_the_follower_retracts_then_stops():
     )
     for _ in simulation.run(1.0):
         pass
-    assert np.linalg.norm(simulation._sensed.wrench) < 0.1  # not left pressed
+    assert np.linalg.norm(simulation.sensed.wrench) < 0.1  # not left pressed
 
 
 def test_when_the_follower_dies_the_operator_holds_its_model_then_stops():
@@ -179,7 +179,7 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
         simulation.operator.rearm(hand.rotation, hand.position)
     while hand.position[0] < 0.1205:  # the press ends
         simulation.step()
-    force = float(np.linalg.norm(simulation._sensed.wrench[:3]))
+    force = float(np.linalg.norm(simulation.sensed.wrench[:3]))
     simulation.operator.rearm(hand.rotation, hand.position)
     assert simulation.step().operator is State.HOLD
     simulation.follower.rearm(force)
@@ -292,4 +292,4 @@ def test_a_clock_that_goes_back_is_refused():
     with pytest.raises(InputError, match="go back"):
         simulation.operator.step(-1.0, [], hand.rotation, hand.position)
     with pytest.raises(InputError, match="go back"):
-        simulation.follower.step(-1.0, [], simulation._sensed)
+        simulation.follower.step(-1.0, [], simulation.sensed)

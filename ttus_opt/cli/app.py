@@ -68,6 +68,8 @@ UNLIMITED = (
     benchmark,
     record,
     view,
+    live_commands.demo,
+    live_commands.page,
     live_commands.follower,
     live_commands.operator,
     live_commands.key,
@@ -130,10 +132,16 @@ live = typer.Typer(
     epilog="Example: ttus-opt live demo",
     rich_markup_mode=None,
 )
-for part in (live_commands.demo, live_commands.report, live_commands.replay):
-    add_command(live, part, time_limit=USUAL)
-for side in (live_commands.key, live_commands.follower, live_commands.operator):
-    add_command(live, side)
+for part in (
+    live_commands.demo,
+    live_commands.page,
+    live_commands.report,
+    live_commands.replay,
+    live_commands.key,
+    live_commands.follower,
+    live_commands.operator,
+):
+    add_command(live, part, time_limit=None if part in UNLIMITED else USUAL)
 app.add_typer(live, name="live")
 
 

@@ -17,26 +17,73 @@ def demo(
     output: Path = Path("live"),
     prior: float = 1.6,
     loss: float = 0.02,
+    no_page: bool = False,
     json: bool = False,
 ) -> None:
     """Compare four kinds of feedback on a simulated patient, in virtual time.
 
-    Not a medical device.
+    Then, in a terminal and where the viewer is installed, a page opens in which the
+    session is felt, see ttus-opt live page; Ctrl-C ends it. Not a medical device.
 
     Args:
         output: Folder for report, picture and a recorded session.
         prior: Factor by which the first model is too stiff.
         loss: Share of lost packets, in bursts of three.
+        no_page: Open no page.
 
     Example:
         ttus-opt live demo -o live
     """
+    import sys
+    from importlib.util import find_spec
+
     from ttus_opt.live.demo import N_SESSIONS, run_demo
 
     with Stages(N_SESSIONS) as begin:
         found = run_demo(output, prior=prior, loss=loss, progress=begin)
     line = f"{found.seconds:.0f} s; report.html, live.png and session.mcap in {output}/"
     tell(found.as_dict(), fitted(found.table), "", line, json=json)
+    if not (no_page or json) and sys.stdout.isatty() and find_spec("viser"):
+        page(prior=prior)
+
+
+def page(
+    delay: float = 200.0,
+    prior: float = 1.6,
+    port: int = 8050,
+    no_browser: bool = False,
+    json: bool = False,
+) -> None:
+    """Show a simulated session in the browser, with sliders and the stop button.
+
+    A simulated hand presses, or the probe is dragged. Only this machine can open the
+    page, by the link that is printed. Ctrl-C ends it. Not a medical device.
+
+    Args:
+        delay: Round trip at first [ms].
+        prior: Factor by which the first model is too stiff.
+        port: Where to serve on this machine; the next free one if it is taken.
+        no_browser: Print the link only.
+
+    Example:
+        ttus-opt live page --delay 1000
+    """
+    import sys
+
+    from ttus_opt.cli.view_command import open_browser
+    from ttus_opt.live.trial import Trial
+    from ttus_opt.viewer.live_page import LivePage
+
+    with LivePage(Trial(round_trip=1e-3 * delay, prior=prior), port=port) as shown:
+        url = shown.viewer.url
+        tell({"url": url}, url, "open this link; Ctrl-C ends it", json=json)
+        sys.stdout.flush()
+        if not no_browser:
+            open_browser(url)
+        try:
+            shown.viewer.wait()
+        except KeyboardInterrupt:
+            return
 
 
 def report(
@@ -258,7 +305,7 @@ def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
 def _record(link: Any, path: Any, seconds: float, file: Path) -> tuple[Any, Any]:
     """All in one process, so that every frame is recorded."""
     from ttus_opt.live.hand import Hand
-    from ttus_opt.live.real_time import run_operator
+    from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.recording import Description, Recorder
     from ttus_opt.live.trial import made_operator, probe_shell
 
@@ -266,6 +313,7 @@ def _record(link: Any, path: Any, seconds: float, file: Path) -> tuple[Any, Any]
     side, hand = made_operator("model", probe_shell(), epoch), Hand(path)
     with Recorder(file, Description(epoch=epoch)) as recorder:
         watch = recorder.watch
+        promptly()
         ended = run_operator(side, link, hand, seconds=seconds, watch=watch)
     return side, ended
 

@@ -100,7 +100,7 @@ def view(
     sys.stdout.flush()
     with viewer:
         if not no_browser:
-            _open(viewer.url)
+            open_browser(viewer.url)
         try:
             viewer.wait()
         except KeyboardInterrupt:
@@ -178,7 +178,7 @@ def shown_example() -> tuple[list[PotentialField], dict[str, Any]]:
     }
 
 
-def _open(url: str) -> None:
+def open_browser(url: str) -> None:
     """Open a link where there are windows, not in a terminal's browser."""
     windows = sys.platform in ("win32", "darwin") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")

@@ -49,7 +49,7 @@ class Hand:
 
     def step(self, time: float, force: Array, seconds: float) -> None:
         """Move for some seconds under a force (3,) [N], with time counted from 0."""
-        wanted, speed = self._wanted(time)
+        wanted, speed = self.wanted(time)
         own = self._dynamics
         pull = own.stiffness * (wanted - self.position)
         pull += own.damping * (speed - self.velocity) + force
@@ -61,7 +61,7 @@ class Hand:
             self.position = wanted + away * (REACH / length)
             self.velocity = speed.copy()
 
-    def _wanted(self, time: float) -> tuple[Array, Array]:
+    def wanted(self, time: float) -> tuple[Array, Array]:
         """Intended position and velocity; the hand turns as it intends."""
         path = self._path
         at = float(path.time[0]) + time

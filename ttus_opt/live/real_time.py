@@ -10,7 +10,7 @@ import contextlib
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -105,6 +105,14 @@ class Lateness:
     p99: float
     worst: float
     late: float
+
+    @classmethod
+    def of(cls, times: Sequence[float], period: float) -> Lateness:
+        """Of a list of times [s], such as of packets sent once a period [s]."""
+        found = np.asarray(times or [math.nan])
+        median, p99, worst = np.quantile(found, [0.5, 0.99, 1.0]).tolist()
+        late = float((found > LATE * period).mean())
+        return cls(len(times), 1.0 / period, median, p99, worst, late)
 
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""

@@ -65,6 +65,7 @@ class Simulation:
         back: Link from the follower to the operator.
         skin: Displacement of the skin (3,) [m] at a time of the follower's clock, as a
             camera tells it; None without one.
+        sensed: What the probe measured last; None before the first frame.
         time: From the start [s].
     """
 
@@ -82,7 +83,7 @@ class Simulation:
         self.skin: Callable[[float], Array] | None = None
         self.time = 0.0
         self._frame = 0
-        self._sensed: Sample | None = None
+        self.sensed: Sample | None = None
         self._target = hand.rotation.copy(), hand.position.copy()
         self._felt = np.zeros(6)
 
@@ -94,7 +95,7 @@ class Simulation:
     def step(self) -> Moment:
         """One haptic frame."""
         now = self.time = self._frame * HAPTIC
-        if self._frame % round(FOLLOW / HAPTIC) == 0 or self._sensed is None:
+        if self._frame % round(FOLLOW / HAPTIC) == 0 or self.sensed is None:
             self._follow(now)
         self._frame += 1
         hand, operator = self.hand, self.operator
@@ -104,9 +105,9 @@ class Simulation:
         self.there.send(now, step.send)
         felt = operator.feel(now, *pose).copy()
         hand.step(now, felt[:3], HAPTIC)
-        assert self._sensed is not None
+        assert self.sensed is not None
         states = operator.peer.safety.state, self.follower.peer.safety.state
-        return Moment(now, *pose, packets, felt, *states, self._sensed)
+        return Moment(now, *pose, packets, felt, *states, self.sensed)
 
     def run(self, seconds: float) -> Iterator[Moment]:
         """So many seconds of frames."""
@@ -128,7 +129,7 @@ class Simulation:
         skin = self.skin(clock) if self.skin else None
         step = self.follower.step(clock, self.there.receive(now), sensed, skin)
         self.back.send(now, step.send)
-        self._target, self._sensed = (step.rotation, step.position), sensed
+        self._target, self.sensed = (step.rotation, step.position), sensed
 
 
 def _pair(impairment: Impairment) -> tuple[ImpairedLink, ImpairedLink]:

@@ -56,6 +56,9 @@ NEAR = 0.003
 class Page:
     """Draws a state and listens to its visitors.
 
+    Attributes:
+        tabs: Where more tabs may be added.
+
     Args:
         server: Serves the page.
         state: What is shown.
@@ -94,7 +97,7 @@ class Page:
         )
         self._numbers = server.gui.add_html("")
         legend = server.gui.add_html("")
-        tabs = server.gui.add_tab_group()
+        self.tabs = tabs = server.gui.add_tab_group()
         self.probe: ProbeTab | None = None
         self.recording: RecordingTab | None = None
         if shell is not None:

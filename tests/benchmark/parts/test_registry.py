@@ -6,7 +6,7 @@ from ttus_opt.core.errors import InputError
 
 
 def test_names():
-    named = ["assembly", "profile", "recursion", "rendering", "ripple"]
+    named = ["assembly", "live", "profile", "recursion", "rendering", "ripple"]
     assert chosen("all") == [SOLVERS, *named]
     assert chosen("ripple, solvers,ripple") == ["ripple", SOLVERS]
     for text in ("riple", "", "solvers,all"):

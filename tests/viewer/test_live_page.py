@@ -1,0 +1,81 @@
+"""A live session in a page, without a browser: the hand, the link, the button."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
+pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
+
+from tests.viewer.test_viewer import until
+from ttus_opt.core.errors import InputError
+from ttus_opt.live.trial import Trial
+from ttus_opt.viewer.live_page import LivePage
+from ttus_opt.viewer.live_session import LiveSession
+from ttus_opt.viewer.live_tab import numbers
+
+
+def run(session: LiveSession, seconds: float) -> None:
+    """Frames without waiting for the clock on the wall."""
+    for k, _ in enumerate(session._session.run(seconds)):
+        if k % 20 == 0:
+            session._remember()
+
+
+def test_a_session_without_a_page() -> None:
+    session = LiveSession(Trial(round_trip=0.0, prior=1.6))
+    run(session, 3.0)
+    assert session.learned > 5
+    assert "NORMAL" in numbers(session.view())
+    time, measured, felt = np.array(session.samples).T
+    assert (np.diff(time) > 0).all()
+    assert measured.max() > 2.0
+    assert abs(felt - measured)[-20:].mean() < 1.0
+
+    session.worsen(round_trip=0.4)
+    run(session, 2.0)
+    assert session.view().round_trip == pytest.approx(0.4, abs=0.1)
+
+    session.stop()
+    run(session, 1.0)
+    assert "STOP: the operator" in numbers(session.view())
+    assert not np.any(session.view().force)
+    lifted = session.hand.position + np.array([0.0, 0.05, 0.0])
+    session.hand.lead = session.hand.rotation, lifted
+    run(session, 2.0)
+    np.testing.assert_allclose(session.hand.position, lifted, atol=1e-3)
+    session.rearm()
+    run(session, 1.0)
+    assert session.view().state == "NORMAL"
+    with pytest.raises(InputError, match="nothing to re-arm"):
+        session.rearm()
+
+
+def test_a_link_that_brings_no_model() -> None:
+    with pytest.raises(InputError, match="no model arrived"):
+        LiveSession(Trial(round_trip=20.0))
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[LivePage]:
+    with LivePage(port=0) as opened:
+        yield opened
+
+
+def test_the_page_follows_the_hand_until_somebody_drags(page: LivePage) -> None:
+    state = page.viewer.state
+    assert page.tab.presses.value
+    before = page.session.view().time
+    until(lambda: page.session.view().time > before + 0.1)
+    assert state.source == "outside"
+    state.press(-0.01)  # a drag
+    until(lambda: not page.tab.presses.value)
+    wanted = state.pose[1]
+    until(lambda: np.linalg.norm(page.session.hand.position - wanted) < 0.002)
+    page.tab.presses.value = True
+    page.tab._release(True)
+    until(lambda: state.source == "outside")
+    assert page.session.hand.lead is None

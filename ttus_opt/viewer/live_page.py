@@ -1,0 +1,88 @@
+"""A page of a simulated live session: ``ttus-opt live page``."""
+
+from __future__ import annotations
+
+import time
+
+from ttus_opt.core.optional import load
+from ttus_opt.live.trial import Trial, probe_shell
+from ttus_opt.viewer.live_session import LiveSession
+from ttus_opt.viewer.live_tab import LiveTab
+from ttus_opt.viewer.state import ViewState
+from ttus_opt.viewer.viewer import PORT, Viewer
+
+#: Time between updates of numbers, and of the field that colours the skin [s]
+WRITING, COLOURING = 0.2, 3.0
+
+#: What the page begins with
+FIRST = Trial(round_trip=0.2, prior=1.6)
+
+
+class LivePage:
+    """A page with a session that runs, open until `close`.
+
+    Attributes:
+        session: The session.
+        viewer: The page.
+        tab: Its part about the session.
+
+    Args:
+        trial: What is simulated at first.
+        port: Where to serve; the next free one if it is taken.
+
+    Raises:
+        MissingPackageError: viser is not installed.
+    """
+
+    def __init__(self, trial: Trial = FIRST, *, port: int = PORT) -> None:
+        load("viser", "viewer")  # before anything that takes long
+        self.session = LiveSession(trial)
+        state = ViewState([self.session.field], probe_shell())
+        self._follow(state)
+        self.viewer = Viewer(state, ["felt"], port=port)
+        page = self.viewer.page
+        with page.tabs.add_tab("Live"):
+            self.tab = LiveTab(page.stage, self.session)
+        self._written = self._coloured = time.monotonic()
+        self._folded = 0
+        self.session.start(self._show)
+
+    def close(self) -> None:
+        """End session and page."""
+        self.session.close()
+        self.viewer.close()
+
+    def __enter__(self) -> LivePage:
+        """The page itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _show(self) -> None:
+        """After a batch of frames: probe, numbers, field."""
+        state, now = self.viewer.state, time.monotonic()
+        if state.source == "hand":  # a visitor leads
+            self.tab.presses.value = False
+        if self.tab.presses.value:
+            self._follow(state)
+        else:
+            self._lead(state)
+        if now - self._written >= WRITING:
+            self._written = now
+            self.tab.write()
+        if now - self._coloured >= COLOURING and self.session.learned != self._folded:
+            self._coloured, self._folded = now, self.session.learned
+            self.viewer.update(self.session.field)
+
+    def _follow(self, state: ViewState) -> None:
+        """Show the simulated hand."""
+        hand = self.session.hand
+        state.follow(hand.rotation, hand.position)
+
+    def _lead(self, state: ViewState) -> None:
+        """Lead the simulated hand to where the page's probe is."""
+        if state.touches:
+            touch = state.touches[0]
+            self.session.hand.lead = touch.rotation, touch.position
