@@ -151,6 +151,7 @@ def unknown_name(kind: str, name: str, known: Collection[str]) -> InputError:
     )
 
 
+@functools.lru_cache
 def defined_at(function: Callable[..., Any]) -> str:
     """Where a user's function is defined, to append to its name; else ""."""
     code = getattr(inspect.unwrap(function), "__code__", None)

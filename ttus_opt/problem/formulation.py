@@ -172,18 +172,19 @@ def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
     if path.suffix == ".py":
         formulations()  # it may import one of ours
         return _build_function(module_of_file(path, "formulation")), path.stem
-    name, known = str(formulation), [*_names(), *_elsewhere()]
-    if name not in known:
-        raise unknown_name("formulation", name, known)
-    return _build_of(name), name
+    return _build_of(str(formulation)), str(formulation)
 
 
 def _build_of(name: str) -> Callable[..., Formulation]:
-    """The function of a known formulation, ours before another package's."""
-    if name in _names():
+    """The function of a formulation by name, ours before another package's."""
+    ours = _names()
+    if name in ours:
         return _build_function(formulation_module(name))
+    others = _elsewhere()
+    if name not in others:
+        raise unknown_name("formulation", name, [*ours, *others])
     with user_errors(f"formulation {name} of another package"):
-        found = _elsewhere()[name].load()
+        found = others[name].load()
     return _build_function(found) if inspect.ismodule(found) else _checked(found, name)
 
 

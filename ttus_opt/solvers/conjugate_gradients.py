@@ -320,7 +320,7 @@ class RecycledSubspace:
         return self._projected(rest, self._count - 1 if self._exact else 0)
 
     def _projected(self, rest: Array, first: int) -> tuple[Array, Array]:
-        d, images = (rows[first:] for rows in self._kept)
+        d, images = self._store[:, first : self._count]
         parts = _products(d, rest)
         return _combination(parts, d), rest - _combination(parts, images)
 

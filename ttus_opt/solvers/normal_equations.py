@@ -9,7 +9,6 @@ the dual's directions and the last solution to start from.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +16,7 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.absorption import CLOSE_ENOUGH
-from ttus_opt.problem.verify.kkt import STRICTER, Duals, kkt_residuals
+from ttus_opt.problem.verify.kkt import STRICTER
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
@@ -26,15 +25,15 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.data import duals_without_limits
-from ttus_opt.solvers.dual.limited import Limited, candidate_of
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.refusals import (
-    refusal_of_limits,
+from ttus_opt.solvers.dual.data import (
+    duals_without_limits,
     refusal_of_terms,
     refusal_of_unknowns,
 )
+from ttus_opt.solvers.dual.limited import Limited, candidate_of
+from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.primal_dual_active_set import DUAL_MARGIN
 from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
 from ttus_opt.solvers.primal.minimise import Goal, Minimum, minimise
@@ -45,6 +44,10 @@ from ttus_opt.solvers.sizes import Sizes
 
 #: Most continuations of a solve until the bound of its gap is small enough
 BOUNDS = 4
+
+#: Gap and gradient aimed for, over the tolerance; the gap is small because the final
+#: check knows only a bound of it [–]
+GAP, GRADIENT = 1e-3, 0.1
 
 #: Most unknowns beside the field
 MOST = 64
@@ -98,68 +101,57 @@ class NormalEquations(Solver):
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Set up the multigrid."""
         self.require(program)
-        if SpokeLimits.of(program).binding:
-            return _LoadedLimits(program, request, self.options)
         return _Loaded(program, request, self.options)
 
 
-class _Loaded(Prepared):
-    _last: Array | None = None
+class _Loaded(Limited):
+    _at: Array | None = None
     _preconditioner: ConstraintPreconditioner
 
     def __init__(
         self, program: Program, request: Request, options: PrimalOptions
     ) -> None:
-        self._request, self._options = request, options
-        self.update(program)
+        self._primal = options
+        super().__init__(program, request, DualOptions())
 
     def update(self, program: Program) -> None:
-        """Take other data."""
-        self._program = program
-        split = Split.of(program, self._options.few_rows)
+        """Take other data; keep the last answer and working set."""
+        self._program, self._limits = program, SpokeLimits.of(program)
+        split = Split.of(program, self._primal.few_rows)
+        if self._limits.binding:
+            options = self._primal, self._options
+            root = split.root()
+            self._problem = LimitedSum(program, self._limits, split, root, *options)
+            return
         free = np.ones(split.few.columns.shape[1], dtype=bool)
-        self._preconditioner = preconditioner(split, free, self._options, DualOptions())
-        self._function = LeastSquares(split, self._preconditioner.complement)
+        made = preconditioner(split, free, self._primal, self._options)
+        self._preconditioner = made
+        self._function = LeastSquares(split, made.complement)
 
-    def solve(self) -> Candidate:
-        """Minimise, check, and repeat with a smaller gap where needed."""
-        limit = self._request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
-        accuracy = Accuracy(0.0, deadline=deadline)
+    def _limited(self, accuracy: Accuracy) -> Candidate:
+        """The field within its limits."""
+        found = self._within(self._problem, accuracy)
+        return candidate_of(found, found.p, found.multipliers.duals(self._limits))
+
+    def _unlimited(self, accuracy: Accuracy) -> Candidate:
+        """The field and the unknowns beside it, from the last answer."""
         function, tolerance = self._function, self._request.tolerance
-        at = function.start() if self._last is None else self._last
-        scale = _Scale.of(function)
-        share, steps, least = 1.0, 0, np.inf
-        best = Candidate(None, claim=Claim.TIME_LIMIT, detail="no time")
-        for _ in range(self._options.tightenings):
-            goal = self._goal(share, scale, accuracy)
-            found = self._minimum(at, goal)
-            steps += found.steps
-            p = function.field(found.at)
-            x = np.concatenate([p, function.coefficients(p)])
-            duals = duals_without_limits(self._program, x)
-            kkt = kkt_residuals(self._program, x, duals, tolerance=tolerance)
-            gained = kkt.worst_relative < least
-            if gained or best.x is None:
-                claim = Claim.TIME_LIMIT if accuracy.late else Claim.DONE
-                best, least = Candidate(x, duals, steps, claim), kkt.worst_relative
-                at = self._last = found.at
-            if least <= tolerance or not gained or accuracy.late:
-                break
-            share *= self._options.tightening
-        return replace(best, iterations=steps, detail=self._preconditioner.description)
+        at = function.start() if self._at is None else self._at
+        share = min(accuracy.rtol / (DUAL_MARGIN * tolerance), 1.0)
+        found = self._minimum(at, self._goal(share, _Scale.of(function), accuracy))
+        self._at, p = found.at, function.field(found.at)
+        x = np.concatenate([p, function.coefficients(p)])
+        duals = duals_without_limits(self._program, x)
+        claim = Claim.TIME_LIMIT if accuracy.late else Claim.DONE
+        detail = self._preconditioner.description
+        return Candidate(x, duals, found.steps, claim, detail)
 
     def _goal(self, share: float, scale: _Scale, accuracy: Accuracy) -> Goal:
         """The tolerance with its margins, times a share of the gap [–]."""
-        options, tolerance = self._options, self._request.tolerance
-        gap = share * options.gap_margin
-        return Goal(
-            gap * tolerance,
-            gap * (tolerance / STRICTER) ** 2 * scale.value,
-            share * options.dual_margin * tolerance * scale.gradient,
-            options.max_steps,
-            accuracy,
-        )
+        tolerance = self._request.tolerance
+        gap, least = share * GAP, (tolerance / STRICTER) ** 2 * scale.value
+        gradient = share * GRADIENT * tolerance * scale.gradient
+        return Goal(gap * tolerance, gap * least, gradient, accuracy)
 
     def _minimum(self, at: Array, goal: Goal) -> Minimum:
         """Minimise until the verdict's bound of the gap is small as well.
@@ -168,11 +160,10 @@ class _Loaded(Prepared):
         exceeds the gap where other terms are stiffer. A few more steps are cheaper than
         refining the bound.
         """
-        options, function, steps = self._options, self._function, 0
-        rounds = options.rounds, options.round_gain
+        function, steps = self._function, 0
         enough = CLOSE_ENOUGH * self._request.tolerance
         for _ in range(BOUNDS):
-            found = minimise(function, self._preconditioner, at, goal, *rounds)
+            found = minimise(function, self._preconditioner, at, goal)
             steps, at = steps + found.steps, found.at
             if not found.reached:
                 break
@@ -181,34 +172,6 @@ class _Loaded(Prepared):
                 break
             goal = goal.times(0.1 * enough * value / bound)
         return replace(found, steps=steps)
-
-
-class _LoadedLimits(Limited):
-    def __init__(
-        self, program: Program, request: Request, options: PrimalOptions
-    ) -> None:
-        self._primal = options
-        super().__init__(program, request, DualOptions())
-
-    def update(self, program: Program) -> None:
-        """Take other data; keep the last working set."""
-        self._program, self._limits = program, SpokeLimits.of(program)
-        split = Split.of(program, self._primal.few_rows)
-        self._problem = LimitedSum(
-            program, self._limits, split, split.root(), self._primal, self._options
-        )
-
-    def solve(self) -> Candidate:
-        """Solve working sets."""
-        return self._contradiction(self._limits) or self._tightened(self._limited)
-
-    def _proof(self, limits: SpokeLimits) -> Duals:
-        return limits.proof_of_contradiction() or Duals()
-
-    def _limited(self, accuracy: Accuracy) -> Candidate:
-        """The field within its limits."""
-        found = self._within(self._problem, self._limits, accuracy)
-        return candidate_of(found, found.p, found.multipliers.duals(self._limits))
 
 
 @dataclass(frozen=True)

@@ -28,17 +28,17 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.data import DualData, duals_without_limits
-from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
-from ttus_opt.solvers.dual.limited import Limited, candidate_of
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.linear_parameters import LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.refusals import (
-    refusal_of_limits,
+from ttus_opt.solvers.dual.data import (
+    DualData,
+    duals_without_limits,
     refusal_of_terms,
     refusal_of_unknowns,
 )
+from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
+from ttus_opt.solvers.dual.limited import Limited, candidate_of
+from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
+from ttus_opt.solvers.dual.linear_parameters import LinearParameters
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
@@ -111,6 +111,7 @@ class _LoadedPair(Limited):
     def update(self, program: Program) -> None:
         """Take other data; keep the multigrid and the last working set."""
         self._program, self._pair = program, FieldPair.of(program, self._options)
+        self._limits = self._pair.limits
         program.laplace.multigrid  # noqa: B018  (counts as set-up)
 
     def start_at(self, x: Array, duals: Duals) -> None:
@@ -120,13 +121,14 @@ class _LoadedPair(Limited):
         links = {name: at for name, (at, _) in pair.links.items()}
         self._begin(x[pair.places] / pair.units, held, links, duals)
 
-    def solve(self) -> Candidate:
-        """Solve the duals of working sets."""
-        return self._contradiction(self._pair.limits) or self._tightened(self._limited)
+    def _proof(self) -> Duals:
+        """None is known."""
+        return Duals()
 
     def _limited(self, accuracy: Accuracy) -> Candidate:
+        """Both fields within their limits."""
         pair = self._pair
-        found = self._within(pair, pair.limits, accuracy)
+        found = self._within(pair, accuracy)
         x = pair.variables(found.p)
         return candidate_of(found, x, pair.duals(x, found.multipliers))
 
@@ -154,25 +156,14 @@ class _Loaded(Limited):
         links = {name: at for name, (at, _, _) in self._limits.links.items()}
         self._begin(p, None if held is None else held[: len(p)], links, duals)
 
-    def solve(self) -> Candidate:
-        """Solve the dual; with limits, the duals of working sets."""
-        if self._limits.binding:
-            impossible = self._contradiction(self._limits)
-            return impossible or self._tightened(self._limited)
-        return self._tightened(self._unlimited)
-
-    def _proof(self, limits: SpokeLimits) -> Duals:
-        return limits.proof_of_contradiction() or Duals()
-
     def _limited(self, accuracy: Accuracy) -> Candidate:
         """The field within its limits."""
         assert self._solver is not None
-        limits = self._limits
         problem = LimitedField(
-            self._program, limits, self._data, self._solver, self._options
+            self._program, self._limits, self._data, self._solver, self._options
         )
-        found = self._within(problem, limits, accuracy)
-        return candidate_of(found, found.p, found.multipliers.duals(limits))
+        found = self._within(problem, accuracy)
+        return candidate_of(found, found.p, found.multipliers.duals(self._limits))
 
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The field and the unknowns beside it, without limits."""

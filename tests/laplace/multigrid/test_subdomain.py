@@ -74,6 +74,30 @@ def test_large_boxes_are_the_grid():
     assert around.shape[1] == GRID.shape[1] and not around.is_whole
 
 
+def test_levels_of_the_last_box_serve_the_next_solve_there():
+    """With vectors of their own; another box has its own levels."""
+    free = torso(GRID)
+    here, there = patch(GRID, free, 30), patch(GRID, free, 10)
+    b = np.random.default_rng(0).normal(size=len(here))
+    solver = Multigrid(GRID, free)
+    plain = solver.memory_bytes
+    first = solver.preconditioner(here)
+    with_box = solver.memory_bytes
+    again = solver.preconditioner(here)
+    assert solver.memory_bytes == with_box > plain
+    answer = run(first, here, b)
+    assert not again.x.any()
+    np.testing.assert_array_equal(run(again, here, b), answer)
+    for voxels in (there, here):
+        fresh = Multigrid(GRID, free).preconditioner(voxels)
+        cycle = solver.preconditioner(voxels)
+        np.testing.assert_array_equal(cycle.free, fresh.free)
+        load = np.ones(len(voxels))
+        np.testing.assert_array_equal(
+            run(cycle, voxels, load), run(fresh, voxels, load)
+        )
+
+
 @pytest.mark.parametrize("pooled", [False, True])
 @pytest.mark.parametrize("spoke", [30, 0, 62])
 def test_v_cycle_nearly_inverts_the_box(spoke, pooled):

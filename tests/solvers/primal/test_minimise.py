@@ -82,8 +82,8 @@ def preconditioner(function: Dense, exact: bool) -> WithRows:
 def run(function: Dense, exact: bool, max_steps: int = 200) -> Minimum:
     start = np.zeros(V + FEW)
     largest = np.linalg.norm(function.gradient(function.residual(start)))
-    goal = Goal(1e-20, 0.0, 1e-11 * float(largest), max_steps, Accuracy(0.0))
-    return minimise(function, preconditioner(function, exact), start, goal, 8, 0.5)
+    goal = Goal(1e-20, 0.0, 1e-11 * float(largest), Accuracy(0.0), max_steps)
+    return minimise(function, preconditioner(function, exact), start, goal)
 
 
 @pytest.mark.parametrize("weight", [1e-6, 1.0, 1e8])
@@ -133,8 +133,8 @@ def test_directions_are_conjugate_whatever_the_preconditioner_does(
     watched = replace(function)
     monkeypatch.setattr(watched, "image", fickle.image)
     start = np.zeros(V + FEW)
-    goal = Goal(0.0, 0.0, 0.0, 30, Accuracy(0.0))
-    minimise(watched, fickle, start, goal, 1, 0.5)
+    goal = Goal(0.0, 0.0, 0.0, Accuracy(0.0), 30)
+    minimise(watched, fickle, start, goal, 1)
     H, signs = function.M.T @ function.M + function.D.T @ function.D, []
     # the first of what it gave is the full step ahead of the directions
     steps = fickle.given[2:]
@@ -157,15 +157,15 @@ def test_without_enough_steps_it_says_so() -> None:
 
 def test_nothing_is_done_past_the_deadline() -> None:
     function = Dense.of(1.0)
-    late = Goal(1e-22, 0.0, 1e-7, 200, Accuracy(0.0, deadline=0.0))
+    late = Goal(1e-22, 0.0, 1e-7, Accuracy(0.0, deadline=0.0))
     start = np.r_[np.ones(V), np.zeros(FEW)]
-    found = minimise(function, preconditioner(function, False), start, late, 8, 0.5)
+    found = minimise(function, preconditioner(function, False), start, late)
     assert (found.reached, found.steps) == (False, 0)
     np.testing.assert_array_equal(found.at, start)
 
 
 def test_a_goal_needs_a_small_gap_and_a_small_gradient() -> None:
-    goal = Goal(1e-3, 1e-6, 0.1, 1, Accuracy(0.0))
+    goal = Goal(1e-3, 1e-6, 0.1, Accuracy(0.0), 1)
     small, large = np.full(4, 0.04), np.full(4, 0.06)
     assert goal.reached(1e-3, 1.0, small)
     assert not goal.reached(1.1e-3, 1.0, small)

@@ -265,7 +265,7 @@ def test_parameters_grow_after_a_complete_round_and_shrink_after_another(
     method, _ = method_of(lasso(0), options=Options(growth=2.0, retreat=1.5, rounds=3))
     outcomes, growths = iter([True, False, True]), []
 
-    def minimise(state: method_of_multipliers._State, rtol: float) -> bool:
+    def minimise(state: method_of_multipliers.State, rtol: float) -> bool:
         state.evaluate(method._blocks)
         return next(outcomes)
 

@@ -112,6 +112,8 @@ class Hierarchy:
         work_size: Length of an array that holds the vectors of all levels.
         cut: Places of the finest level's nodes with cut links, ascending, shape (k,).
         cut_grounds: What this adds to their diagonal, shape (k,) [m].
+        boxes: Levels of the last box (`subdomain`) by its place: the next solve near
+            the same contact needs them again.
     """
 
     levels: tuple[Level, ...]
@@ -122,6 +124,9 @@ class Hierarchy:
     work_size: int
     cut: NDArray[np.int64] = field(repr=False)
     cut_grounds: Single = field(repr=False)
+    boxes: dict[object, Hierarchy] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def build(
@@ -170,7 +175,8 @@ class Hierarchy:
     @property
     def memory_bytes(self) -> int:
         """Size of its arrays."""
-        return self.fields.nbytes + self.inverse.nbytes + self.table.nbytes
+        own = self.fields.nbytes + self.inverse.nbytes + self.table.nbytes
+        return own + sum(levels.memory_bytes for levels in self.boxes.copy().values())
 
 
 def _cuts(

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
+from ttus_opt.core.threads import in_parts
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.kernels import (
     FAST,
@@ -153,7 +155,7 @@ class Vectors(Workspace):
 
     def _run(self, kernel: Callable[..., None], *args: object) -> None:
         """Call a kernel of the finest level, on several cores if that is large."""
-        self._share(0, lambda part: kernel(*args, part))
+        in_parts(partial(kernel, *args), self._parts[0])
 
     def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
         self._sweep(0, RED, x[RED], opposite, load)

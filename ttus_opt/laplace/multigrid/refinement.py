@@ -8,6 +8,7 @@ whole grids of voxels in C order, and the ways to and from the red-black order.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -258,11 +259,7 @@ def add(
     _, n_r, width = correction.shape
     flat = correction.reshape(-1, copy=False)
     sums = np.zeros(n_r)
-
-    def work(part: Part) -> None:
-        add_flat(x, flat, scale, sums, (*sizes, width), part)
-
-    in_parts(work, parts)
+    in_parts(partial(add_flat, x, flat, scale, sums, (*sizes, width)), parts)
     return math.fsum(sums)
 
 

@@ -80,13 +80,20 @@ class VCycle:
             # all blocks, because one that is cut would be held fixed
             voxels = np.union1d(voxels, np.flatnonzero(pooled))
         part = Subdomain.around(grid, voxels)
+        levels: Hierarchy | None = hierarchy
         if not part.is_whole:
-            inside = part.free(grid.unflatten(free))
-            if pooled is not None:
-                pooled = part.restrict(grid.unflatten(pooled))
-            more = None if added is None else added.within(part)
-            hierarchy = Hierarchy.build(part, inside, pooled, more)
-        return cls(hierarchy, part, free, sweeps=1 if voxels is None else 2)
+            place, boxes = (part.first, part.shape), hierarchy.boxes
+            levels = boxes.get(place)
+            if levels is None:
+                inside = part.free(grid.unflatten(free))
+                if pooled is not None:
+                    pooled = part.restrict(grid.unflatten(pooled))
+                more = None if added is None else added.within(part)
+                levels = Hierarchy.build(part, inside, pooled, more)
+                boxes.clear()
+                boxes[place] = levels
+        assert levels is not None
+        return cls(levels, part, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where voxels lie in ``b`` and ``x``.
@@ -103,6 +110,5 @@ class VCycle:
         """Set ``x`` to one V-cycle's answer for ``b``."""
         self._work.v_cycle(sweeps=self._sweeps)
 
-    def run_adjoint(self) -> None:
-        """The same, as the map is symmetric."""
-        self.run()
+    #: The map is symmetric
+    run_adjoint = run

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,12 +86,16 @@ class Workspace:
         """Size of the vectors."""
         return self.values.nbytes
 
-    def v_cycle(self, *, sweeps: int = 1, has_red: bool = True) -> None:
-        """Set ``x`` to one V-cycle's answer for ``b``; see `cycle.v_cycle`."""
-        self._v_cycle(0, sweeps, has_red)
+    def v_cycle(self, *, sweeps: int = 1, has_red: bool = True, n: int = 0) -> None:
+        """Set ``x`` to one V-cycle's answer for ``b``.
 
-    def _v_cycle(self, n: int, sweeps: int, has_red: bool) -> None:
-        """A V-cycle from level n on: as `cycle.v_cycle`, large levels shared."""
+        As `cycle.v_cycle`, large levels shared.
+
+        Args:
+            sweeps: Sweeps before and after on level n [–].
+            has_red: Whether red nodes have a load.
+            n: The level to begin with.
+        """
         h, at = self._hierarchy, self._levels[n]
         if self._parts[n] == 1:
             args = h.table[n:], h.fields, self.values, h.places, h.inverse
@@ -106,17 +111,13 @@ class Workspace:
             self._sweep(n, RED, at.x, at.x + size, red)
             self._flow(n, at.residual, at.x, -1.0 if k else 0.0)
             given = at.x
-        self._share(n, self._transfer(n, _restrict))
-        self._v_cycle(n + 1, COARSE_SWEEPS, True)
-        self._share(n, self._transfer(n, _prolong))
+        in_parts(self._transfer(n, _restrict), self._parts[n])
+        self.v_cycle(sweeps=COARSE_SWEEPS, n=n + 1)
+        in_parts(self._transfer(n, _prolong), self._parts[n])
         _fill_ghosts(h.table[n], self.values, at.x, BLACK)
         for _ in range(sweeps):
             self._sweep(n, RED, at.x, at.x + size, red)
             self._sweep(n, BLACK, at.x, at.x, at.b + size)
-
-    def _share(self, n: int, work: Callable[[Part], object]) -> None:
-        """Do some work on level n, in parts if the level is large."""
-        in_parts(work, self._parts[n])
 
     def _transfer(self, n: int, kernel: Callable[..., None]) -> Callable[[Part], None]:
         """A transfer between levels n and n + 1, a part at a time."""
@@ -132,7 +133,7 @@ class Workspace:
         """See `line_smoother.sweep`."""
         h, values = self._hierarchy, self.values
         row, vectors = h.table[n], (colour, x, opposite, load)
-        self._share(n, lambda part: sweep(row, h.fields, values, *vectors, part))
+        in_parts(partial(sweep, row, h.fields, values, *vectors), self._parts[n])
         if self._parts[n] > 1:
             _fill_ghosts(row, values, x, colour)
 
@@ -140,7 +141,7 @@ class Workspace:
         """See `kernels.flow`."""
         h, values = self._hierarchy, self.values
         row, given = h.table[n], (out, opposite, kept)
-        self._share(n, lambda part: flow(row, h.fields, values, *given, part))
+        in_parts(partial(flow, row, h.fields, values, *given), self._parts[n])
 
 
 @compiled(nogil=True)

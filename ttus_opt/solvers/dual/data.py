@@ -153,3 +153,22 @@ def duals_without_limits(program: Program, x: Array) -> Duals:
     z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
     z[:V] = 0.0
     return Duals(rows, z if program.bounds else None)
+
+
+def refusal_of_terms(program: Program) -> str:
+    """Why the terms are not sums of squares with a Laplace term; empty if they are."""
+    prior = laplace_prior(program)
+    if prior is None or prior.weight == 0.0:
+        return "it needs a Laplace term"
+    if not has_all_rows(prior) and hard_values(program) is None:
+        return f"it takes {prior.name} only with hard boundary values"
+    others = [t.name for t in program.terms if not t.is_squares]
+    return f"{others[0]} is not a sum of squares" if others else ""
+
+
+def refusal_of_unknowns(program: Program, most: int) -> str:
+    """Why there are too many unknowns beside the field; empty if there are not."""
+    others = program.n_variables - len(program.laplace.free)
+    if others <= most:
+        return ""
+    return f"it takes at most {most} unknowns beside the field, got {others}"

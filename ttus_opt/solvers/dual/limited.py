@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -32,6 +33,7 @@ class Limited(Prepared):
     """A program with its last working set and the request to the solver."""
 
     _program: Program
+    _limits: SpokeLimits
 
     def __init__(
         self, program: Program, request: Request, options: DualOptions
@@ -64,19 +66,32 @@ class Limited(Prepared):
                 active.links[at] |= duals.rows[name] != 0.0
         self._last = p, active
 
-    def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
+    def solve(self) -> Candidate:
+        """Solve working sets; a program without limits as it is."""
+        if not self._limits.binding:
+            return self._tightened(self._unlimited)
+        return self._contradiction() or self._tightened(self._limited)
+
+    @abc.abstractmethod
+    def _limited(self, accuracy: Accuracy) -> Candidate:
+        """The minimiser within the limits."""
+
+    def _unlimited(self, accuracy: Accuracy) -> Candidate:
+        """The minimiser without any."""
+        return self._limited(accuracy)
+
+    def _contradiction(self) -> Candidate | None:
         """The answer if the limits are infeasible; None if they are not."""
+        limits = self._limits
         worst = limits.contradiction()
         if worst <= self._request.tolerance * _largest_limit(limits):
             return None
         detail = f"limits along a spoke contradict each other by {worst:.2g}"
-        return Candidate(
-            None, self._proof(limits), claim=Claim.INFEASIBLE, detail=detail
-        )
+        return Candidate(None, self._proof(), claim=Claim.INFEASIBLE, detail=detail)
 
-    def _proof(self, limits: SpokeLimits) -> Duals:
+    def _proof(self) -> Duals:
         """Multipliers that prove infeasibility; empty if they are not known."""
-        return Duals()
+        return self._limits.proof_of_contradiction() or Duals()
 
     def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
         """Solve with increasing accuracy until the KKT residuals hold; the best answer.
@@ -109,11 +124,11 @@ class Limited(Prepared):
         return replace(best, iterations=steps)
 
     def _within(
-        self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
+        self, problem: LimitedProblem, accuracy: Accuracy
     ) -> ActiveSetIteration:
         """The minimiser with limits, started from the last working set."""
         answer = primal_dual_active_set(
-            problem, limits, self._last, self._request.tolerance, accuracy
+            problem, self._limits, self._last, self._request.tolerance, accuracy
         )
         if answer.settled:
             self._last = answer.p, answer.active

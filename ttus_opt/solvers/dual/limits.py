@@ -18,6 +18,7 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
+from ttus_opt.solvers.dual.data import laplace_prior, row_scale
 
 
 @dataclass(frozen=True)
@@ -216,3 +217,20 @@ def _links(
     ):
         raise ValueError(refusal)
     return columns[:, 0], sign
+
+
+def refusal_of_limits(program: Program) -> str:
+    """Why the limits are not bounds or growth along spokes; empty if they are."""
+    free, prior = program.laplace.free, laplace_prior(program)
+    try:
+        limits = SpokeLimits.of(program)
+    except ValueError as error:
+        return f"it takes bounds and growth along spokes: {error}"
+    if not limits.binding:
+        return ""
+    if program.n_variables > len(free):
+        return "it takes no limits of the field beside other unknowns"
+    scale = None if prior is None else row_scale(prior)
+    if prior is not None and scale is not None and (scale[free] != 1.0).any():
+        return f"it takes {prior.name} only without limits of the field"
+    return ""

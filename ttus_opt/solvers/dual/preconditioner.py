@@ -13,7 +13,7 @@ with the largest eigenvalues of S.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -137,24 +137,36 @@ class SchurPreconditioner:
     and factorising it then costs less.
     """
 
-    def __init__(self, approximate: ApproximateSchur, options: DualOptions) -> None:
+    def __init__(
+        self, system: DualSystem | ApproximateSchur, options: DualOptions
+    ) -> None:
         """Start without directions.
 
         Args:
-            approximate: S̃.
+            system: The exact dual system, of which S̃ is set up at the first call; or S̃.
             options: Options of the solver.
         """
-        self._approximate, self._options = approximate, options
-        self._subspace = RecycledSubspace(approximate, np.float32, exact=True)
-        m = len(approximate.coupled)
-        self._enough = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
+        self._system, self._options = system, options
         self._factor: Array | None = None
+
+    @cached_property
+    def _approximate(self) -> ApproximateSchur:
+        system = self._system
+        return (
+            system if isinstance(system, ApproximateSchur) else ApproximateSchur(system)
+        )
+
+    @cached_property
+    def _subspace(self) -> RecycledSubspace:
+        return RecycledSubspace(self._approximate, np.float32, exact=True)
 
     def __call__(self, residual: Array) -> Array:
         """S̃⁻¹ residual, shape (m,), nearly linear in it and positive definite."""
         if self._factor is not None:
             return self._by_factor(residual, self._factor)
         subspace, options = self._subspace, self._options
+        m = len(self._approximate.coupled)
+        many = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
         goal = options.preconditioner_residual * norm(residual)
         energies: list[float] = []
         done = False
@@ -169,9 +181,9 @@ class SchurPreconditioner:
             done |= gained <= options.preconditioner_energy**2 * energies[-1]
             return done
 
-        most = int(min(options.max_directions, self._enough + 1.0)) - len(subspace)
+        most = int(min(options.max_directions, many + 1.0)) - len(subspace)
         run = conjugate_gradients(subspace, residual, np.copy, enough, most)
-        if not done and len(subspace) > self._enough:
+        if not done and len(subspace) > many:
             self._factor = _factor(self._approximate)
             return self._by_factor(residual, self._factor)
         return run.y
@@ -211,23 +223,3 @@ def _factor(approximate: ApproximateSchur) -> Array:
             return np.asarray(scipy.linalg.cholesky(trial, overwrite_a=True))
         except np.linalg.LinAlgError:  # rounding made eigenvalues negative
             shift = max(4.0 * shift, ROUNDING * largest)
-
-
-def schur_preconditioner(
-    system: DualSystem,
-    options: DualOptions,
-    approximate: ApproximateSchur | None = None,
-) -> Callable[[Array], Array]:
-    """An approximation of S⁻¹ by conjugate directions of S̃.
-
-    Its directions are stored from call to call: the first call pays for most of them.
-
-    Args:
-        system: The exact dual system.
-        options: Options of the solver.
-        approximate: S̃, if it exists already.
-
-    Returns:
-        A function from (m,) to (m,), nearly linear and positive definite.
-    """
-    return SchurPreconditioner(approximate or ApproximateSchur(system), options)

@@ -8,7 +8,6 @@ bounds of parameters c beside the field are handled by block pivoting (`pivoting
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
+from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.pivoting import BlockPivoting
 
@@ -46,23 +45,6 @@ class DualAnswer:
     steps: int
     late: bool
     y: Array = field(repr=False)
-
-
-class _ApproximateInverse:
-    """Approximation of S⁻¹, set up at its first use.
-
-    It does not reference its solver: with a reference cycle, that of a working set
-    would stay in memory long after it.
-    """
-
-    def __init__(self, system: DualSystem, options: DualOptions) -> None:
-        self._system, self._options = system, options
-        self._apply: Callable[[Array], Array] | None = None
-
-    def __call__(self, residual: Array) -> Array:
-        if self._apply is None:
-            self._apply = schur_preconditioner(self._system, self._options)
-        return self._apply(residual)
 
 
 class DualSolver:
@@ -98,7 +80,7 @@ class DualSolver:
         self._subspace = RecycledSubspace(self.system)
         self._across = np.ones(k, dtype=bool)
         self._free = self.parameters.moving
-        self._schur = _ApproximateInverse(self.system, self._options)
+        self._schur = SchurPreconditioner(self.system, self._options)
         self._complement: tuple[bytes, Complement] | None = None
 
     def adopt(self, system: DualSystem, parameters: LinearParameters) -> None:
@@ -118,7 +100,7 @@ class DualSolver:
             self._forget()
         elif not (ratio == 1.0).all():
             self._subspace.adopt(system)
-            self._schur = _ApproximateInverse(system, self._options)
+            self._schur = SchurPreconditioner(system, self._options)
             self._complement = None
 
     def solve(

@@ -105,7 +105,7 @@ class DualSystem(SchurComplement):
 
     def prior(self, r: Array, rtol: float = RTOL) -> Array:
         """L⁻¹ ω L⁻ᵀ r, shape (V,)."""
-        return self.field_prior.within(rtol).times(r)
+        return LaplacePrior(self.laplace, self.compliance, rtol).times(r)
 
     def same_rows(self, other: DualSystem) -> bool:
         """Whether two systems differ at most by the weights of their rows."""

@@ -28,7 +28,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner
+from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 
 #: Relative residual of the solves for a response field; its error passes to all fields
 FIELD_RTOL = 1e-8
@@ -252,9 +252,8 @@ class WeightSweep:
             if settled or late or taken == self._options.max_directions:
                 break
             if precondition is None:
-                precondition = schur_preconditioner(
-                    self._system, self._options, self._approximate
-                )
+                of = self._approximate or self._system
+                precondition = SchurPreconditioner(of, self._options)
             wanted = root * precondition(y)
             if not self._extend(self._without(wanted), _size(wanted)):
                 break

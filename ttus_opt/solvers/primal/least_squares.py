@@ -15,7 +15,7 @@ from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.conjugate_gradients import inner_product
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
+from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateSystem,
 )
@@ -133,7 +133,7 @@ def preconditioner(
     system = ApproximateSystem.matched(
         split.few.system, split.operator, split.wide, root, unseen
     )
-    schur = schur_preconditioner(system, dual) if system.adjoint.nnz else np.copy
+    schur = SchurPreconditioner(system, dual) if system.adjoint.nnz else np.copy
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, schur
     )

@@ -20,7 +20,7 @@ from ttus_opt.solvers.conjugate_gradients import Map
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
+from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.subproblem import ReducedLaplace, Subproblem, reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -86,7 +86,7 @@ class LimitedSum:
         split = _reduced_split(whole, left)
         preconditioner = self._preconditioner(split, left)
         function = LeastSquares(split, preconditioner.complement)
-        return LimitedSubproblem(function, preconditioner, left, self.primal)
+        return LimitedSubproblem(function, preconditioner, left)
 
     def _preconditioner(
         self, split: Split, left: Subproblem
@@ -114,7 +114,7 @@ class LimitedSum:
         columns = np.zeros((len(left.t), 0))
         schur: Map = np.copy
         if approximate_system.adjoint.nnz:
-            schur = schur_preconditioner(approximate_system, self.options)
+            schur = SchurPreconditioner(approximate_system, self.options)
         inner = self.primal.inner
         return ConstraintPreconditioner(approximate_system, columns, inner, schur)
 
@@ -127,32 +127,24 @@ class LimitedSubproblem:
         function: F of ξ.
         preconditioner: Its preconditioner.
         left: The subproblem as the dual has it.
-        options: Options of conjugate gradients.
     """
 
     function: LeastSquares
     preconditioner: ConstraintPreconditioner
     left: Subproblem = field(repr=False)
-    options: PrimalOptions
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
         """The best field, after that of the last working set."""
-        function, options = self.function, self.options
+        function = self.function
         at = function.start()
         scale = float(np.linalg.norm(function.gradient(function.residual(at))))
         value = function.value(at)
         if last is not None:
             p = np.where(function.split.moving, last, function.field(at))
             at = np.concatenate([p, function.misfit(p)])
-        goal = Goal(
-            GAP * accuracy.rtol,
-            (GAP * accuracy.rtol) ** 2 * value,
-            accuracy.rtol * scale,
-            options.max_steps,
-            accuracy,
-        )
-        rounds = options.rounds, options.round_gain
-        found = minimise(function, self.preconditioner, at, goal, *rounds)
+        gap = GAP * accuracy.rtol
+        goal = Goal(gap, gap**2 * value, accuracy.rtol * scale, accuracy)
+        found = minimise(function, self.preconditioner, at, goal)
         p = self.left.expansion @ function.field(found.at) + self.left.offset
         y = found.at[len(function.split.few.b) :]
         return DualAnswer(p, np.zeros(0), found.steps, accuracy.late, y)

@@ -25,6 +25,9 @@ from ttus_opt.solvers.conjugate_gradients import (
 )
 from ttus_opt.solvers.dual.options import Accuracy
 
+#: A run ends where a round leaves more than this part of the gap [–]
+GAIN = 0.5
+
 
 class Quadratic(Protocol):
     """A strictly convex quadratic function F of a field, with few rows D in it."""
@@ -53,15 +56,15 @@ class Goal:
         gap: Estimated gap over F, relative [–].
         least_gap: Absolute gap that always suffices.
         gradient: Norm of half the gradient.
-        max_steps: Most steps [–].
         accuracy: Its deadline.
+        max_steps: Most steps [–].
     """
 
     gap: float
     least_gap: float
     gradient: float
-    max_steps: int
     accuracy: Accuracy
+    max_steps: int = 300
 
     def times(self, factor: float) -> Goal:
         """The same with both gaps multiplied by a factor."""
@@ -95,8 +98,7 @@ def minimise(
     preconditioner: Callable[[Array], Array],
     at: Array,
     goal: Goal,
-    rounds: int,
-    gain: float,
+    rounds: int = 8,
 ) -> Minimum:
     """Minimise a quadratic function.
 
@@ -106,7 +108,6 @@ def minimise(
         at: Where to start, shape (V + m,).
         goal: When to stop.
         rounds: Most rounds, each from a recomputed residual [–].
-        gain: Stop when a round leaves more than this part of the gap [–].
     """
     steps, before = 0, float("inf")
     now = 0.0  # F along a run
@@ -129,7 +130,7 @@ def minimise(
         gap, value = function.pairing(rest, full), function.value(at)
         if goal.reached(gap, value, function.gradient(rest)):
             return Minimum(at, steps, True)
-        if not gap < gain * before or steps >= goal.max_steps or goal.accuracy.late:
+        if not gap < GAIN * before or steps >= goal.max_steps or goal.accuracy.late:
             break
         at, before = at + full, gap
         rest, value = function.residual(at), function.value(at)
