@@ -10,7 +10,6 @@ See docs/method/solver-variants.md, Penalties other than squares.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -135,8 +134,7 @@ class _Loaded(Prepared):
     def _exchanged(self) -> Candidate | None:
         """Sparse sources by column exchange; None where that misses the tolerance."""
         problem, request = self._problem, self._request
-        limit = request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
+        deadline = request.deadline()
         program, laplace = problem.program, problem.program.laplace
         pairs = zip(problem.blocks, problem.declared, strict=True)
         own, rows = next((b, tag) for b, tag in pairs if tag is not None)

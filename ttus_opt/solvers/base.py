@@ -10,6 +10,7 @@ import abc
 import enum
 import importlib.util
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -105,6 +106,11 @@ class Request:
             )
         if self.time_limit is not None and not self.time_limit > 0.0:
             raise InputError(f"time_limit must be positive [s], got {self.time_limit}")
+
+    def deadline(self) -> float | None:
+        """`time.perf_counter` at the end of a solve begun now; None for none [s]."""
+        limit = self.time_limit
+        return None if limit is None else time.perf_counter() + limit
 
 
 class Prepared(abc.ABC):

@@ -119,9 +119,8 @@ class _Loaded(Limited):
         self._program, self._limits = program, SpokeLimits.of(program)
         split = Split.of(program, self._primal.few_rows)
         if self._limits.binding:
-            options = self._primal, self._options
-            root = split.root()
-            self._problem = LimitedSum(program, self._limits, split, root, *options)
+            limited = program, self._limits, self._options
+            self._problem = LimitedSum(*limited, split, split.root(), self._primal)
             return
         free = np.ones(split.few.columns.shape[1], dtype=bool)
         made = preconditioner(split, free, self._primal, self._options)

@@ -160,7 +160,7 @@ class _Loaded(Limited):
         """The field within its limits."""
         assert self._solver is not None
         problem = LimitedField(
-            self._program, self._limits, self._data, self._solver, self._options
+            self._program, self._limits, self._options, self._data, self._solver
         )
         found = self._within(problem, accuracy)
         return candidate_of(found, found.p, found.multipliers.duals(self._limits))

@@ -34,7 +34,7 @@ def iteration(
 ) -> ActiveSetIteration:
     data, chosen = DualData.of(PROGRAM), DualOptions(**options)  # type: ignore[arg-type]
     solver = DualSolver(data.system, options=chosen)
-    problem = LimitedField(PROGRAM, LIMITS, data, solver, chosen)
+    problem = LimitedField(PROGRAM, LIMITS, chosen, data, solver)
     return ActiveSetIteration(problem, LIMITS, None, tolerance, accuracy)
 
 

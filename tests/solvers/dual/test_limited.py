@@ -45,8 +45,13 @@ class Loaded(Limited):
     def update(self, program: Program) -> None:
         self._program = program
 
-    def solve(self) -> Candidate:
+    def _limited(self, accuracy: Accuracy) -> Candidate:
         raise NotImplementedError
+
+    def facing(self, limits: SpokeLimits) -> Candidate | None:
+        """The answer where limits contradict each other."""
+        self._limits = limits
+        return self._contradiction()
 
 
 def off_by(
@@ -109,8 +114,8 @@ def crossed(by: float) -> SpokeLimits:
 
 
 def test_a_contradiction_counts_beside_the_largest_limit() -> None:
-    assert loaded(1e-6)._contradiction(crossed(4e-6)) is None
-    found = loaded(1e-6)._contradiction(crossed(6e-6))
+    assert loaded(1e-6).facing(crossed(4e-6)) is None
+    found = loaded(1e-6).facing(crossed(6e-6))
     assert found is not None
     assert (found.x, found.claim) == (None, Claim.INFEASIBLE)
     assert "6e-06" in found.detail

@@ -87,7 +87,7 @@ def test_it_is_told_what_soft_values_would_be_without_limits(
     program = load("free_surface", SCENE).compile()
     of, limits = DualData.of(program), SpokeLimits.of(program)
     solver, options = DualSolver(of.system), DualOptions()
-    problem = LimitedField(program, limits, of, solver, options)
+    problem = LimitedField(program, limits, options, of, solver)
     at = ActiveSetIteration(problem, limits, None, 1e-6, Accuracy(1e-11))
     told: list[Array] = []
     plain = SoftValues.held

@@ -42,7 +42,7 @@ def made(
     assert len(split.wide) == 1
     options, root = PrimalOptions(few_rows=FEW), split.root()
     spokes = SpokeLimits.of(program)
-    return program, LimitedSum(program, spokes, split, root, options, DualOptions())
+    return program, LimitedSum(program, spokes, DualOptions(), split, root, options)
 
 
 def solved(

@@ -46,7 +46,21 @@ class DualData:
         assert prior is not None
         if measured is None:
             measured = _measured(program, prior)
-        return cls(*_dual_system(program, prior, measured))
+        free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
+        V = len(free)
+        compliance = np.ones(V) if scale is None else 1.0 / scale**2
+        b, stated = np.empty(V), np.ones(V, dtype=bool) if has_all_rows(prior) else free
+        b[stated] = prior.target if scale is None else prior.target / scale[stated]
+        if hard is not None:
+            b[~free], compliance[~free] = hard, 0.0
+        root = _roots(prior, measured)
+        nothing = sp.csr_array((0, program.n_variables))
+        rows = sp.vstack([nothing, *(t.matrix for t in measured)], format="csr")
+        target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
+        columns = root[:, None] * rows[:, V:].toarray()
+        own = sp.csr_array(rows if rows.shape[1] == V else rows[:, :V])
+        system = DualSystem(operator_of(program, prior), compliance, own, root)
+        return cls(system, b, target, columns)
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
@@ -96,42 +110,6 @@ def _roots(prior: ProgramTerm, measured: Sequence[ProgramTerm]) -> Array:
 def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
     """The terms of positive weight other than the prior."""
     return [t for t in program.terms if t is not prior and t.weight > 0.0]
-
-
-def _right_side(program: Program, prior: ProgramTerm) -> Array:
-    """Vector b of L p = b, from scaled free rows and hard boundary values."""
-    free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
-    if scale is None:
-        b = prior.target.copy()
-    elif has_all_rows(prior):
-        b = prior.target / scale
-    else:  # the boundary values are hard
-        b = np.empty(len(free))
-        b[free] = prior.target / scale[free]
-    if hard is not None:
-        b[~free] = hard
-    return b
-
-
-def _dual_system(
-    program: Program, prior: ProgramTerm, measured: Sequence[ProgramTerm]
-) -> tuple[DualSystem, Array, Array, Array]:
-    """The dual system of a program, b, weighted targets and weighted columns."""
-    V = len(program.laplace.free)
-    compliance, scale = np.ones(V), row_scale(prior)
-    if scale is not None:
-        compliance /= scale**2
-    if hard_values(program) is not None:
-        compliance[~program.laplace.free] = 0.0
-    root = _roots(prior, measured)
-    empty = sp.csr_array((0, program.n_variables))
-    rows = sp.csr_array(sp.vstack([empty, *(t.matrix for t in measured)], format="csr"))
-    target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
-    columns = root[:, None] * rows[:, V:].toarray()
-    own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
-    laplace = operator_of(program, prior)
-    system = DualSystem(laplace, compliance, own, root)
-    return system, _right_side(program, prior), target, columns
 
 
 def duals_without_limits(program: Program, x: Array) -> Duals:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -99,8 +98,7 @@ class Limited(Prepared):
         Args:
             attempt: Solves to a given accuracy of the dual.
         """
-        limit = self._request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
+        deadline = self._request.deadline()
         rtol = max(self._request.tolerance * DUAL_MARGIN, RTOL)
         steps, best, least = 0, Candidate(None), np.inf
         for _ in range(TIGHTENINGS):

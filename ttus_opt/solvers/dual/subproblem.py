@@ -105,29 +105,46 @@ class Subproblem:
 
 
 @dataclass(frozen=True)
-class LimitedField:
+class OneField:
     """A program of one field with limits and no other unknowns.
 
     Attributes:
         program: The problem.
         limits: Its limits.
-        data: The dual of the problem without limits.
-        whole: Solver of that dual, reused from solve to solve.
-        options: Options of the method.
+        options: Options of the active-set method.
     """
 
     program: Program
     limits: SpokeLimits
-    data: DualData
-    whole: DualSolver
     options: DualOptions
     links_along_spokes: ClassVar[bool] = True
-    predicts_roughly: ClassVar[bool] = False
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Shape of the grid."""
         return self.limits.shape
+
+    def objective(self, p: Array) -> float:
+        """The objective."""
+        return self.program.objective(p)
+
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
+        return np.add(*self.program.gradient(p))
+
+
+@dataclass(frozen=True)
+class LimitedField(OneField):
+    """One whose working sets are solved through the dual.
+
+    Attributes:
+        data: The dual of the problem without limits.
+        whole: Solver of that dual, reused from solve to solve.
+    """
+
+    data: DualData
+    whole: DualSolver
+    predicts_roughly: ClassVar[bool] = False
 
     @property
     def alone(self) -> Mask:
@@ -193,14 +210,6 @@ class LimitedField:
         if not (active.links.any() or active.bounds[laplace.free].any()):
             return _given_instead(self.limits, active, data, self.options)
         return reduced(laplace, self.limits, active, data, self.options)
-
-    def objective(self, p: Array) -> float:
-        """The objective."""
-        return self.program.objective(p)
-
-    def gradient(self, p: Array) -> Array:
-        """Gradient of the objective, shape (V,)."""
-        return np.add(*self.program.gradient(p))
 
 
 def _given_instead(

@@ -8,21 +8,23 @@ limits, with the multigrid of the pooled blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers.conjugate_gradients import Map
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.solver import DualAnswer
-from ttus_opt.solvers.dual.subproblem import ReducedLaplace, Subproblem, reduced
+from ttus_opt.solvers.dual.subproblem import (
+    OneField,
+    ReducedLaplace,
+    Subproblem,
+    reduced,
+)
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateLaplace,
@@ -40,43 +42,23 @@ GAP = 1e-2
 
 
 @dataclass(frozen=True)
-class LimitedSum:
+class LimitedSum(OneField):
     """A program of the field alone, with limits and wide terms.
 
     Attributes:
-        program: The problem.
-        limits: Its limits.
         split: Its objective.
         root: A root of its wide terms.
         primal: Options of a subproblem.
-        options: Options of the working sets.
     """
 
-    program: Program
-    limits: SpokeLimits
     split: Split
     root: Root
     primal: PrimalOptions
-    options: DualOptions
-    links_along_spokes: ClassVar[bool] = True
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Shape of the grid."""
-        return self.limits.shape
 
     @property
     def alone(self) -> Mask:
         """Voxels of soft values, shape (V,)."""
         return ~self.split.operator.free
-
-    def objective(self, p: Array) -> float:
-        """The objective."""
-        return self.program.objective(p)
-
-    def gradient(self, p: Array) -> Array:
-        """Gradient of the objective, shape (V,)."""
-        return np.add(*self.program.gradient(p))
 
     def subproblem(self, active: WorkingSet) -> LimitedSubproblem:
         """The problem of a working set."""

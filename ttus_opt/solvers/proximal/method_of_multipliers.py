@@ -167,8 +167,7 @@ class MethodOfMultipliers:
         Args:
             x: Shape (n,), given values included.
         """
-        limit = self._request.time_limit
-        self._deadline = None if limit is None else time.perf_counter() + limit
+        self._deadline = self._request.deadline()
         if self._anchor is not None:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = State(x, [b.residual(x) for b in self._blocks])
