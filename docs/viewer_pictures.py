@@ -23,10 +23,10 @@ from ttus_opt.cli.view_command import shown_example
 from ttus_opt.viewer.viewer import Viewer
 
 FOLDER = Path(__file__).parent / "pictures"
-SIZE = {"width": 1000, "height": 610}  # [px]
+SIZE = {"width": 1000, "height": 700}  # [px]
 
 #: Bars of colour stay smooth; a third of the bytes
-N_COLOURS = 192
+N_COLOURS = 256
 
 #: Frame of the recording at its hardest press
 PRESSED = 276

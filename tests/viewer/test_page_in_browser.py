@@ -115,8 +115,8 @@ def visit(browser: sync_api.Browser, viewer: Viewer) -> Iterator[Visit]:
 
 
 def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the scene is on the only visitor's canvas [px]."""
-    (client,) = viewer._server.get_clients().values()
+    """Where a point of the scene is on the latest visitor's canvas [px]."""
+    *_, client = viewer._server.get_clients().values()
     camera = client.camera
     turn = Rotation.from_quat(camera.wxyz, scalar_first=True).as_matrix()
     x, y, z = turn.T @ (point - camera.position)
@@ -264,6 +264,15 @@ def test_a_phone_is_wide_enough(browser: sync_api.Browser, viewer: Viewer) -> No
     phone = Visit(browser, viewer.url, PHONE)
     width = phone.page.evaluate("document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
+    phone.until(lambda: len(viewer._server.get_clients()) == 2)
+
+    def in_sight() -> bool:  # beside and above the panel
+        skin = viewer.page.stage.skin.vertices
+        x, y = np.transpose([pixel(viewer, point) for point in skin[::7]])
+        seen = x.min() > 0 and x.max() < PHONE["width"] and y.min() > 0
+        return bool(seen and y.mean() < 0.3 * PHONE["height"])
+
+    phone.until(in_sight)
     phone.page.close()
     assert phone.faults == []
 

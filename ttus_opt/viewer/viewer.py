@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 from collections.abc import Sequence
@@ -70,6 +71,7 @@ class Viewer:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+        atexit.register(self.close)  # before viser's own end of a forgotten server
 
     def update(self, field: PotentialField, which: int = 0) -> None:
         """Show another field of the same patient in place of one.
@@ -91,6 +93,7 @@ class Viewer:
         if self._closing.is_set():
             return
         self._closing.set()
+        atexit.unregister(self.close)
         self._thread.join(timeout=5.0)
         self.page.jobs.close()
         if self._server.get_clients():
