@@ -50,13 +50,13 @@ class RecordingTab:
             return False
         self._played += seconds
         frame = int(np.searchsorted(self._clock, self._played, side="right")) - 1
+        changed = frame != self.frame.value
+        if changed:
+            self.frame.value = frame
+            self._stage.state.show_frame(frame)
         if frame >= len(self._clock) - 1:
             self.playing.value = False
-        if frame == self.frame.value:
-            return False
-        self.frame.value = frame
-        self._stage.state.show_frame(frame)
-        return True
+        return changed
 
     def draw(self) -> None:
         """Mark the present frame in the plot, while a recorded one is shown."""
