@@ -41,22 +41,20 @@ class RecordingTab:
         by_hand(self.playing, self._start, stage.tell)
         self._draw_places()
 
-    def play(self, seconds: float) -> bool:
-        """Go on by some time while playing; whether the frame changed."""
+    def play(self, seconds: float) -> None:
+        """Go on by some time [s] while playing."""
         if not self.playing.value:
-            return False
+            return
         if self._stage.state.source != "recording":  # a hand took over
             self.playing.value = False
-            return False
+            return
         self._played += seconds
         frame = int(np.searchsorted(self._clock, self._played, side="right")) - 1
-        changed = frame != self.frame.value
-        if changed:
+        if frame != self.frame.value:
             self.frame.value = frame
             self._stage.state.show_frame(frame)
         if frame >= len(self._clock) - 1:
             self.playing.value = False
-        return changed
 
     def draw(self) -> None:
         """Mark the present frame in the plot, while a recorded one is shown."""
