@@ -77,7 +77,9 @@ def test_large_boxes_are_the_grid():
 def test_levels_of_the_last_box_serve_the_next_solve_there():
     """With vectors of their own; another box has its own levels."""
     free = torso(GRID)
-    here, there = patch(GRID, free, 30), patch(GRID, free, 10)
+    free[:, 32, 14] = False  # so that boxes of equal shape differ
+    here, there = patch(GRID, free, 30), patch(GRID, free, 34)
+    assert Subdomain.around(GRID, here).shape == Subdomain.around(GRID, there).shape
     b = np.random.default_rng(0).normal(size=len(here))
     solver = Multigrid(GRID, free)
     plain = solver.memory_bytes
