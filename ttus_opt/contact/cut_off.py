@@ -32,7 +32,7 @@ def cut_off(
     Returns:
         Shape (T,).
     """
-    grid, found = voxmap.grid, np.zeros(len(position), dtype=bool)
+    grid, cut = voxmap.grid, np.zeros(len(position), dtype=bool)
     reach = float(np.linalg.norm(shell.points, axis=1).max())
     height = position[:, 2]
     near = (height - reach < grid.z_min) | (height + reach > grid.z_max)
@@ -40,8 +40,8 @@ def cut_off(
         near[:] = True
     for t in np.flatnonzero(near):
         places = shell.points @ rotation[t].T + position[t]
-        found[t] = MOST_BEYOND < _share_beyond(voxmap, places, shell.areas) < 1.0
-    return found
+        cut[t] = MOST_BEYOND < _share_beyond(voxmap, places, shell.areas) < 1.0
+    return cut
 
 
 def _share_beyond(voxmap: Voxmap, places: Array, areas: Array) -> float:

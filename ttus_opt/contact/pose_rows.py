@@ -41,9 +41,9 @@ class PoseRows:
         A step as wide as the errors smooths the corners of the interpolation, as the
         errors themselves do.
         """
-        found = []
+        changes = []
         for unit in np.eye(6):
             ahead = self.at(*noise.moved(rotation, position, unit))
             behind = self.at(*noise.moved(rotation, position, -unit))
-            found.append(sp.csr_array(0.5 * (ahead - behind)))
-        return found
+            changes.append(sp.csr_array(0.5 * (ahead - behind)))
+        return changes

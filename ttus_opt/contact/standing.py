@@ -116,8 +116,8 @@ def usual_hold(
     """
     references = position + rotation @ shell.reference
     frames = skin_frames(surface, *places_below(surface, references))
-    own = Rotation.from_matrix(frames).inv() * Rotation.from_matrix(rotation)
-    return np.asarray(own.mean().as_matrix())
+    turns = Rotation.from_matrix(frames).inv() * Rotation.from_matrix(rotation)
+    return np.asarray(turns.mean().as_matrix())
 
 
 def standing(

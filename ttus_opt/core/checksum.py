@@ -58,11 +58,11 @@ def check_seal(file: Path) -> None:
 
 def _crc(file: Path, size: int) -> bytes:
     """CRC-32 of the first bytes, as hex digits."""
-    found = 0
+    crc = 0
     with file.open("rb") as opened:
         while part := opened.read(min(AT_A_TIME, size)):
-            found, size = zlib.crc32(part, found), size - len(part)
-    return b"%08x" % found
+            crc, size = zlib.crc32(part, crc), size - len(part)
+    return b"%08x" % crc
 
 
 def with_checksums(dataset: xr.Dataset) -> xr.Dataset:
@@ -91,9 +91,9 @@ def check_content(dataset: xr.Dataset, left_out: Collection[str] = ()) -> None:
         stated = None
     if not isinstance(stated, dict):
         raise InputError("its checksums are damaged: copy or write the file again")
-    found = _checksums(dataset)
-    for name in sorted({*stated, *found} - {*left_out}):
-        if stated.get(name) != found.get(name):
+    computed = _checksums(dataset)
+    for name in sorted({*stated, *computed} - {*left_out}):
+        if stated.get(name) != computed.get(name):
             raise InputError(
                 f"{name or 'an attribute'} is not what was written: the file is "
                 f"damaged, or another program changed it: copy or write it again"

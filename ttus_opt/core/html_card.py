@@ -6,13 +6,11 @@ Pictures are SVG or PNG of a few hundred bytes, written without a plotting packa
 from __future__ import annotations
 
 import base64
-import struct
-import zlib
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 
@@ -85,27 +83,16 @@ def sections_svg(
 
 def signed_map(values: Array) -> str:
     """An array (rows, columns) as an image, red above zero and blue below."""
+    from PIL import Image  # only in a notebook
+
     most = max(float(np.abs(values).max()), np.finfo(float).tiny)
     share = np.clip(values / most, -1.0, 1.0)
     pale = 1.0 - np.abs(share)
     red, blue = np.where(share > 0, 1.0, pale), np.where(share < 0, 1.0, pale)
     pixels = (255 * np.stack([red, pale, blue], axis=-1)).astype(np.uint8)
-    data = base64.b64encode(_png(pixels)).decode()
+    Image.fromarray(pixels).save(png := io.BytesIO(), "PNG")
+    data = base64.b64encode(png.getvalue()).decode()
     return (
         f'<img width="{SIZE}" height="{SIZE}" style="image-rendering:pixelated" '
         f'src="data:image/png;base64,{data}"/>'
     )
-
-
-def _png(pixels: NDArray[np.uint8]) -> bytes:
-    """A PNG file of RGB pixels, shape (rows, columns, 3); ISO/IEC 15948."""
-    rows, columns, _ = pixels.shape
-    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # column 0: filter 0
-    lines[:, 1:] = pixels.reshape(rows, -1)
-    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))
-    out = b"\x89PNG\r\n\x1a\n"
-    for kind, data in (*chunks, (b"IEND", b"")):
-        check = struct.pack(">I", zlib.crc32(kind + data))
-        out += struct.pack(">I", len(data)) + kind + data + check
-    return out

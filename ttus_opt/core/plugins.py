@@ -54,8 +54,8 @@ def _classes(package: ModuleType) -> Iterator[type]:
             continue
         module = importlib.import_module(f"{package.__name__}.{info.name}")
         for kind in vars(module).values():
-            own = inspect.isclass(kind) and kind.__module__ == module.__name__
-            if own and not kind.__name__.startswith("_"):
+            defined = inspect.isclass(kind) and kind.__module__ == module.__name__
+            if defined and not kind.__name__.startswith("_"):
                 yield kind
 
 
@@ -166,14 +166,14 @@ def _place(error: BaseException) -> tuple[str, int, TracebackType | None] | None
         if _is_users(error.filename):
             return error.filename, error.lineno, None
         return None
-    found = None
+    place = None
     frames = error.__traceback__
     while frames is not None:
         (frame,) = traceback.extract_tb(frames, limit=1)
         if _is_users(frame.filename):
-            found = frame.filename, frame.lineno or 0, frames
+            place = frame.filename, frame.lineno or 0, frames
         frames = frames.tb_next
-    return found
+    return place
 
 
 def _is_users(filename: str) -> bool:

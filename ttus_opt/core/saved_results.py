@@ -67,13 +67,13 @@ def write_json(file: Path, content: Mapping[str, Any], indent: int = 1) -> None:
 
 def read_lines(file: Path) -> list[Any]:
     """Values of a file with one of JSON a line, without damaged lines."""
-    found = []
+    values = []
     for line in file.read_text("utf-8").splitlines() if file.exists() else ():
         try:
-            found.append(json.loads(line))
+            values.append(json.loads(line))
         except json.JSONDecodeError:
             continue  # truncated by an interruption
-    return found
+    return values
 
 
 def append_line(file: Path, content: Any) -> None:

@@ -86,16 +86,16 @@ def fit(
         watch = Stopwatch()
         choice = choice_of(weights, scene, formulation, options)
         choosing = watch.seconds
-        found = fit(
+        solution = fit(
             choice.scene,
             choice.formulation,
             solver=solver,
             tolerance=tolerance,
             time_limit=time_limit,
         )
-        spent = (found.timings.search or 0.0) + choosing
-        timings = replace(found.timings, search=spent)
-        return replace(found, timings=timings, chosen=choice.lines)
+        spent = (solution.timings.search or 0.0) + choosing
+        timings = replace(solution.timings, search=spent)
+        return replace(solution, timings=timings, chosen=choice.lines)
     watch = Stopwatch()
     declared = load(usual, scene, **options)
     if declared.scene is not scene:
@@ -117,7 +117,7 @@ def fit(
 
 
 def _fit_identified(
-    found: SearchResult,
+    search: SearchResult,
     reasons: Mapping[str, str],
     solver: str | Path | Solver,
     request: Request,
@@ -127,17 +127,17 @@ def _fit_identified(
     """Fit, setting parameters to neutral until the data determine all others.
 
     Args:
-        found: The formulation, and estimates of the searched parameters.
+        search: The formulation, and estimates of the searched parameters.
         reasons: Why a parameter is not identified, by name.
         solver: As in `fit`.
         request: Tolerance and time limit.
         declaring: Started with the declaration; None after a search.
         searching: Started with the search; None without one.
     """
-    declared = found.formulation
+    declared = search.formulation
     known = dict(reasons)
-    known |= {name: e.reason for name, e in found.estimates.items() if e.reason}
-    estimates = {n: e for n, e in found.estimates.items() if n not in known}
+    known |= {name: e.reason for name, e in search.estimates.items() if e.reason}
+    estimates = {n: e for n, e in search.estimates.items() if n not in known}
     n_searched = len(estimates)
     spent, compiled = 0.0, 0.0
     if searching is not None:
@@ -161,11 +161,11 @@ def _fit_identified(
         estimates = {n: e for n, e in estimates.items() if n not in known}
         fitter = Fitter(declared, solver=solver, request=request)
         solution = fitter.solve()
-    if spent and (estimates or found.estimates or found.trouble):
+    if spent and (estimates or search.estimates or search.trouble):
         timings = solution.timings
         timings = replace(timings, search=spent, compile=timings.compile + compiled)
         solution = replace(solution, timings=timings)
-    return with_estimates(solution, declared.scene, estimates, known, found.trouble)
+    return with_estimates(solution, declared.scene, estimates, known, search.trouble)
 
 
 class RepeatedFit:

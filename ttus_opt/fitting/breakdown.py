@@ -60,12 +60,12 @@ class Guarded(Prepared):
 
     def solve(self) -> Candidate:
         """The solver's answer, or a candidate with the reason."""
-        found = None
+        candidate = None
         if self._prepared is not None:
-            found = self._tried(self._prepared.solve)
-        if found is None:
+            candidate = self._tried(self._prepared.solve)
+        if candidate is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail=self._why)
-        return found
+        return candidate
 
     def _tried(self, act: Callable[[], T]) -> T | None:
         """The result of a call; None if it broke down."""

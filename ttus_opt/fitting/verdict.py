@@ -24,7 +24,7 @@ from ttus_opt.voxmap.field import PotentialField
 CONFLICT_SECONDS = 30.0
 
 
-def checked_candidate(found: Candidate, program: Program, solver: str) -> Candidate:
+def checked_candidate(answer: Candidate, program: Program, solver: str) -> Candidate:
     """A solver's candidate with vectors of its own, as it may be a user's.
 
     Raises:
@@ -32,27 +32,27 @@ def checked_candidate(found: Candidate, program: Program, solver: str) -> Candid
             be.
     """
     fields: list[tuple[str, Any, Any, str]] = [
-        ("candidate", found, Candidate, "a Candidate"),
+        ("candidate", answer, Candidate, "a Candidate"),
     ]
-    if isinstance(found, Candidate):
+    if isinstance(answer, Candidate):
         fields += [
-            ("duals", found.duals, Duals, "Duals"),
-            ("claim", found.claim, Claim, "a Claim"),
-            ("detail", found.detail, str, "a text"),
-            ("iterations", found.iterations, int | np.integer, "a whole number"),
+            ("duals", answer.duals, Duals, "Duals"),
+            ("claim", answer.claim, Claim, "a Claim"),
+            ("detail", answer.detail, str, "a text"),
+            ("iterations", answer.iterations, int | np.integer, "a whole number"),
         ]
-        if isinstance(found.duals, Duals):
+        if isinstance(answer.duals, Duals):
             fields += [
-                ("duals.rows", found.duals.rows, Mapping, "vectors by constraint"),
-                ("duals.terms", found.duals.terms, Mapping, "vectors by term"),
+                ("duals.rows", answer.duals.rows, Mapping, "vectors by constraint"),
+                ("duals.terms", answer.duals.terms, Mapping, "vectors by term"),
             ]
     for name, value, kind, words in fields:
         if not isinstance(value, kind):
-            what = "solve() must return" if value is found else f"its {name} must be"
+            what = "solve() must return" if value is answer else f"its {name} must be"
             raise InputError(
                 f"solver {solver}: {what} {words}, got {type(value).__name__}"
             )
-    n, duals = program.n_variables, found.duals
+    n, duals = program.n_variables, answer.duals
     sizes = {c.name: len(c.lower) for c in program.constraints}
     sizes |= {c.name: len(c.offset) for c in program.cones}
 
@@ -76,9 +76,9 @@ def checked_candidate(found: Candidate, program: Program, solver: str) -> Candid
     def own_all(name: str, vectors: Mapping[str, Array]) -> dict[str, Array]:
         return {k: own(f"{name}[{k!r}]", v, sizes.get(k)) for k, v in vectors.items()}
 
-    x, bounds = found.x, duals.bounds
+    x, bounds = answer.x, duals.bounds
     return replace(
-        found,
+        answer,
         x=None if x is None else own("x", x, n),
         duals=Duals(
             own_all("duals.rows", duals.rows),

@@ -105,8 +105,8 @@ def encode_field(
             surface.
         GeometryError: The surface does not fit the grid: it is another patient's.
     """
-    own = field.voxmap
-    of = own.grid
+    voxmap = field.voxmap
+    of = voxmap.grid
     if (of.z_min, of.z_max) != (float(surface.z[0]), float(surface.z[-1])):
         raise InputError(
             f"the field's grid reaches from z {of.z_min:.6g} to {of.z_max:.6g} m, the "
@@ -119,15 +119,15 @@ def encode_field(
             f"a message takes fields of at most {MOST_SENT:,} voxels, got "
             f"{of.n_voxels:,}: fit it on a coarser grid"
         )
-    laid = _laid_over(surface, grid, own.boundary)
-    same = np.array_equal(own.surface.radius, surface.radius)
+    laid = _laid_over(surface, grid, voxmap.boundary)
+    same = np.array_equal(voxmap.surface.radius, surface.radius)
     usual = MAX_ERROR if same else MAX_ERROR_ROUNDED
     asked = usual if max_error is None else max_error
     bound = check_bound(asked, LEAST_BOUND, GREATEST_BOUND, field.unit)
     laplace = _laplace_fields(laid)
     if not same:
         read = of.flatten(sampled(laid))
-        before = _laplace_fields(own)
+        before = _laplace_fields(voxmap)
         laplace = (
             np.where(read, laplace[0], before[0]),
             np.where(read, laplace[1], before[1]),
@@ -149,7 +149,7 @@ def encode_field(
     writer.number("I", name)
     writer.number("3H2d", *grid[:5])
     base, colon, length = field.sampling.partition(":")
-    kinds = SAMPLINGS.index(base + colon), BOUNDARIES.index(own.boundary)
+    kinds = SAMPLINGS.index(base + colon), BOUNDARIES.index(voxmap.boundary)
     writer.number("2B3d", *kinds, *scales, bound)
     if colon:
         writer.number("d", float(length))
@@ -259,12 +259,12 @@ def _parameters(content: bytes) -> tuple[dict[str, float], dict[str, float]]:
         InputError: They are not two tables of numbers.
     """
     try:
-        found = json.loads(content)
+        pair = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError("the message is damaged: its parameters") from error
-    if not isinstance(found, list) or len(found) != 2 or not all(map(_numbers, found)):
+    if not isinstance(pair, list) or len(pair) != 2 or not all(map(_numbers, pair)):
         raise InputError("the message is damaged: its parameters are not numbers")
-    return found[0], found[1]
+    return pair[0], pair[1]
 
 
 def _numbers(table: object) -> bool:

@@ -155,14 +155,14 @@ class _Pass:
         self, known: list[IntArray], sides: NDArray[np.int8], nodes: list[_Indices]
     ) -> tuple[list[IntArray], IntArray]:
         """Values of nodes, 0 on other sides, and usable nodes: bit i for node i."""
-        own = sides[np.ix_(*self.target)]
-        usable = np.zeros(own.shape, np.int64)
+        side = sides[np.ix_(*self.target)]
+        usable = np.zeros(side.shape, np.int64)
         seen = []
         for bit, node in enumerate(nodes):
-            same = sides[node] == own
+            same = sides[node] == side
             seen.append(np.where(same, known[bit], 0))
             nearest = len(known) // 2 - 1 <= bit <= len(known) // 2
-            usable |= (same | (own > 0) if nearest else same).astype(np.int64) << bit
+            usable |= (same | (side > 0) if nearest else same).astype(np.int64) << bit
         return seen, usable
 
     def _there(self, node: IntArray) -> _Indices:

@@ -114,7 +114,7 @@ class SkinPatch:
         file = io.existing_file(path, "compliance")
         try:
             with file.open("rb") as stream, np.load(stream) as stored:
-                return cls(**{own.name: stored[own.name] for own in fields(cls)})
+                return cls(**{each.name: stored[each.name] for each in fields(cls)})
         except (OSError, ValueError, TypeError, *DAMAGED) as error:
             raise FileError(
                 f"{file} is not a stored compliance: delete it and compute it again"

@@ -51,8 +51,8 @@ class ScannedTorso(Torso):
         quarter = len(surface.theta) // 4
         x = float(surface.radius[[0, 2 * quarter]].mean())
         y = float(surface.radius[[quarter, 3 * quarter]].mean())
-        own = {f.name: getattr(tissue, f.name) for f in fields(Torso)}
-        return cls(**{**own, "half_axes": (x, y), "scanned": surface})
+        given = {f.name: getattr(tissue, f.name) for f in fields(Torso)}
+        return cls(**{**given, "half_axes": (x, y), "scanned": surface})
 
     def radius(self, theta: Array, z: Array) -> Array:
         """Radius of the skin [m] at angles [rad] and heights [m], broadcast."""

@@ -126,6 +126,6 @@ def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]
 
 def _columns(matrix: sp.csr_array) -> IntArray:
     """Nonempty columns, increasing."""
-    found = np.zeros(matrix.shape[1], dtype=bool)
-    found[matrix.indices] = True
-    return np.flatnonzero(found).astype(np.int64)
+    used = np.zeros(matrix.shape[1], dtype=bool)
+    used[matrix.indices] = True
+    return np.flatnonzero(used).astype(np.int64)

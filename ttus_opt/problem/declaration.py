@@ -217,9 +217,9 @@ class Formulation:
         A prior with a mean of its own uses none.
         """
         tags = [term.assembled.tags for term in self.terms]
-        own = any(Tag.OWN_MEAN in t or known_covariance(t) for t in tags)
+        chosen = any(Tag.OWN_MEAN in t or known_covariance(t) for t in tags)
         scenes = any(laplace_rows(t) and Tag.OWN_MEAN not in t for t in tags)
-        return {} if own and not scenes else self.scene.parameters
+        return {} if chosen and not scenes else self.scene.parameters
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Parameters that a solution identifies, by name.
@@ -238,18 +238,18 @@ class Formulation:
         Args:
             values: The solution's variables by name.
         """
-        found: dict[str, Fitted] = {}
+        columns: dict[str, Fitted] = {}
         for term in self.terms:
-            found |= term.fitted(values)
-        return found
+            columns |= term.fitted(values)
+        return columns
 
     def not_identifiable(self) -> dict[str, str]:
         """Why parameters are not determined by any row, by name."""
-        found: dict[str, str] = {}
+        reasons: dict[str, str] = {}
         for term in self.terms:
             if term.weight > 0.0:
-                found |= term.not_identifiable()
-        return found
+                reasons |= term.not_identifiable()
+        return reasons
 
     def without(self, *names: str) -> Formulation:
         """Without some of the terms and constraints.

@@ -20,9 +20,9 @@ from ttus_opt.core.arrays import Array
 @contextlib.contextmanager
 def locked(thing: Any) -> Iterator[None]:
     """Make all arrays of a dataclass, in members too, read-only within the block."""
-    found: dict[int, Array] = {}
-    _collect(thing, found, set())
-    written = [array for array in found.values() if array.flags.writeable]
+    arrays: dict[int, Array] = {}
+    _collect(thing, arrays, set())
+    written = [array for array in arrays.values() if array.flags.writeable]
     try:
         for array in written:
             array.flags.writeable = False
@@ -32,14 +32,14 @@ def locked(thing: Any) -> Iterator[None]:
             array.flags.writeable = True
 
 
-def _collect(thing: Any, found: dict[int, Array], seen: set[int]) -> None:
+def _collect(thing: Any, arrays: dict[int, Array], seen: set[int]) -> None:
     """Arrays of a thing, of its fields and of what it has cached."""
     if isinstance(thing, np.ndarray):
-        found[id(thing)] = thing
+        arrays[id(thing)] = thing
     elif sp.issparse(thing):
         parts: list[Any] = [vars(thing).get(k) for k in ("data", "indices", "indptr")]
         for part in (*parts, *(vars(thing).get("coords") or ())):
-            _collect(part, found, seen)
+            _collect(part, arrays, seen)
     elif id(thing) not in seen:
         seen.add(id(thing))
         if dataclasses.is_dataclass(thing):
@@ -48,4 +48,4 @@ def _collect(thing: Any, found: dict[int, Array], seen: set[int]) -> None:
             thing = tuple(thing.values())
         if isinstance(thing, tuple | list | frozenset):
             for part in thing:
-                _collect(part, found, seen)
+                _collect(part, arrays, seen)

@@ -206,14 +206,14 @@ class Program:
         Returns:
             None without one.
         """
-        found = []
+        terms = []
         for term in self.terms:
             rows = term.laplace_rows
             if rows is not None and rows.variable == variable and term.is_squares:
                 if rows.scale is None:
                     return term
-                found.append(term)
-        return found[0] if found else None
+                terms.append(term)
+        return terms[0] if terms else None
 
     @property
     def laplace_term(self) -> ProgramTerm | None:

@@ -54,9 +54,9 @@ class Reduction:
         if self.program is self.original:
             return Point(x, duals)
         n = self.original.n_variables
-        own = {constraint.name for constraint in self.original.constraints}
-        own |= {cone.name for cone in self.original.cones}
-        rows = {name: y for name, y in duals.rows.items() if name in own}
+        original = {constraint.name for constraint in self.original.constraints}
+        original |= {cone.name for cone in self.original.cones}
+        rows = {name: y for name, y in duals.rows.items() if name in original}
         terms = dict(duals.terms)
         for term in self.original.terms:
             y = duals.rows.get(_split_name(term.name))

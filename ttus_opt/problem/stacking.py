@@ -35,10 +35,10 @@ def variable_sizes(
     ]
     for owner, rows in members:
         if isinstance(rows, Bounds):
-            found = {rows.variable: len(rows.lower)}
+            given = {rows.variable: len(rows.lower)}
         else:
-            found = {name: M.shape[1] for name, M in rows.blocks.items()}
-        for name, size in found.items():
+            given = {name: M.shape[1] for name, M in rows.blocks.items()}
+        for name, size in given.items():
             if sizes.setdefault(name, size) != size:
                 raise InputError(
                     f"{owner} gives variable {name!r} {size} entries, others "
@@ -64,15 +64,15 @@ def stacked(
         return blocks["p"]
     starts = np.concatenate([[0], np.cumsum(list(sizes.values()))])
     placed = dict(zip(sizes, starts, strict=False))
-    own = [(placed[name], blocks[name]) for name in sizes if name in blocks]
-    if not own:
+    some = [(placed[name], blocks[name]) for name in sizes if name in blocks]
+    if not some:
         return sp.csr_array((n_rows, int(starts[-1])))
     # absent blocks move columns; to stack them too takes five times as long
-    matrix = own[0][1] if len(own) == 1 else sp.hstack([b for _, b in own], "csr")
-    widths = [block.shape[1] for _, block in own]
+    matrix = some[0][1] if len(some) == 1 else sp.hstack([b for _, b in some], "csr")
+    widths = [block.shape[1] for _, block in some]
     before = np.concatenate([[0], np.cumsum(widths)[:-1]])
     index = sp.get_index_dtype(maxval=int(starts[-1]))
-    moved = np.repeat(np.array([s for s, _ in own]) - before, widths).astype(index)
+    moved = np.repeat(np.array([s for s, _ in some]) - before, widths).astype(index)
     columns = matrix.indices.astype(index)
     if moved.any():
         columns += moved[matrix.indices]

@@ -213,12 +213,12 @@ def _pairs(
         return [(np.empty(0, np.int64), np.empty(0, np.int64))]
     most_j = min(int(np.arcsin(min(reach.max(), 1.0)) / step + 0.5), (n_theta - 1) // 2)
     most_k = int(slice_distance / dz + 0.5)
-    found = []
+    pairs = []
     for dj in range(-most_j, most_j + 1):
         near = np.abs(np.sin(angle - (j + dj) * step)) <= reach
         for dk in range(-most_k, most_k + 1):
             here = near & (k + dk >= 0) & (k + dk < n_z)
             here &= np.abs(height - (z[0] + (k + dk) * dz)) <= slice_distance
             node = (((j + dj) % n_theta) * n_z + k + dk)[here]
-            found.append((node, np.flatnonzero(here)))
-    return found
+            pairs.append((node, np.flatnonzero(here)))
+    return pairs

@@ -208,9 +208,9 @@ def follow(candidates: Candidates, model: ContourModel) -> Contour:
     lap = _Lap(radius, noise, prior, model, jump)
     smooth = _two_laps(lap, None)
     for _ in range(_N_REWEIGHT):
-        found = associate(radius, smooth.radius, smooth.variance, noise)
-        smooth = _two_laps(lap, found)
-    return Contour(smooth.radius, smooth.variance, found.seen)
+        last = associate(radius, smooth.radius, smooth.variance, noise)
+        smooth = _two_laps(lap, last)
+    return Contour(smooth.radius, smooth.variance, last.seen)
 
 
 def without_end_cliffs(contour: Contour, z_step: float) -> Contour:

@@ -141,8 +141,8 @@ def _contours(
         slice_distance=of_slice or by_default,
         std=std,
     )
-    found = follow(candidates, model or ContourModel())
-    return without_end_cliffs(found, float(z[1] - z[0]))
+    contour = follow(candidates, model or ContourModel())
+    return without_end_cliffs(contour, float(z[1] - z[0]))
 
 
 def filled_surface(
@@ -242,8 +242,8 @@ def _body_points(
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:
     """Heights of the slices, given or found, shape (n_z,) [m]."""
     if z_range is None:
-        found = usable_range(points)
-        low, high = found.z_min, found.z_max
+        usable = usable_range(points)
+        low, high = usable.z_min, usable.z_max
     else:
         low, high = z_range
         if not high > low:

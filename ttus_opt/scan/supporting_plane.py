@@ -70,9 +70,9 @@ def find_supporting_plane(
     rng = rng or np.random.default_rng(0)
     sample = rng.permutation(cloud)[:_N_SAMPLE]
     for _ in range(_N_ROUNDS):  # one round may miss a bed of which little is seen
-        found = _one_round(sample, rng)
-        if found is not None:
-            return _finish(cloud, *found)
+        best = _one_round(sample, rng)
+        if best is not None:
+            return _finish(cloud, *best)
     return None
 
 

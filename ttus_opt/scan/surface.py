@@ -60,10 +60,10 @@ class Surface:
                 f"a surface needs at least 4 angles and 2 slices, got {shape}"
             )
         for name in ("radius", "radius_std", "observed"):
-            found = getattr(self, name).shape
-            if found != shape:
+            given = getattr(self, name).shape
+            if given != shape:
                 raise InputError(
-                    f"{name} must have shape (n_theta, n_z) = {shape}, got {found}: "
+                    f"{name} must have shape (n_theta, n_z) = {shape}, got {given}: "
                     "transposed?"
                 )
         step = 2.0 * np.pi / shape[0]

@@ -61,9 +61,9 @@ def clock_picture(timing: Timing) -> Figure:
     middle = float(first.time[int(np.argmax(first.values))])
     moved = second.time + timing.offset
     near = np.abs(moved - middle) < HALF_SPAN
-    own = np.abs(first.time - middle) < HALF_SPAN
+    shown = np.abs(first.time - middle) < HALF_SPAN
     begin = float(first.time[0])
-    scale = first.values[own].max() / max(float(second.values[near].max()), 1e-300)
+    scale = first.values[shown].max() / max(float(second.values[near].max()), 1e-300)
     later = f"forces, moved by {timing.offset:.3f} s"
     with look():
         figure = new_figure(7.2, 2.4)

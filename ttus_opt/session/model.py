@@ -87,8 +87,8 @@ def _judge_recordings(scene: Scene) -> None:
     warn_of_one_spot(scene)
     if not scene.trajectory.has_wrench:
         return
-    own = scene.trajectory, Conventions()
-    mistake = likely_mistake(scene, *own, contact_readings(scene))
+    recorded = scene.trajectory, Conventions()
+    mistake = likely_mistake(scene, *recorded, contact_readings(scene))
     if mistake is not None:
         key = f"check {KEYS[mistake.cause]} in the description"
         warn(mistake.told(key), kind=MistakeWarning)

@@ -135,7 +135,7 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
     with results.step("report"):
         from ttus_opt.session.report import write_reports
 
-        found = SessionResult(
+        result = SessionResult(
             results.folder,
             session,
             skin,
@@ -147,8 +147,8 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
             comparisons,
             results.figures,
         )
-        write_reports(found, shell, results.path)
-    return found
+        write_reports(result, shell, results.path)
+    return result
 
 
 def _surface_facts(skin: Skin) -> dict[str, Any]:

@@ -59,13 +59,13 @@ def _steps(result: SessionResult) -> list[list[str]]:
         ["load", _load(result)],
     ]
     for part in result.session.recordings:
-        found = result.recordings[part.name]
-        n = len(set(found.segment.tolist()))
+        frames = result.recordings[part.name]
+        n = len(set(frames.segment.tolist()))
         use = "fitted" if part.fitted else "judged"
         rows.append(
             [
                 part.name,
-                f"{len(found)} frames from {part.start:g} to {part.end:g} s in {n} "
+                f"{len(frames)} frames from {part.start:g} to {part.end:g} s in {n} "
                 f"piece{'s' * (n != 1)}, {use}",
             ]
         )

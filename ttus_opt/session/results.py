@@ -63,8 +63,8 @@ class Results:
             FileError: It is not writable, holds the recording, or other results.
         """
         for file in inputs:
-            own = file.resolve().parent
-            if own == self.folder.resolve():
+            place = file.resolve().parent
+            if place == self.folder.resolve():
                 raise FileError(
                     f"{self.folder} holds the recording: choose another folder for "
                     "the results"

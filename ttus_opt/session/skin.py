@@ -72,10 +72,10 @@ def _depth_cloud(scan: Scan) -> DepthCloud:
         )
         for file, camera in zip(scan.files, scan.cameras, strict=True)
     ]
-    found = stitch(
+    stitched = stitch(
         images,
         [camera.to_scan for camera in scan.cameras],
         noise=None if scan.noise is None else noise_model(scan.noise),
         refine=PoseUncertainty() if scan.refine else None,
     )
-    return found.cloud
+    return stitched.cloud

@@ -185,10 +185,10 @@ def _motion_of_all(
     parts, begin = [tilts(rng)], FREE + PAUSE
     stretches = {}
     for name in RECORDINGS:
-        own = recording(name, seconds)
-        length = float(own.time[-1])
+        motion = recording(name, seconds)
+        length = float(motion.time[-1])
         stretches[name] = (begin, begin + length)
-        parts.append(replace(own, time=own.time + begin))
+        parts.append(replace(motion, time=motion.time + begin))
         begin += length + PAUSE
     return Trajectory.concatenate(parts), stretches
 

@@ -69,7 +69,7 @@ class CutLinks:
         """
         shape = region.shape
         layer = np.nonzero(region == 0)
-        found, misplaced = [], 0
+        cut, misplaced = [], 0
         for axis in range(3):
             for step in (1, -1):
                 at = [np.array(n) for n in layer]
@@ -81,23 +81,21 @@ class CutLinks:
                 a = tuple(n[there] for n in at)
                 free = region[a] != 0
                 a, b = (tuple(n[free] for n in v) for v in (a, b))
-                own, other = (place[v[1], v[2]] - v[0] for v in (a, b))
+                near, other = (place[v[1], v[2]] - v[0] for v in (a, b))
                 side = np.sign(region[a])
-                misplaced += int((side * own < LEAST_DEPTH).sum())
-                own = side * np.maximum(side * own, LEAST_DEPTH)
+                misplaced += int((side * near < LEAST_DEPTH).sum())
+                near = side * np.maximum(side * near, LEAST_DEPTH)
                 # outside, a steep surface may give a negative factor: nothing flows
-                factor = np.maximum(1.0 - other / own, 0.0)
+                factor = np.maximum(1.0 - other / near, 0.0)
                 factor[b[1] == wall] = 0.0
                 links = (
                     np.ravel_multi_index(a, shape),
                     np.ravel_multi_index(b, shape),
-                    np.full(len(own), axis),
+                    np.full(len(near), axis),
                     factor,
                 )
-                found.append(links)
-        voxels, neighbours, axes, factors = map(
-            np.concatenate, zip(*found, strict=True)
-        )
+                cut.append(links)
+        voxels, neighbours, axes, factors = map(np.concatenate, zip(*cut, strict=True))
         return cls(voxels, neighbours, axes, factors, misplaced)
 
     def only(self, kept: NDArray[np.bool_]) -> CutLinks:

@@ -256,9 +256,9 @@ def _sector_attributes(grid: CylindricalGrid) -> dict[str, str]:
 def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
     """An attribute that is a JSON object; empty where it is absent."""
     text = io.text_of(attributes, attribute, "{}")
-    found = json.loads(text)
-    if not isinstance(found, dict):
+    values = json.loads(text)
+    if not isinstance(values, dict):
         raise InputError(
             f"attribute {attribute} must be a JSON object, got {io.shortened(text)}"
         )
-    return found
+    return values

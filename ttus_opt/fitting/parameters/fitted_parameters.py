@@ -214,9 +214,9 @@ class _PseudoMeasurements:
         root = np.sqrt(self._energy) / self._deviation
         matrix = sp.csr_array(sp.diags_array(root) @ self._rows)
         changes = np.diag(self._deviation)
-        prepared, backend, found = None, None, []
+        prepared, backend, moved = None, None, []
         if self._settled:
-            found.append(self._near.x)
+            moved.append(self._near.x)
         else:
             changes = np.vstack([np.zeros(len(root)), changes])
         for change in changes:
@@ -230,9 +230,9 @@ class _PseudoMeasurements:
                 except InputError as error:
                     raise _NoResponseError(str(error)) from error
             x, prepared = self._solved(program, backend, prepared)
-            found.append(x)
-        self._found = found
-        base, *others = (self._rows @ x for x in found)
+            moved.append(x)
+        self._found = moved
+        base, *others = (self._rows @ x for x in moved)
         return np.stack([a - base for a in others], axis=1) / self._deviation
 
     def _solved(

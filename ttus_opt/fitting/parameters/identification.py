@@ -143,9 +143,9 @@ def with_estimates(
         reasons: Why a parameter is not identified, by name.
         trouble: Why the search failed; the solution then does not count as solved.
     """
-    own = solution.parameters.keys()
-    errors = {n: e for n, e in scene.standard_errors.items() if n in own}
-    unknown = {n: why for n, why in scene.not_identified.items() if n in own}
+    known = solution.parameters.keys()
+    errors = {n: e for n, e in scene.standard_errors.items() if n in known}
+    unknown = {n: why for n, why in scene.not_identified.items() if n in known}
     for name, estimate in estimates.items():
         errors[name] = estimate.standard_error
     errors = {

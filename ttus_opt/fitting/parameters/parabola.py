@@ -67,7 +67,7 @@ class Parabola:
         unit = np.eye(k, dtype=int)
         pairs = list(itertools.combinations(range(k), 2))
         places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
-        found: dict[tuple[int, ...], Solution] = {}
+        solved: dict[tuple[int, ...], Solution] = {}
         # sorted, so that consecutive fits differ in the last parameters only
         for signs in sorted(tuple(place.tolist()) for place in places):
             solution = fitted(centre + np.array(signs) * step)
@@ -75,10 +75,10 @@ class Parabola:
                 raise UnsolvedError("a fit beside it was not solved")
             rounding = ROUNDING * abs(solution.objective)
             error = max(error, solution.kkt.gap + rounding)
-            found[signs] = solution
+            solved[signs] = solution
 
         def at(place: NDArray[np.int64]) -> float:
-            return found[tuple(place.tolist())].objective
+            return solved[tuple(place.tolist())].objective
 
         J = at(unit[0] * 0)
         plus, minus = (np.array([at(s * e) for e in unit]) for s in (1, -1))
@@ -88,11 +88,11 @@ class Parabola:
             curvature[i, j] = curvature[j, i] = mixed
         return cls(
             centre,
-            found[(0,) * k],
+            solved[(0,) * k],
             (plus - minus) / (2.0 * step),
             curvature,
             4.0 * error / step**2,
-            tuple((found[tuple(e)], found[tuple(-e)]) for e in unit),
+            tuple((solved[tuple(e)], solved[tuple(-e)]) for e in unit),
             step,
         )
 

@@ -159,7 +159,7 @@ def _least(search: Search, solve: Solve) -> float:
         solved[float(value)] = solution.objective
         return solution.objective
 
-    found = minimize_scalar(
+    least = minimize_scalar(
         objective,
         bounds=(search.low, search.high),
         method="bounded",
@@ -175,7 +175,7 @@ def _least(search: Search, solve: Solve) -> float:
             search.build(search.neutral_value),
         )
     best = min(solved, key=solved.__getitem__)
-    if not found.success:
+    if not least.success:
         raise _NoMinimumError(
             f"the search for {name} did not converge in {MOST_FITS} fits: narrow its "
             "range",
@@ -312,8 +312,8 @@ def _reported(
     def reported(value: float) -> float:
         moved = best.values.copy()
         moved[k] = value
-        found = placed(moved).parameters(best.solution.variables)
-        return found.get(one.parameter, float(value))
+        values = placed(moved).parameters(best.solution.variables)
+        return values.get(one.parameter, float(value))
 
     low, high = reported(one.low), reported(one.high)
     rate = (high - low) / (one.high - one.low)

@@ -49,8 +49,8 @@ class PlaceRows:
 
     def residuals(self, program: Program, x: Array) -> Array:
         """√λ (M x - t) of a fit, one term after the other, shape (m,)."""
-        own = [t for t in program.terms if t.name in self.names]
-        each = [np.sqrt(t.weight) * t.residual(x)[self.rows] for t in own]
+        terms = [t for t in program.terms if t.name in self.names]
+        each = [np.sqrt(t.weight) * t.residual(x)[self.rows] for t in terms]
         return np.concatenate([*each, np.zeros(0)])
 
     def errors(

@@ -165,14 +165,14 @@ class PathRecord:
             self._parameters.setdefault(name, self._empty())[at] = value
         self._judge(at, solution.verified_field)
 
-    def _judge(self, at: Index, found: PotentialField) -> None:
+    def _judge(self, at: Index, field: PotentialField) -> None:
         """Record a field's errors on the recordings."""
         scene = self._declared.scene
         if self._potential is not None:
-            self._potential[at] = found.values
+            self._potential[at] = field.values
         measured = scene.trajectory
         if measured.force is not None:
-            felt = wrenches_by_rows(scene.rows, found, scene.shell, measured)
+            felt = wrenches_by_rows(scene.rows, field, scene.shell, measured)
             force, torque = self._residuals.values()
             for k, part in enumerate(self._recordings.values()):
                 force[(*at, k)] = _rms((felt.force - measured.force)[part])
@@ -180,7 +180,7 @@ class PathRecord:
                     off = felt.torque[part] - measured.torque[part]
                     torque[(*at, k)] = 1e3 * _rms(off)
         for k, (one, rows) in enumerate(self._held_out.values()):
-            felt = wrenches_by_rows(rows, found, scene.shell, one)
+            felt = wrenches_by_rows(rows, field, scene.shell, one)
             errors: Errors = compare(one, felt).errors
             for name, (_unit, figure, scale) in HELD_OUT.items():
                 self._errors[name][(*at, k)] = scale * getattr(errors, figure)
@@ -231,23 +231,23 @@ class PathRecord:
         return out
 
     def _coordinates(self) -> dict[str, object]:
-        found: dict[str, object] = {}
+        coords: dict[str, object] = {}
         for axis in self._grid.axes:
             for name in axis.terms:
                 about = {"units": "1", "long_name": f"weight of term {name}"}
-                found[f"{name}_weight"] = (axis.dimension, axis.values, about)
+                coords[f"{name}_weight"] = (axis.dimension, axis.values, about)
         names = {"term": self._terms}
         if self._declared.scene.trajectory.has_wrench:
             names["recording"] = list(self._recordings)
         if self._held_out:
             names["held_out"] = list(self._held_out)
         for name, values in names.items():
-            found[name] = (name, np.array(values, dtype=str), {"units": "1"})
+            coords[name] = (name, np.array(values, dtype=str), {"units": "1"})
         if self._potential is not None:
             grid = self._declared.scene.voxmap.grid
             for name, unit in zip(DIMS, ("m", "rad", "m"), strict=True):
-                found[name] = (name, getattr(grid, name), {"units": unit})
-        return found
+                coords[name] = (name, getattr(grid, name), {"units": unit})
+        return coords
 
     def _attributes(self) -> dict[str, str | float | int]:
         scene = self._declared.scene

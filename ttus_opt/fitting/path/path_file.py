@@ -71,8 +71,8 @@ def _kept(file: str | os.PathLike[str], inputs: Mapping[str, str]) -> xr.Dataset
     if not Path(file).exists():
         return None
     try:
-        found = read_solution_path(file)
-        stated = json.loads(found.attrs.get(INPUTS, "{}"))
+        saved = read_solution_path(file)
+        stated = json.loads(saved.attrs.get(INPUTS, "{}"))
     except (FileError, ValueError) as error:
         warn(f"all points are computed, and the file is replaced: {error}", 3)
         return None
@@ -80,7 +80,7 @@ def _kept(file: str | os.PathLike[str], inputs: Mapping[str, str]) -> xr.Dataset
     if "scene" in other and "formulation" in other:
         other.remove("formulation")  # its rows are those of the scene
     if not other:
-        return found
+        return saved
     what = f"other {', '.join(other)}" if stated else "unknown inputs"
     warn(
         f"{file} holds a path of {what}: all points are computed, and the file is "

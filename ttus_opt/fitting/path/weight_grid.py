@@ -107,8 +107,8 @@ class WeightGrid:
         ranks = [{i: r for r, i in enumerate(_halving(n))} for n in self.shape]
 
         def late(index: Index) -> tuple[int, int]:
-            own = [rank[i] for rank, i in zip(ranks, index, strict=True)]
-            return max(own), sum(own)
+            places = [rank[i] for rank, i in zip(ranks, index, strict=True)]
+            return max(places), sum(places)
 
         return sorted(itertools.product(*map(range, self.shape)), key=late)
 

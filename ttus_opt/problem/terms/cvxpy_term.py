@@ -127,16 +127,16 @@ class CvxpyRows(Term):
         """The canonical rows: ``name:rows`` and ``name:cones``."""
         one = self._canonical
         linear = one.n_equal + one.n_above
-        found: dict[str, LinearRows | ConeRows] = {}
+        held: dict[str, LinearRows | ConeRows] = {}
         if linear:
             upper = one.h[:linear]
             lower = np.where(np.arange(linear) < one.n_equal, upper, -np.inf)
             blocks = {k: M[:linear] for k, M in one.blocks.items()}
-            found[f"{self.name}:rows"] = LinearRows(blocks, lower, upper)
+            held[f"{self.name}:rows"] = LinearRows(blocks, lower, upper)
         if one.sizes:
             blocks = {k: -M[linear:] for k, M in one.blocks.items()}
-            found[f"{self.name}:cones"] = ConeRows(blocks, one.h[linear:], one.sizes)
-        return found
+            held[f"{self.name}:cones"] = ConeRows(blocks, one.h[linear:], one.sizes)
+        return held
 
     def with_weight(self, weight: float) -> CvxpyRows:
         """The same term with another weight, without canonicalising it again."""
@@ -216,10 +216,10 @@ class CvxpyRows(Term):
             "power": len(dims.p3d) + len(getattr(dims, "pnd", ())),
             "semidefinite": len(dims.psd),
         }
-        found = [name for name, count in others.items() if count]
-        if found:
+        kinds = [name for name, count in others.items() if count]
+        if kinds:
             raise InputError(
-                f"term {self.name} needs {' and '.join(found)} cones, which cannot be "
+                f"term {self.name} needs {' and '.join(kinds)} cones, which cannot be "
                 "verified here: use an expression of linear and second-order cones "
                 "(norms, squares, huber, tv)"
             )

@@ -152,9 +152,9 @@ class DepthMapEstimate:
         normal = normal_rows(contact_directions(scene)) @ scene.N
         force = normal @ self.profile(depth)
         slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
-        own = np.hypot(self.sensor_noise, self.relative_noise * force)
+        alone = np.hypot(self.sensor_noise, self.relative_noise * force)
         drift = self.depth_error * (normal @ slope)
-        return PartNoise.of(scene, own, force, drift, turn)
+        return PartNoise.of(scene, alone, force, drift, turn)
 
 
 def estimate_depth_map(
@@ -207,21 +207,21 @@ def estimate_depth_map(
     mode = posterior_mode(
         lambda steps: problem.evidence(chosen(steps)), len(names), CALLS
     )
-    found = chosen(mode.steps)
-    c, mean = problem.mean(found)
+    likeliest = chosen(mode.steps)
+    c, mean = problem.mean(likeliest)
     return DepthMapEstimate(
-        DepthProfile((found.exponent,), (c,)),
-        found.deviation,
-        found.surface_length,
-        found.depth_length,
-        float(np.sqrt(problem.variances(found, mean).mean())),
+        DepthProfile((likeliest.exponent,), (c,)),
+        likeliest.deviation,
+        likeliest.surface_length,
+        likeliest.depth_length,
+        float(np.sqrt(problem.variances(likeliest, mean).mean())),
         mode.log_posterior,
-        found.noise,
-        found.relative_noise,
-        found.length_ratio,
-        found.shared_error,
-        found.depth_error,
-        found.least_length,
+        likeliest.noise,
+        likeliest.relative_noise,
+        likeliest.length_ratio,
+        likeliest.shared_error,
+        likeliest.depth_error,
+        likeliest.least_length,
     )
 
 
@@ -349,8 +349,8 @@ class _Problem:
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
         normal = normal_rows(contact_directions(scene)[frames])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
-        own = sp.csr_array(normal @ rows[chosen])
-        touched = np.unique(own.indices).astype(np.int64)
+        pressed = sp.csr_array(normal @ rows[chosen])
+        touched = np.unique(pressed.indices).astype(np.int64)
         grid, trajectory = scene.voxmap.grid, scene.trajectory
         n_spokes = grid.shape[1] * grid.shape[2]
         spokes, spoke = np.unique(touched % n_spokes, return_inverse=True)
@@ -367,7 +367,7 @@ class _Problem:
         spread, least = scene.patches.spread[frames], least_length(scene.sampling)
         sampled = patch_factors(spread, least) if least else np.ones(len(frames))
         problem = cls(
-            sp.csr_array(own[:, touched]),
+            sp.csr_array(pressed[:, touched]),
             normal @ force[chosen],
             spread,
             sampled,
@@ -400,8 +400,8 @@ class _Problem:
     def variances(self, chosen: _Chosen, mean: Array) -> Array:
         """Noise variance of every normal force, shape (m,) [N²]."""
         least = LEAST_NOISE**2 * float(np.mean(self.force**2))
-        own = chosen.noise**2 + (chosen.relative_noise * mean) ** 2
-        return np.asarray(np.maximum(own, least))
+        square = chosen.noise**2 + (chosen.relative_noise * mean) ** 2
+        return np.asarray(np.maximum(square, least))
 
     def covariance(self, chosen: _Chosen) -> Array:
         """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
@@ -430,8 +430,8 @@ class _Problem:
             n, size = data.shape
             spoke = np.tile(self.spoke[self.rows.indices], n)
             starts = (size * np.arange(n)[:, None] + self.rows.indptr[:-1]).ravel()
-            own = data.ravel(), spoke, np.append(starts, n * size)
-            every = sp.csr_array(sp.csr_array(own, (n * m, nodes.shape[0])) @ nodes)
+            entries = data.ravel(), spoke, np.append(starts, n * size)
+            every = sp.csr_array(sp.csr_array(entries, (n * m, nodes.shape[0])) @ nodes)
             return [every[k * m : (k + 1) * m] for k in range(n)]
 
         @lru_cache(maxsize=KEPT)

@@ -89,7 +89,7 @@ def estimate_drag(
         measured = np.concatenate([measured, scale * scene.tau])
         pressed = np.concatenate([pressed, scale * (scene.W @ p)])
     n_places = len(np.unique(scene.places[scene.touching]))
-    found = []
+    estimates = []
     for place in places:
         drag = GlobalCoulomb(scene, place, deadband)
         dragged = drag.rows.force @ p
@@ -108,8 +108,8 @@ def estimate_drag(
         if without > misfit:
             least = max(misfit, ROUNDING * without)
             gain = 6.0 * n_places * math.log(without / least)
-        found.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
-    best = min(found, key=lambda one: one.misfit)
+        estimates.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
+    best = min(estimates, key=lambda one: one.misfit)
     if not best.friction_coefficient:
         return best
     if distinct_drag(scene, best.drag.rows.force) >= LEAST_DISTINCT:

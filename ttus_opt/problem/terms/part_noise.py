@@ -150,10 +150,10 @@ def crowding(trajectory: Trajectory) -> Array:
     """Frames of a recording within `ALIKE`, at least one, shape (T,) [–]."""
     out = np.ones(len(trajectory))
     for each in np.unique(trajectory.segment):
-        own = trajectory.segment == each
-        time = trajectory.time[own]
+        there = trajectory.segment == each
+        time = trajectory.time[there]
         steps = max(time[-1] - time[0], ALIKE) / ALIKE
-        out[own] = max((len(time) - 1) / steps, 1.0)
+        out[there] = max((len(time) - 1) / steps, 1.0)
     return out
 
 

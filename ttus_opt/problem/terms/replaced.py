@@ -18,6 +18,6 @@ def replaced(member: _Member, *cached: str, **changes: Any) -> _Member:
         changes: New values of fields.
     """
     other: _Member = replace(member, **changes)  # type: ignore[type-var]
-    own = vars(member)
-    vars(other).update({name: own[name] for name in cached if name in own})
+    known = vars(member)
+    vars(other).update({name: known[name] for name in cached if name in known})
     return other

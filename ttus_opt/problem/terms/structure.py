@@ -162,15 +162,15 @@ def _are_laplace(
     system = declared.system or laplace
     if system.voxmap is not laplace.voxmap:
         return False
-    own, L, scale = blocks[declared.variable], system.L, declared.scale
-    if own is L and scale is None:
+    block, L, scale = blocks[declared.variable], system.L, declared.scale
+    if block is L and scale is None:
         return True
     if scale is not None and not (scale.shape == (V,) and (scale > 0.0).all()):
         return False
-    n_rows = own.shape[0]
+    n_rows = block.shape[0]
     whole = n_rows == V
     only_free = scale is not None and n_rows == int(laplace.free.sum())
-    if own.shape[1] != V or not (whole or only_free):
+    if block.shape[1] != V or not (whole or only_free):
         return False
     probe = np.random.default_rng(0).normal(size=V)
     expected = L @ probe
@@ -178,7 +178,7 @@ def _are_laplace(
         expected = scale * expected
         expected = expected if whole else expected[laplace.free]
     size = float(np.abs(expected).max(initial=0.0))
-    return bool(np.abs(own @ probe - expected).max(initial=0.0) <= ROUNDING * size)
+    return bool(np.abs(block @ probe - expected).max(initial=0.0) <= ROUNDING * size)
 
 
 def _has_covariance(
@@ -197,10 +197,10 @@ def _are_dirichlet(blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem) -
     fixed = np.flatnonzero(~laplace.free)
     if set(blocks) != {"p"}:
         return False
-    own = blocks["p"]
+    block = blocks["p"]
     return bool(
-        own.shape == (len(fixed), len(laplace.free))
-        and np.array_equal(own.indptr, np.arange(len(fixed) + 1))
-        and np.array_equal(own.indices, fixed)
-        and (own.data == 1.0).all()
+        block.shape == (len(fixed), len(laplace.free))
+        and np.array_equal(block.indptr, np.arange(len(fixed) + 1))
+        and np.array_equal(block.indices, fixed)
+        and (block.data == 1.0).all()
     )
