@@ -16,6 +16,7 @@ EXPECTED = [
     "04_friction",
     "05_own_term_and_formulation",
     "06_from_sensors",
+    "07_live",
 ]
 
 #: A path of one machine: /home/…, C:\…, file://…

@@ -54,6 +54,7 @@ class LiveSession:
 
     Attributes:
         trial: What is simulated.
+        speed: Of the session's time over that on the wall [–].
         samples: Time [s], measured force, and the force that the hand's model gives at
             the same pose [N], of the last samples.
     """
@@ -63,6 +64,7 @@ class LiveSession:
         self.samples: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED)
         self._lock, self._closing = threading.RLock(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
+        self.speed = 1.0
         self.restart(trial)
 
     def restart(self, trial: Trial) -> None:
@@ -137,9 +139,11 @@ class LiveSession:
             now = time.monotonic()
             with self._lock:
                 # what cannot be caught up is dropped
-                for _ in self._session.run(min(now - last, BEHIND)):
+                passed = min(now - last, BEHIND)
+                for _ in self._session.run(passed):
                     pass
                 self._remember()
+            self.speed += SHARE * (passed / (now - last) - self.speed)
             last = now
             self._show()
 

@@ -21,6 +21,9 @@ LONGEST, MOST, PRIORS = 1000, 20, (0.5, 2.0)
 #: What the plot shows [s]
 SHOWN = 10.0
 
+#: Speed below which a page says that it is slow [–]
+SLOW = 0.8
+
 #: Colours of the states
 COLOURS = {"NORMAL": "#1c7a5c", "HOLD": "#b45309", "STOP": "#b91c1c"}
 
@@ -66,7 +69,7 @@ class LiveTab:
 
     def write(self) -> None:
         """Write numbers and plot; a few times a second."""
-        self._state.content = numbers(self._session.view())
+        self._state.content = numbers(self._session.view(), self._session.speed)
         self.plot.data = self._columns()
 
     def _listen(self) -> None:
@@ -105,8 +108,13 @@ class LiveTab:
         return time[kept] - time[-1], measured[kept], felt[kept]
 
 
-def numbers(view: LiveState) -> str:
-    """State and figures of a session as HTML."""
+def numbers(view: LiveState, speed: float = 1.0) -> str:
+    """State and figures of a session as HTML.
+
+    Args:
+        view: The present moment.
+        speed: Of the session's time over that on the wall [–].
+    """
     colour, sample = COLOURS[view.state], view.measured
     cause = f": {escape(view.cause)}" if view.cause else ""
     rows = [("felt now", f"{np.linalg.norm(view.force):.2f} N")]
@@ -127,6 +135,8 @@ def numbers(view: LiveState) -> str:
             f"{1e-3 * view.bits_per_second:.0f} kbit/s",
         ),
     ]
+    if speed < SLOW:
+        rows.append(("a busy machine", f"{100 * speed:.0f} % of real time"))
     if view.limited_by:
         rows.append(("limited by", escape(view.limited_by)))
     cells = "".join(
