@@ -163,30 +163,43 @@ def test_a_click_puts_the_probe_there(visit: Visit, viewer: Viewer) -> None:
     rests(viewer)
 
 
-def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
-    before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
-    theta, z = np.array([before[0] - 0.3]), np.array([before[1] - 0.02])
-    goal = skin_points(viewer.state.surface, theta, z)[0]
-    start = centre(viewer)
-    own = skin_points(viewer.state.surface, *np.array(before)[:, None])[0]
-    mouse = visit.page.mouse
+def drag(visit: Visit, viewer: Viewer, way: np.ndarray) -> None:
+    """Take the probe by the mouse some way [m]."""
+    start, mouse = centre(viewer), visit.page.mouse
     mouse.move(*pixel(viewer, start))
     visit.page.wait_for_timeout(1500)
     mouse.down()
     visit.page.wait_for_timeout(500)
     for share in np.linspace(0.0, 1.0, 8):
-        mouse.move(*pixel(viewer, start + share * (goal - own)))
+        mouse.move(*pixel(viewer, start + share * way))
         visit.page.wait_for_timeout(300)
     mouse.up()
     visit.page.wait_for_timeout(1500)
+
+
+def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
+    before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
+    theta, z = np.array([before[0] - 0.3]), np.array([before[1] - 0.02])
+    goal = skin_points(viewer.state.surface, theta, z)[0]
+    own = skin_points(viewer.state.surface, *np.array(before)[:, None])[0]
+    drag(visit, viewer, goal - own)
     moved = np.subtract(viewer.state.place, before)
-    assert moved[0] < -0.05
-    assert moved[1] < -0.005
+    np.testing.assert_allclose(moved, [-0.3, -0.02], rtol=0.3)
     assert viewer.state.depth == pytest.approx(depth, abs=1e-5)
     rests(viewer)
     assert np.abs(felt(viewer) - force).max() > 0.01
     size = np.linalg.norm(felt(viewer)[:3])
     visit.page.get_by_text(f"{size:.2f}", exact=True).first.wait_for()
+
+
+def test_a_drag_with_shift_presses_the_probe_in(visit: Visit, viewer: Viewer) -> None:
+    place, depth = viewer.state.place, viewer.state.depth
+    visit.page.keyboard.down("Shift")
+    drag(visit, viewer, -0.006 * viewer.state.outward)
+    visit.page.keyboard.up("Shift")
+    assert viewer.state.depth - depth == pytest.approx(0.006, rel=0.25)
+    np.testing.assert_allclose(viewer.state.place, place, atol=0.03)
+    rests(viewer)
 
 
 def test_keys_step_by_a_millimetre_and_a_degree(visit: Visit, viewer: Viewer) -> None:

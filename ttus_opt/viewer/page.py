@@ -49,6 +49,10 @@ SHOWN = 8.0
 #: Width of the panel [px]
 WIDTH = 360
 
+#: Least square of the part of the skin's normal that a page shows: where one looks
+#: along it, the probe moves less than the pointer [–]
+STEEP = 0.1
+
 #: How far a ray may pass the skin and still point at it [m]
 NEAR = 0.003
 
@@ -217,21 +221,30 @@ class Page:
 
         async def slid(event: Any) -> None:
             eye = np.asarray(event.client.camera.position) - nodes.offset
-            end = np.array(event.end_position) - nodes.offset
-            place = np.array(place_on_ray(self.state.surface, eye, end - eye))
+
+            def below(point: tuple[float, float, float]) -> Array:
+                ray = np.array(point) - nodes.offset - eye
+                return np.array(place_on_ray(self.state.surface, eye, ray))
+
             if event.phase == "start" or "place" not in grip:
+                place = below(event.start_position)
                 grip.update(place=place, own=np.array(self.state.place))
-            step = place - grip["place"]
+            step = below(event.end_position) - grip["place"]
             step[0] = (step[0] + 0.5 * TURN) % TURN - 0.5 * TURN
             theta, z = grip["own"] + step
             self.state.slide(float(theta), float(z))
 
         async def pressed(event: Any) -> None:
-            end = np.array(event.end_position)
-            if event.phase == "start" or "end" not in grip:
-                grip.update(end=end, depth=self.state.depth)
-            outward = self.state.outward
-            self.state.press(grip["depth"] - float((end - grip["end"]) @ outward))
+            if event.phase == "start" or "point" not in grip:
+                point = np.array(event.start_position)
+                grip.update(point=point, depth=self.state.depth)
+            camera, outward = event.client.camera, self.state.outward
+            ahead = np.asarray(camera.look_at - camera.position)
+            ahead /= np.linalg.norm(ahead)
+            # the normal as the page shows it: the probe follows the pointer along it
+            shown = outward - (outward @ ahead) * ahead
+            way = (np.array(event.end_position) - grip["point"]) @ shown
+            self.state.press(grip["depth"] - float(way) / max(shown @ shown, STEEP))
 
         nodes.probe.on_drag("left")(slid)
         nodes.probe.on_drag("left", modifier="shift")(pressed)
