@@ -174,7 +174,7 @@ def test_every_block_runs_as_it_is_typed(page, tried, bin_folder, tmp_path):
 
 
 #: Pages that are over in seconds
-QUICK = [ROOT / "docs" / "how-to" / f"{n}.md" for n in ("one-clock", "registration")]
+QUICK = [ROOT / "docs" / "how-to" / f"{n}.md" for n in ("one-clock", "voxel-order")]
 
 
 @pytest.mark.parametrize("page", QUICK, ids=names(QUICK))

@@ -5,6 +5,7 @@ import io
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -39,6 +40,12 @@ def pixels_of(html):
     [
         (SCENE.voxmap.surface, ["90 θ × 31 z", "R 8.3 to 12.0 cm", "100 % observed"]),
         (SCENE, ["9×20×10 = 1,800 voxels", "12 poses, ", "300 shell", "p_in 2, "]),
+        (SCENE.shell, ["300 points", "40 × 30 × 30 mm", " cm²"]),
+        (SCENE.trajectory, ["12 frames", "0.55 s", "with wrenches"]),
+        (
+            replace(SCENE.trajectory, force=None, torque=None),
+            ["12 frames", "without wrenches"],
+        ),
         (FIELD, ["p -1.5 to 2 N/cm²", "boundary_scale 2", "coefficient 0.25 ± 0.013"]),
     ],
 )
@@ -60,6 +67,18 @@ def test_short_forms_of_probe_and_trajectory():
     extent = "9×20×10 = 1,800 voxels, r 3.0 to 14.0 cm, z 0.0 to 20.0 cm"
     assert repr(SCENE.voxmap) == f"Voxmap({extent})"
     assert repr(SCENE.voxmap.grid) == f"CylindricalGrid({extent})"
+
+
+def test_a_trajectory_s_curve_is_its_force() -> None:
+    html = SCENE.trajectory._repr_html_()
+    force = np.linalg.norm(SCENE.trajectory.force, axis=1)
+    assert f"at most {force.max():.3g} N" in html
+    found = re.search(r'points="([^"]+)"', html)
+    assert found is not None
+    drawn = np.array([p.split(",") for p in found[1].split()], dtype=float)
+    assert len(drawn) == len(force)
+    assert (160.0 - drawn[:, 1]) / 152.0 == pytest.approx(force / force.max(), abs=1e-3)
+    assert drawn[[0, -1], 0] == pytest.approx([0.0, 160.0])
 
 
 @pytest.mark.slow

@@ -1,4 +1,7 @@
 import itertools
+import pickle
+import subprocess
+import sys
 import tracemalloc
 from dataclasses import replace
 
@@ -222,3 +225,27 @@ def test_out_must_hold_a_wrench(scene):
     renderer = Renderer(random_field(scene), scene.shell)
     with pytest.raises(InputError, match=r"\(6,\), got float64 \(3,\)"):
         renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))
+
+
+def test_a_pickled_renderer_gives_the_same_in_another_process(scene, tmp_path):
+    """The newest field, settled, with its limits: as a renderer built of it."""
+    field = random_field(scene)
+    renderer = Renderer(field, scene.shell, force_limit=0.5)
+    renderer.render(scene.trajectory.rotation[0], scene.trajectory.position[0])
+    newest = replace(field, values=2.0 * field.values)
+    renderer.update(newest)  # a blend that is still under way
+    poses = scene.trajectory.rotation, scene.trajectory.position
+    (tmp_path / "sent").write_bytes(pickle.dumps((renderer, *poses)))
+    code = (
+        "import pickle, sys, numpy as np\n"
+        "renderer, turns, places = pickle.load(open(sys.argv[1] + '/sent', 'rb'))\n"
+        "felt = [renderer.render(R, x) for R, x in zip(turns, places)]\n"
+        "wrenches = [[*w.force, *w.torque] for w in felt]\n"
+        "np.save(sys.argv[1] + '/felt.npy', wrenches)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, tmp_path], check=True, timeout=300)
+    there = np.load(tmp_path / "felt.npy")
+    own = Renderer(newest, scene.shell, force_limit=0.5)
+    here = [own.render(R, x) for R, x in zip(*poses, strict=True)]
+    assert (there == [[*w.force, *w.torque] for w in here]).all()
+    assert np.linalg.norm(there[:, :3], axis=1).max() == pytest.approx(0.5)

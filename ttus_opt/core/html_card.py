@@ -81,6 +81,25 @@ def sections_svg(
     )
 
 
+def curve_svg(time: Array, values: Array) -> str:
+    """A curve over time from zero upwards, as wide and high as the picture.
+
+    Args:
+        time: Increasing, shape (n,) [s].
+        values: At least 0, shape (n,).
+    """
+    across = (time - time[0]) / max(float(np.ptp(time)), np.finfo(float).tiny)
+    up = values / max(float(values.max()), np.finfo(float).tiny)
+    path = " ".join(
+        f"{SIZE * x:.1f},{SIZE * (1 - 0.95 * y):.1f}"
+        for x, y in zip(across, up, strict=True)
+    )
+    return (
+        f'<svg width="{SIZE}" height="{SIZE}" fill="none" stroke="hsl(210,60%,40%)">'
+        f'<polyline points="{path}"/></svg>'
+    )
+
+
 def signed_map(values: Array) -> str:
     """An array (rows, columns) as an image, red above zero and blue below."""
     from PIL import Image  # only in a notebook

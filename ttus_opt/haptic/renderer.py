@@ -10,10 +10,11 @@ imported here.
 
 from __future__ import annotations
 
+import functools
 import math
 import threading
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,7 +76,8 @@ class Renderer:
     `render` allocates the `Wrench` that it returns. Compiled code runs without the
     GIL, here and in the fit, but a thread busy in plain Python holds the GIL for up to
     `sys.getswitchinterval`: run such work in another process, or the haptic loop in C
-    (`c_function`).
+    (`c_function`). A pickled renderer is built anew in the other process, with the
+    newest field, settled, and without a motion.
 
     A field fitted with friction exerts drag on a moving probe. The motion is given as a
     twist or estimated from poses and their times (`MotionFilter`). With neither, frames
@@ -116,7 +118,14 @@ class Renderer:
         _require_positive("force_limit", force_limit, "N")
         _require_positive("torque_limit", torque_limit, "N m")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
-        self._field = field
+        self._field = self._newest = field
+        self._shell = shell
+        self._options: dict[str, Any] = {
+            "blend": blend,
+            "motion": motion,
+            "force_limit": force_limit,
+            "torque_limit": torque_limit,
+        }
         self._data = FrameData.of(
             field.voxmap,
             shell,
@@ -147,6 +156,12 @@ class Renderer:
     def __repr__(self) -> str:
         grid, sampling = self._field.voxmap.grid, self._field.sampling
         return f"<Renderer of {grid.sizes}, {sampling}, drag: {self._fields.drag}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To another process: built anew with the newest field, at rest."""
+        known = self._uncertainty.relative
+        again = functools.partial(Renderer, **self._options, uncertainty=known)
+        return again, (self._newest, self._shell)
 
     def warm_up(self) -> None:
         """Compile everything that frames and updates use; called on construction.
@@ -361,6 +376,7 @@ class Renderer:
                         self._c.pause()
                     weights = self._limits.weights
                     self._fields = swapped(self._fields, new, data, weights)
+                    self._newest = field
                     if self._c:
                         self._c.resume(self._fields.pair)
             finally:

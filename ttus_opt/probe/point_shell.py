@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ttus_opt.core.arguments import expect_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, warn
+from ttus_opt.core.html_card import card, sections_svg
 from ttus_opt.probe.boundary_loops import largest_hole
 from ttus_opt.probe.even_sampling import (
     FINE,
@@ -105,11 +106,24 @@ class PointShell:
         return len(self.points)
 
     def __repr__(self) -> str:
+        return f"PointShell({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        from scipy.spatial import ConvexHull
+
+        sides = [1e3 * self.points[:, [axis, 2]] for axis in (0, 1)]  # [mm]
+        outlines = [side[ConvexHull(side, "QJ").vertices] for side in sides]
+        drawn = {"drawn": "outlines along y (dark) and along x, z upwards"}
+        return card("PointShell", self._facts() | drawn, sections_svg(outlines))
+
+    def _facts(self) -> dict[str, str]:
+        """A short description, by name."""
         size = " × ".join(f"{1e3 * v:.0f}" for v in np.ptp(self.points, axis=0))
-        return (
-            f"PointShell({len(self)} points, {size} mm, "
-            f"{1e4 * self.total_area:.4g} cm²)"
-        )
+        return {
+            "points": f"{len(self)} points",
+            "size": f"{size} mm",
+            "area": f"{1e4 * self.total_area:.4g} cm²",
+        }
 
     @property
     def total_area(self) -> float:

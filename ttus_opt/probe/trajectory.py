@@ -22,6 +22,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arguments import expect_numbers
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError, InputError, located
+from ttus_opt.core.html_card import card, curve_svg
 from ttus_opt.probe.pose import (
     PoseLike,
     QuaternionOrder,
@@ -136,13 +137,33 @@ class Trajectory:
         return len(self.time)
 
     def __repr__(self) -> str:
+        return f"Trajectory({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        own = self._segments()[0]  # times of others may begin anew
+        shown = slice(own.start, own.stop, max(1, (own.stop - own.start) // 200))
+        moved = self.position - self.position[own.start]
+        values = moved if self.force is None else self.force
+        picture = curve_svg(self.time[shown], np.linalg.norm(values[shown], axis=1))
+        about = "distance from the start" if self.force is None else "force"
+        most = f"{np.linalg.norm(values, axis=1).max():.3g}"
+        unit = "m" if self.force is None else "N"
+        drawn = {"drawn": f"{about} over time, at most {most} {unit}"}
+        return card("Trajectory", self._facts() | drawn, picture)
+
+    def _facts(self) -> dict[str, str]:
+        """A short description, by name."""
         parts = len(self._segments())
         recordings = f" in {parts} recordings" if parts > 1 else ""
         measured = "with wrenches" if self.has_torque else "with forces"
         wrench = measured if self.has_wrench else "without wrenches"
         spans = [self.time[p.stop - 1] - self.time[p.start] for p in self._segments()]
         seconds = float(np.sum(spans))
-        return f"Trajectory({len(self)} frames{recordings}, {seconds:.4g} s, {wrench})"
+        return {
+            "frames": f"{len(self)} frames{recordings}",
+            "duration": f"{seconds:.4g} s",
+            "wrenches": wrench,
+        }
 
     @classmethod
     def from_arrays(
