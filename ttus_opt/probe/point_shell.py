@@ -112,7 +112,9 @@ class PointShell:
         from scipy.spatial import ConvexHull
 
         sides = [1e3 * self.points[:, [axis, 2]] for axis in (0, 1)]  # [mm]
-        outlines = [side[ConvexHull(side, qhull_options="QJ").vertices] for side in sides]
+        outlines = [
+            side[ConvexHull(side, qhull_options="QJ").vertices] for side in sides
+        ]
         drawn = {"drawn": "outlines along y (dark) and along x, z upwards"}
         return card("PointShell", self._facts() | drawn, sections_svg(outlines))
 

@@ -54,7 +54,7 @@ def draw(result: SessionResult, shell: PointShell) -> list[Picture]:
 
 
 def clock_picture(timing: Timing) -> Figure:
-    """Both signals of a timing, scaled to the same maximum, on the poses' clock."""
+    """Both signals of a timing, each over its largest value, on the poses' clock."""
     first, second = timing.first, timing.second
     assert first is not None
     assert second is not None
@@ -63,20 +63,22 @@ def clock_picture(timing: Timing) -> Figure:
     near = np.abs(moved - middle) < HALF_SPAN
     shown = np.abs(first.time - middle) < HALF_SPAN
     begin = float(first.time[0])
-    scale = first.values[shown].max() / max(float(second.values[near].max()), 1e-300)
+    most = max(float(first.values[shown].max()), 1e-300)
+    other = max(float(second.values[near].max()), 1e-300)
     later = f"forces, moved by {timing.offset:.3f} s"
     with look():
         figure = new_figure(7.2, 2.4)
         axes = figure.subplots()
         for time, values, style, ink, width, label in (
-            (first.time, first.values, "-", MEASURED, 3.0, "poses"),
-            (second.time, scale * second.values, (0, (4, 2)), BEFORE, 0.9, "forces"),
-            (moved, scale * second.values, "-", AFTER, 0.9, later),
+            (first.time, first.values / most, "-", MEASURED, 3.0, "poses"),
+            (second.time, second.values / other, (0, (4, 2)), BEFORE, 0.9, "forces"),
+            (moved, second.values / other, "-", AFTER, 0.9, later),
         ):
             at = np.abs(time - middle) < HALF_SPAN
             (line,) = axes.plot(time[at] - begin, values[at], linestyle=style)
             line.set(color=ink, linewidth=width, label=label)
         axes.set_xlabel("time after the first pose compared [s]")
-        axes.set_ylabel("as in the poses")
+        axes.set_ylabel("share of the largest [–]")
+        axes.set_ylim(bottom=0.0)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure

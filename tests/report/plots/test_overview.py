@@ -4,6 +4,7 @@ import importlib
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from scipy.spatial.transform import Rotation
 
 from tests.report.plots.drawn import lines
@@ -26,6 +27,7 @@ def test_each_part_shows_what_was_given(fields, evaluations, monkeypatch):
 
     def slice_of(axes, of, values, at, _):
         drawn["slice"] = of, values, at
+        return ScalarMappable()
 
     def section_of(axes, surface, z, cloud):
         drawn["section"] = surface, z, cloud
@@ -40,6 +42,7 @@ def test_each_part_shows_what_was_given(fields, evaluations, monkeypatch):
     surface, z, cloud = drawn["section"]
     assert surface is voxmap.surface and z == grid.z[k]
     np.testing.assert_allclose(cloud, points, atol=1e-12)
+    assert figure.axes[3].get_xlabel() == "p [N/cm²]"
     force, fitted = figure.axes[2], evaluations["fitted"]
     shown = lines(force)
     np.testing.assert_allclose(

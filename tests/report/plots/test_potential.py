@@ -1,13 +1,22 @@
 """Slices show what changed, on scales that end at round numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib import colormaps
 
 from tests.conftest import torso
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
-from ttus_opt.report.plots.potential import colour_limit, local_change, round_up
+from ttus_opt.report.plots.canvas import COLOURS
+from ttus_opt.report.plots.potential import (
+    colour_limit,
+    common_factor,
+    local_change,
+    round_up,
+)
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -32,6 +41,17 @@ def test_what_another_boundary_value_changes_everywhere_is_left_out(fields):
     assert dent == np.argmax(np.abs(after.values - before.values))
     inside = before.voxmap.inside
     assert not local_change(before, scaled)[~inside].any()
+
+
+def test_the_scale_s_change_is_left_out_of_the_difference_and_greys_rise(fields):
+    before, after = fields
+    assert common_factor(before, before) == pytest.approx(1.0)
+    scaled = replace(after, values=3.0 * after.values)
+    assert common_factor(before, scaled) == pytest.approx(
+        3.0 * common_factor(before, after)
+    )
+    grey = colormaps[COLOURS](np.linspace(0, 1, 50))[:, :3] @ [0.299, 0.587, 0.114]
+    assert (np.diff(grey) > 0).all()
 
 
 def _data(line):

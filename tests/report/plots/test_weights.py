@@ -27,6 +27,11 @@ def test_the_curve_and_the_errors_are_those_of_the_path():
     rest = value.sel(term="laplace") + 1e-2 * value.sel(term="torque")
     np.testing.assert_allclose(y, rest, rtol=1e-6)
     assert left.get_title(loc="left") == "a path"
+    # torque is weighed by the formulation and stands with the others
+    assert left.get_xlabel() == "force, without weight [N²]"
+    assert left.get_ylabel() == "all other terms [(N/cm²)²]"
+    named = [text.get_text() for text in right.get_legend().get_texts()]
+    assert named == ["unseen, force", "unseen, angle"]
     error = found["held_out_force_magnitude_error"].to_numpy()[:, 0]
     np.testing.assert_allclose(right.lines[0].get_data()[1], error)
     assert right.lines[1].get_xdata()[0] == WEIGHTS[error.argmin()]

@@ -23,6 +23,9 @@ DPI = 100
 #: Colours of measured, before and after, distinguishable in greyscale
 MEASURED, BEFORE, AFTER = "0.72", "0.25", "#0b4f9c"
 
+#: Perceptually uniform colours, whose grey rises from the lowest value to the highest
+COLOURS = "viridis"
+
 _LOOK = {
     "svg.hashsalt": "ttus_opt",
     "font.size": 9.0,

@@ -10,7 +10,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import Evaluation
 from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.report.plots.forces import draw_magnitude
-from ttus_opt.report.plots.potential import colour_limit, draw_slice
+from ttus_opt.report.plots.potential import UNITS, colour_limit, draw_slice
 from ttus_opt.report.plots.surface import draw_section
 from ttus_opt.voxmap.field import PotentialField
 
@@ -29,12 +29,16 @@ def overview(
     k = grid.shape[2] // 2
     values = field.values[:, :, k]
     with look():
-        figure = new_figure(9.2, 2.7, margins=(0.65, 0.22, 0.45, 0.25))
-        columns = {"width_ratios": (1.0, 1.0, 1.9), "wspace": 0.3}
+        figure = new_figure(9.8, 2.7, margins=(0.65, 0.22, 0.45, 0.25))
+        columns = {"width_ratios": (1.0, 1.25, 1.9), "wspace": 0.36}
         scan, slice_, force = figure.subplots(1, 3, gridspec_kw=columns)
         draw_section(scan, surface, float(grid.z[k]), surface.axis.to_patient(cloud))
         scan.set_title("scan → surface")
-        draw_slice(slice_, field, values, k, colour_limit(field, k))
+        limit = colour_limit(field, k)
+        mesh = draw_slice(slice_, field, values, k, limit)
+        bar = figure.colorbar(mesh, ax=slice_, fraction=0.046, pad=0.04)
+        bar.ax.set_xlabel(f"p [{UNITS[field.unit]}]", labelpad=9)
+        bar.set_ticks([-limit, 0.0, limit])
         slice_.set_title("surface, wrenches → potential")
         for ax in (scan, slice_):
             ax.set_xlabel("x [cm]")

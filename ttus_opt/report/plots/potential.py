@@ -10,15 +10,12 @@ from matplotlib.figure import Figure
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError
-from ttus_opt.report.plots.canvas import add_axes, look, new_figure
+from ttus_opt.report.plots.canvas import COLOURS, add_axes, look, new_figure
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
-#: Blue to red through white; the line style of the contours also shows the sign
-_COLOURS = "RdBu_r"
-
 #: Units of the potential, as of the file
-_UNITS = {"N": "N", "N cm-2": "N/cm²"}
+UNITS = {"N": "N", "N cm-2": "N/cm²"}
 
 #: The colour scale covers values within this distance of the skin [m]
 _SKIN_DEPTH = 0.025
@@ -40,7 +37,9 @@ def potential_slices(
 
     Returns:
         A figure with the slice above and, enlarged below, the part where the fields
-        differ most. Contours are solid for p > 0 and dashed for p < 0.
+        differ most. Contours are solid for p > 0 and dashed for p < 0. The difference
+        is that from a multiple of the first field (`common_factor`): another boundary
+        value alone would fill it.
 
     Raises:
         InputError: The fields have different grids.
@@ -48,7 +47,8 @@ def potential_slices(
     grid = before.voxmap.grid
     if grid != after.voxmap.grid:
         raise InputError("both fields must be on one grid: fit them on one voxmap")
-    change, local = after.values - before.values, local_change(before, after)
+    factor = common_factor(before, after)
+    change, local = after.values - factor * before.values, local_change(before, after)
     if z is None:
         k = int(np.argmax(local.max(axis=(0, 1))))
     else:
@@ -56,7 +56,7 @@ def potential_slices(
     panels = {
         "Laplace prior alone": before.values[:, :, k],
         "fitted to measured wrenches": after.values[:, :, k],
-        "difference": change[:, :, k],
+        f"fitted − {factor:.2f} × prior": change[:, :, k],
     }
     i, j = np.unravel_index(np.argmax(local[:, :, k]), local.shape[:2])
     spot = 100.0 * grid.r[i] * np.array([np.cos(grid.theta[j]), np.sin(grid.theta[j])])
@@ -67,7 +67,7 @@ def potential_slices(
         figure = new_figure(9.6, 6.6, margins=(0.69, 0.35, 1.26, 0.46))
         axes = figure.subplots(2, 3, gridspec_kw={"wspace": 0.374, "hspace": 0.131})
         for column, (title, values) in enumerate(panels.items()):
-            is_change = title == "difference"
+            is_change = title.startswith("fitted −")
             limit = most if is_change else common
             for ax in axes[:, column]:
                 mesh = draw_slice(ax, after, values, k, limit)
@@ -78,7 +78,7 @@ def potential_slices(
                 figure, (9.6 * left - 0.18, 0.42, 9.6 * width + 0.36, 0.14)
             )
             bar = figure.colorbar(mesh, cax=place, orientation="horizontal")
-            bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.unit]}]")
+            bar.set_label(f"{'Δ' * is_change}p [{UNITS[after.unit]}]")
             bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
         for ax in axes[:, 0]:
             ax.set_ylabel("y [cm]")
@@ -122,7 +122,7 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
         axes.set_title(f"Potential at z = {100 * grid.z[k]:.1f} cm")
         axes.set(xlabel="x [cm]", ylabel="y [cm]")
         bar = figure.colorbar(mesh, ax=axes)
-        bar.set_label(f"p [{_UNITS[field.unit]}]")
+        bar.set_label(f"p [{UNITS[field.unit]}]")
         bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
     return figure
 
@@ -149,12 +149,23 @@ def local_change(before: PotentialField, after: PotentialField) -> Array:
     Returns:
         Shape ``grid.shape`` [as the potential].
     """
-    slices = range(before.voxmap.grid.shape[2])
-    near = np.stack([_near_skin(before, k) for k in slices], axis=2)
-    near &= before.voxmap.inside
+    near = _below_skin(before)
+    change = after.values - common_factor(before, after) * before.values
+    return np.where(near, np.abs(change), 0.0)
+
+
+def common_factor(before: PotentialField, after: PotentialField) -> float:
+    """The multiple of one field that is nearest to another just below the skin [–]."""
+    near = _below_skin(before)
     old, new = before.values[near], after.values[near]
-    factor = float(old @ new / (old @ old)) if old.any() else 1.0
-    return np.where(near, np.abs(after.values - factor * before.values), 0.0)
+    return float(old @ new / (old @ old)) if old.any() else 1.0
+
+
+def _below_skin(field: PotentialField) -> Mask:
+    """Voxels inside and near the skin, shape ``grid.shape``."""
+    slices = range(field.voxmap.grid.shape[2])
+    near = np.stack([_near_skin(field, k) for k in slices], axis=2)
+    return np.asarray(near & field.voxmap.inside)
 
 
 def round_up(value: float) -> float:
@@ -205,10 +216,11 @@ def draw_slice(
     x = 100.0 * grid.r[:, None] * np.cos(theta)
     y = 100.0 * grid.r[:, None] * np.sin(theta)
     bands = limit * np.linspace(-1.0, 1.0, 21)
-    mesh = axes.contourf(x, y, closed, bands, cmap=_COLOURS, extend="both")
+    mesh = axes.contourf(x, y, closed, bands, cmap=COLOURS, extend="both")
     lines = np.delete(bands[::2], 5)  # without zero: only rounding decides there
     style = ["dashed" if level < 0 else "solid" for level in lines]
-    axes.contour(x, y, closed, lines, colors="0.3", linewidths=0.5, linestyles=style)
+    inks = ["0.9" if level < 0 else "0.15" for level in lines]  # on dark, on light
+    axes.contour(x, y, closed, lines, colors=inks, linewidths=0.6, linestyles=style)
     draw_outline(axes, field.voxmap.surface, float(grid.z[k]))
     axes.set_aspect("equal")
     return mesh

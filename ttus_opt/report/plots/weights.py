@@ -9,13 +9,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, COLOURS, look, new_figure
 
 if TYPE_CHECKING:
     import xarray as xr
 
 #: Dash patterns that distinguish recordings in greyscale
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+
+#: Units of the objective, as they are written
+_SQUARES = {"N2": " [N²]", "N2 cm-4": " [(N/cm²)²]"}
 
 #: Errors on held-out recordings to draw; over two weights only the first
 _HELD_OUT = ("held_out_force_magnitude_error", "held_out_force_angle_error")
@@ -82,9 +85,24 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
         axes.loglog(x, y, color=colour, marker=".", linewidth=1.1)
         if k == 0:
             _write_weights(axes, x, y, path[dims[0]].to_numpy())
-    axes.set_xlabel(f"{' + '.join(named)}: what is left, without weight")
-    axes.set_ylabel("all other terms")
+    measured = " [N²]" * ({*named} <= {"force", "torque"})  # torque over a length
+    axes.set_xlabel(f"{' + '.join(named)}, without weight{measured}")
+    unit = _SQUARES.get(str(path["objective"].attrs.get("units")), "")
+    axes.set_ylabel(f"all other terms{unit}")
+    _few_ticks(axes.xaxis, plain.to_numpy())
+    _few_ticks(axes.yaxis, rest.to_numpy())
     axes.grid(color="0.92", linewidth=0.5)
+
+
+def _few_ticks(axis: Any, values: Any) -> None:
+    """Ticks that do not overprint: over less than two decades 1, 2 and 5 of each."""
+    from matplotlib import ticker
+
+    known = values[np.isfinite(values) & (values > 0.0)]
+    axis.set_minor_formatter(ticker.NullFormatter())
+    if known.size and known.max() < 100.0 * known.min():
+        axis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
@@ -116,21 +134,32 @@ def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
     for k, one in enumerate(path[over].values):
         dashes = _DASHES[k % len(_DASHES)]
         values = path[name].isel({over: k}).to_numpy()
-        axes.plot(weights, values, color=AFTER, linestyle=dashes, label=f"{one}")
+        label = f"{one}, force" if held else f"{one}"
+        axes.plot(weights, values, color=AFTER, linestyle=dashes, label=label)
         if held:
             _mark_least(axes, weights, values)
     axes.set_ylabel("held-out force error [N]" if held else "force residual, rms [N]")
     axes.set_ylim(bottom=0.0)
-    axes.legend(loc="best", title=None if held else "recording")
+    lines = axes.get_lines()
     if held:
         second = axes.twinx()
-        for k in range(path.sizes[over]):
+        for k, one in enumerate(path[over].values):
             angle = path[_HELD_OUT[1]].isel({over: k}).to_numpy()
             dashes = _DASHES[k % len(_DASHES)]
-            second.plot(weights, angle, color="0.6", linestyle=dashes, linewidth=0.9)
-        second.set_ylabel("angle [°] (grey)")
+            lines += second.plot(
+                *(weights, angle), color="0.6", linestyle=dashes, label=f"{one}, angle"
+            )
+        second.set_ylabel("held-out force angle [°]")
         second.set_ylim(bottom=0.0)
         second.spines["right"].set_visible(True)
+    named = [line for line in lines if not line.get_label().startswith("_")]
+    axes.legend(
+        handles=named,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+        title=None if held else "recording",
+    )
 
 
 def _mark_least(axes: Any, weights: Any, values: Any) -> None:
@@ -145,7 +174,7 @@ def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) 
     name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
     values = path[name].mean(over).transpose(*dims).to_numpy()
     x, y = (np.log10(path[dim].to_numpy()) for dim in dims)
-    mesh = axes.pcolormesh(x, y, values.T, cmap="Blues", shading="nearest")
+    mesh = axes.pcolormesh(x, y, values.T, cmap=COLOURS, shading="nearest")
     figure.colorbar(mesh, ax=axes).set_label(
         "held-out force error [N]" if held else "force residual, rms [N]"
     )
