@@ -7,8 +7,8 @@ recordings with the true force, ``press_test_truth.csv``, ``sweep_test_truth.csv
 ``places_test_truth.csv``. The default model is fitted to the press alone, to the sweep
 alone and to both. Frames with a true force above 0.5 N are counted by their distance
 from the nearest fitted contact, and where they are deeper or lighter than everything
-fitted within 20 mm. The interval of 95 % is that of the field's part alone, along the
-rendered force.
+fitted within 20 mm. The interval of 95 % is the one stated for the true force, along
+the rendered one.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def test_places_far_apart_count_each_and_frames_of_one_place_once():
 
 def test_one_place_is_widened_by_bodies_in_general_and_told():
     depth = np.full(30, 0.006)
-    mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01)
+    mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01, (0.03, 0.7))
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
     with pytest.warns(
         TtusWarning, match="more than one place, not how stiffness varies"

@@ -19,6 +19,7 @@ from ttus_opt.fitting.uncertainty.next_press import (
     next_press,
     normal_forces,
 )
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 
 
 def conditioned(C: np.ndarray, noise: np.ndarray, chosen: list[int]) -> np.ndarray:
@@ -87,7 +88,9 @@ def test_stated_deviations_are_those_of_the_uncertainty() -> None:
     np.testing.assert_allclose(own, found.before[found.node], rtol=1e-6)
     force = rows @ stated().potential.values.ravel()
     np.testing.assert_allclose(force, found.force[found.node], rtol=1e-9)
-    along = stated().std(found.poses).noise[:, :3, :3]
+    given = stated().potential, stated().scene.shell, found.poses
+    wrench = rendered(stated().potential, wrench_rows(*given))
+    along = stated().noise.covariance(wrench)[:, :3, :3]
     assert (noise <= np.einsum("tii->t", along)).all() and (noise > 0.0).all()
 
 

@@ -103,7 +103,10 @@ def test_a_share_just_below_its_limit_is_at_the_limit(
     asked: list[dict[str, float]] = []
 
     def likeliest(
-        given: MeasuredWrenches, variance: float, held: dict[str, float]
+        given: MeasuredWrenches,
+        variance: float,
+        held: dict[str, float],
+        place_share: tuple[float, float],
     ) -> tuple[float, WrenchNoise]:
         asked.append(held)
         return variance, replace(NOISE, **({"place_share": found} | held))

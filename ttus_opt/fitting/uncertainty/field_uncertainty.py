@@ -295,7 +295,11 @@ def _errors(
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
     likeliest = given.square / len(given.data)
-    known = None if mean is None else told_variance(scene, mean)
-    variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE), known)
+    likeliest = max(likeliest, LEAST_VARIANCE)
+    if mean is None:
+        variance, noise = seen.estimate(likeliest)
+    else:
+        known = told_variance(scene, mean)
+        variance, noise = seen.estimate(likeliest, known, mean.shared_error)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])
     return variance, noise, seen.errors(variance, noise, weights, at)

@@ -107,11 +107,19 @@ class WrenchNoise:
 
         NaN for a torque that was not measured; arguments as for `own`.
         """
+        return self.of_model(wrench) + self.of_frame(wrench)
+
+    def of_model(self, wrench: Array) -> Array:
+        """That part of it by which a model is wrong at a place, shape (T, 6, 6)."""
         columns = self.shared(wrench)
-        out = self.own(wrench) + columns @ columns.transpose(0, 2, 1)
+        return np.asarray(columns @ columns.transpose(0, 2, 1))
+
+    def of_frame(self, wrench: Array) -> Array:
+        """The other, new in every frame; NaN for a torque that was not measured."""
+        out = self.own(wrench)
         if np.isnan(self.torque):
             out[:, 3:] = out[:, :, 3:] = np.nan
-        return np.asarray(out)
+        return out
 
     def as_dict(self) -> dict[str, float]:
         """Known values by name, for JSON."""
@@ -240,7 +248,10 @@ class MeasuredWrenches:
         return ByImages.of(white[:-1], white[-1]).log_density - size
 
     def estimate(
-        self, variance: float, known: float | None = None
+        self,
+        variance: float,
+        known: float | None = None,
+        place_share: tuple[float, float] = PRIORS["place_share"],
     ) -> tuple[float, WrenchNoise]:
         """The most likely prior variance and noise.
 
@@ -250,11 +261,12 @@ class MeasuredWrenches:
         Args:
             variance: Median of the prior variance [–].
             known: The prior variance, where it is not estimated [–].
+            place_share: Prior of c: median, and standard deviation of the logarithm.
         """
         held = {} if known is None else {VARIANCE: known}
-        found, noise = self._likeliest(variance, held)
+        found, noise = self._likeliest(variance, held, place_share)
         if noise.place_share >= AT_LIMIT * MOST_SHARE:
-            usual = PRIORS["place_share"][0]
+            usual = place_share[0]
             warnings.warn(
                 "uncertainty: the recordings do not tell errors of whole places, "
                 f"which seem larger than {100 * MOST_SHARE:.0f} %, from what the "
@@ -263,17 +275,22 @@ class MeasuredWrenches:
                 TtusWarning,
                 stacklevel=3,
             )
-            return self._likeliest(variance, held | {"place_share": usual})
+            held = held | {"place_share": usual}
+            return self._likeliest(variance, held, place_share)
         return found, noise
 
     def _likeliest(
-        self, variance: float, held: Mapping[str, float]
+        self,
+        variance: float,
+        held: Mapping[str, float],
+        place_share: tuple[float, float],
     ) -> tuple[float, WrenchNoise]:
         """The same, with some parts of the noise held."""
         few = self.thinned().condensed(held.get(VARIANCE, variance))
         names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
         names = [name for name in (VARIANCE, *names) if name not in held]
         all_priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}
+        all_priors["place_share"] = place_share
         priors = np.array([all_priors[name] for name in names])
         medians, spreads = np.log(priors[:, 0]), priors[:, 1]
 

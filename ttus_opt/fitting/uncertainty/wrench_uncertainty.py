@@ -1,4 +1,9 @@
-"""Covariance of the errors of rendered wrenches, and their rows over a field."""
+"""Covariance of the errors of rendered wrenches, and their rows over a field.
+
+A rendered wrench differs from the true one by the error of the field and by what no
+field has right at a place (`wrench_noise`); a measured wrench by the noise of its frame
+as well.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +35,10 @@ class WrenchUncertainty:
     """Covariance of the errors of rendered wrenches, and of the measurement noise.
 
     Attributes:
-        covariance: Error of rendered force [N] and torque [N·m] in every frame, shape
-            (T, 6, 6); NaN where it is unknown.
-        noise: Noise of measured wrenches, shape (T, 6, 6); NaN for torque where none
-            was measured.
+        covariance: Error of rendered force [N] and torque [N·m] in every frame against
+            the true ones, shape (T, 6, 6); NaN where it is unknown.
+        noise: Further error of measured wrenches, shape (T, 6, 6); NaN for torque where
+            none was measured.
     """
 
     covariance: Array = field(repr=False)
@@ -59,7 +64,8 @@ class WrenchUncertainty:
         """
         rows = wrench_rows(potential, shell, trajectory)
         wrench = rendered(potential, rows)
-        return cls(covariance(rows, 6), noise.covariance(wrench))
+        error = covariance(rows, 6) + noise.of_model(wrench)
+        return cls(error, noise.of_frame(wrench))
 
     @property
     def known(self) -> Mask:

@@ -132,7 +132,8 @@ class DepthMapTerm(Term):
             drift.append(PRIOR["exponent"][1] * a * log_depth * power)
         usual = PRIOR["deviation"][0]
         columns = np.stack(drift, axis=1)
-        return UncertainMean(columns, self.deviation, usual, self.surface_length)
+        lengths = self.surface_length, PRIOR["shared_error"]
+        return UncertainMean(columns, self.deviation, usual, *lengths)
 
 
 def voxel_depth(scene: Scene) -> Array:

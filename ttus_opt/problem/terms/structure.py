@@ -76,12 +76,15 @@ class UncertainMean:
         deviation: Relative standard deviation of the field about its mean [–].
         usual: What it is in bodies in general [–].
         length: Length over which it varies along the surface [m].
+        shared_error: Median and logarithmic standard deviation of the prior of the
+            relative error that frames of a place share [–].
     """
 
     drift: Array = field(repr=False)
     deviation: float
     usual: float
     length: float
+    shared_error: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
