@@ -7,7 +7,7 @@ An interval of 95 % is calibrated if it covers 95 % over repetitions, not in eac
 them. Every draw gives all four recordings of a patient, fitted and unseen, new noise of
 poses and wrenches; a formulation is fitted, and its uncertainty compared with the
 measured wrenches of the unseen recordings. Errors against true wrenches at true poses
-tell how much of it is the field's part.
+tell how much of it is not noise.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ COLUMNS = (
     "force: stated, error [N]",
     "torque [mN·m]",
     "ranks: force, torque",
-    "true force, field's part alone",
+    "true force",
     "true torque",
 )
 
@@ -73,7 +73,7 @@ class Row:
         force_ranks: Rank correlation of uncertainty and error in measured frames [–].
         torque_ranks: The same for torque.
         force_alone: Share of true force components, at true poses, within the interval
-            of the field's part alone [–].
+            that is stated for them [–].
         torque_alone: The same for torque.
     """
 
