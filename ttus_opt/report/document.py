@@ -31,7 +31,7 @@ _STYLE = (
 
 
 #: Longest cell that is never broken [characters]
-UNBROKEN = 16
+UNBROKEN = 12
 
 
 class Block:
