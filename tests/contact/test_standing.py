@@ -21,7 +21,7 @@ from ttus_opt.scan.surface import Surface
 THETA, Z = np.array([0.3, 2.0, 4.0]), np.array([0.05, 0.1, 0.15])
 
 
-def test_frames_of_the_skin_follow_its_slope() -> None:
+def test_frames_of_the_skin_follow_its_slope():
     theta, z = np.array([0.0, 1.0, 2.5]), np.array([0.1, 0.15, 0.2])
     heights = np.linspace(0.0, 0.3, 31)  # a cone: r = 0.1 + z/4
     cone = Surface.from_radius(np.tile(0.1 + heights / 4.0, (180, 1)), heights)
@@ -34,7 +34,7 @@ def test_frames_of_the_skin_follow_its_slope() -> None:
 
 
 @pytest.mark.parametrize("depth", [-0.01, 0.0, 0.006, 0.02])
-def test_all_points_of_the_probe_count_for_its_depth(depth: float) -> None:
+def test_all_points_of_the_probe_count_for_its_depth(depth):
     hold = Rotation.from_rotvec([0.4, -0.3, 1.0]).as_matrix()
     shell = ellipsoid(300, (0.03, 0.0125, 0.018))
     rotation, position = standing(torso(), shell, hold, THETA, Z, depth)
@@ -46,7 +46,7 @@ def test_all_points_of_the_probe_count_for_its_depth(depth: float) -> None:
         assert deepest == pytest.approx(depth, abs=1e-6)
 
 
-def test_a_ball_on_a_cylinder_stands_one_radius_off() -> None:
+def test_a_ball_on_a_cylinder_stands_one_radius_off():
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     ball = ellipsoid(3000, (0.02, 0.02, 0.02))
     rotation, position = standing(cylinder, ball, np.eye(3), THETA, Z, 0.004)
@@ -64,7 +64,7 @@ def shifted() -> PointShell:
     return PointShell(one.points + off, one.normals, one.areas, one.reference + off)
 
 
-def test_the_usual_hold_is_that_of_the_poses_wherever_the_origin_lies() -> None:
+def test_the_usual_hold_is_that_of_the_poses_wherever_the_origin_lies():
     hold = Rotation.from_rotvec([0.2, 0.1, -2.0]).as_matrix()
     for shell in (ellipsoid(), shifted()):
         rotation, position = standing(torso(), shell, hold, THETA, Z, 0.0)
@@ -72,7 +72,7 @@ def test_the_usual_hold_is_that_of_the_poses_wherever_the_origin_lies() -> None:
         np.testing.assert_allclose(found, hold, atol=1e-5)
 
 
-def test_the_origin_does_not_change_where_a_probe_stands() -> None:
+def test_the_origin_does_not_change_where_a_probe_stands():
     hold = Rotation.from_rotvec([0.2, 0.1, -2.0]).as_matrix()
     shells = ellipsoid(), shifted()
     poses = [standing(torso(), one, hold, THETA, Z, 0.003) for one in shells]
@@ -81,7 +81,7 @@ def test_the_origin_does_not_change_where_a_probe_stands() -> None:
 
 
 @pytest.mark.parametrize("height", [-0.01, 0.0, 0.03])
-def test_the_place_below_a_point_is_that_of_its_normal(height: float) -> None:
+def test_the_place_below_a_point_is_that_of_its_normal(height):
     normal = skin_frames(torso(), THETA, Z)[:, :, 0]
     points = skin_points(torso(), THETA, Z) + height * normal
     theta, z = places_below(torso(), points)
@@ -89,7 +89,7 @@ def test_the_place_below_a_point_is_that_of_its_normal(height: float) -> None:
     np.testing.assert_allclose(z, Z, atol=1e-6)
 
 
-def test_points_of_the_skin_lie_on_it() -> None:
+def test_points_of_the_skin_lie_on_it():
     points = skin_points(torso(), THETA, Z)
     radius = torso().radius_at(THETA, Z)
     np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), radius)

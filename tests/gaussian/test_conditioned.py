@@ -9,7 +9,6 @@ from scipy.stats import multivariate_normal
 from ttus_opt.gaussian.conditioned import (
     ByCovariance,
     ByImages,
-    Conditioned,
     conditioned,
 )
 
@@ -37,7 +36,7 @@ every = pytest.mark.parametrize(("given", "S"), CASES.values(), ids=CASES)
 
 
 @every
-def test_solve_is_the_dense_inverse(given: Conditioned, S: np.ndarray) -> None:
+def test_solve_is_the_dense_inverse(given, S):
     several = np.random.default_rng(2).normal(size=(M, 3))
     np.testing.assert_allclose(given.solve(several), np.linalg.solve(S, several))
     np.testing.assert_allclose(given.multipliers, np.linalg.solve(S, DATA))
@@ -45,16 +44,14 @@ def test_solve_is_the_dense_inverse(given: Conditioned, S: np.ndarray) -> None:
 
 
 @every
-def test_the_density_is_that_of_a_normal(given: Conditioned, S: np.ndarray) -> None:
+def test_the_density_is_that_of_a_normal(given, S):
     found = given.log_density - 0.5 * M * np.log(2.0 * np.pi)
     assert found == pytest.approx(multivariate_normal(np.zeros(M), S).logpdf(DATA))
     assert given.log_determinant == pytest.approx(np.linalg.slogdet(S)[1])
 
 
 @every
-def test_groups_left_out_are_predicted_from_the_others(
-    given: Conditioned, S: np.ndarray
-) -> None:
+def test_groups_left_out_are_predicted_from_the_others(given, S):
     """By conditioning without them; also of several data at once."""
     several = np.stack([DATA, np.cos(np.arange(M))], axis=1)
     both = given.left_out(GROUP, given.solve(several))
@@ -67,9 +64,7 @@ def test_groups_left_out_are_predicted_from_the_others(
 
 
 @every
-def test_what_all_others_predict_has_no_multipliers(
-    given: Conditioned, S: np.ndarray
-) -> None:
+def test_what_all_others_predict_has_no_multipliers(given, S):
     own = GROUP == 2
     left = given.solve(given.data - np.where(own, given.left_out(GROUP), 0.0))
     np.testing.assert_allclose(left[own], 0.0, atol=1e-10)
@@ -77,7 +72,7 @@ def test_what_all_others_predict_has_no_multipliers(
     np.testing.assert_allclose(left[~own], expected, atol=1e-10)
 
 
-def test_coefficients_are_those_of_ridge_regression() -> None:
+def test_coefficients_are_those_of_ridge_regression():
     B, given = images(6), ByImages.of(images(6), DATA)
     rows = np.vstack([B.T, np.eye(6)])
     aim = np.concatenate([DATA, np.zeros(6)])
@@ -88,14 +83,14 @@ def test_coefficients_are_those_of_ridge_regression() -> None:
     np.testing.assert_allclose(given.half.T @ given.half, explained, atol=1e-12)
 
 
-def test_white_data_have_the_covariance_of_white_noise() -> None:
+def test_white_data_have_the_covariance_of_white_noise():
     given = ByCovariance.of(covariance(40), DATA)
     root = given.white(covariance(40))
     np.testing.assert_allclose(given.white(root.T), np.eye(M), atol=1e-12)
 
 
 @pytest.mark.parametrize(("k", "kind"), [(6, ByImages), (40, ByCovariance)])
-def test_the_smaller_system_is_factorised(k: int, kind: type) -> None:
+def test_the_smaller_system_is_factorised(k, kind):
     found = conditioned(images(k), DATA)
     assert isinstance(found, kind) and len(found.factor) == min(k, M)
     np.testing.assert_allclose(found.solve(DATA), np.linalg.solve(covariance(k), DATA))

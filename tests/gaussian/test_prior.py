@@ -74,7 +74,7 @@ def some_rows() -> sp.csr_array:
 
 
 @every
-def test_products_are_those_of_the_covariance(name: str) -> None:
+def test_products_are_those_of_the_covariance(name):
     values = np.random.default_rng(6).normal(size=V)
     expected = dense(name) @ values
     close(prior_of(name).times(values), expected)
@@ -83,7 +83,7 @@ def test_products_are_those_of_the_covariance(name: str) -> None:
     assert np.linalg.norm(rough - expected) < 0.02 * np.linalg.norm(expected)
 
 
-def test_solves_are_as_accurate_as_asked() -> None:
+def test_solves_are_as_accurate_as_asked():
     values = np.random.default_rng(6).normal(size=V)
     rough, fine = (
         np.linalg.norm(laplace().within(rtol).times(values) - dense("laplace") @ values)
@@ -94,7 +94,7 @@ def test_solves_are_as_accurate_as_asked() -> None:
 
 @every
 @pytest.mark.parametrize("height", [1, 2, 6])
-def test_rows_have_its_covariance(name: str, height: int) -> None:
+def test_rows_have_its_covariance(name, height):
     rows, found = some_rows(), prior_of(name).among_rows(some_rows(), height)
     expected = rows @ dense(name) @ rows.T
     assert found.shape == (6 // height, height, height)
@@ -106,7 +106,7 @@ def test_rows_have_its_covariance(name: str, height: int) -> None:
 
 
 @every
-def test_draws_have_its_covariance(name: str) -> None:
+def test_draws_have_its_covariance(name):
     """Of 2,000 draws a standard deviation is off by 1/√4000."""
     rng, rows = np.random.default_rng(7), some_rows().toarray()[[0, 1, 4, 5]]
     seen = rows @ np.stack([prior_of(name).draw(rng) for _ in range(2000)], axis=1)
@@ -116,7 +116,7 @@ def test_draws_have_its_covariance(name: str) -> None:
 
 
 @known
-def test_columns_are_those_of_the_covariance(name: str) -> None:
+def test_columns_are_those_of_the_covariance(name):
     prior, voxels = prior_of(name), np.array([3, 17, 18, 90, V - 1])
     assert isinstance(prior, KnownPrior)
     columns, values = prior.columns(voxels), np.arange(5.0)

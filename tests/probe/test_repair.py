@@ -40,7 +40,7 @@ def broken() -> list[list[object]]:
     return rows
 
 
-def test_one_error_lists_all(tmp_path: Path) -> None:
+def test_one_error_lists_all(tmp_path):
     file = written(tmp_path / "press.csv", broken())
     with pytest.raises(FileError) as told:
         read_trajectory(file)
@@ -57,7 +57,7 @@ def test_one_error_lists_all(tmp_path: Path) -> None:
         assert words in text
 
 
-def test_repair_says_what_it_did(tmp_path: Path) -> None:
+def test_repair_says_what_it_did(tmp_path):
     file = written(tmp_path / "press.csv", broken())
     with pytest.warns(TtusWarning) as told:
         found = read_trajectory(file, repair=True)
@@ -78,7 +78,7 @@ def test_repair_says_what_it_did(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.position[:, 0], 0.001 * kept, atol=1e-3)
 
 
-def test_gaps_and_resets_begin_a_segment() -> None:
+def test_gaps_and_resets_begin_a_segment():
     time = np.r_[0.05 * np.arange(20), 3.0 + 0.05 * np.arange(20)]
     time = np.r_[time, time]  # the clock was set back
     turn = np.tile([1.0, 0, 0, 0], (80, 1))
@@ -89,13 +89,13 @@ def test_gaps_and_resets_begin_a_segment() -> None:
     assert found.done == ("split where the clock was set back (1)", "split at gaps (2)")
 
 
-def test_a_sound_recording_is_left_alone(tmp_path: Path) -> None:
+def test_a_sound_recording_is_left_alone(tmp_path):
     raw = RawRecording("x", 0.05 * np.arange(9.0), force=np.ones((9, 3)))
     same = repaired(raw.replaced(force=np.arange(27.0).reshape(9, 3)))
     assert same.done == ()
 
 
-def test_nothing_left_is_an_error() -> None:
+def test_nothing_left_is_an_error():
     raw = RawRecording("x", np.arange(4.0), force=np.full((4, 3), np.nan))
     with pytest.raises(FileError, match="no row is left"):
         repaired(raw)
@@ -103,7 +103,7 @@ def test_nothing_left_is_an_error() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_what_is_repaired_has_no_fault_that_repair_is_for(seed: int) -> None:
+def test_what_is_repaired_has_no_fault_that_repair_is_for(seed):
     """Any mixture of holes; and a second repair finds nothing but what it split."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(20, 80))

@@ -17,12 +17,12 @@ from ttus_opt.voxmap.sampling import check_sampling, field_unit, least_length, s
         ("contact-size:0.018", 0.018, "N cm-2"),
     ],
 )
-def test_a_name_has_a_length_and_a_unit(name: str, length: float, unit: str) -> None:
+def test_a_name_has_a_length_and_a_unit(name, length, unit):
     check_sampling(name)
     assert least_length(name) == length and field_unit(name) == unit
 
 
-def test_a_length_is_written_in_three_digits() -> None:
+def test_a_length_is_written_in_three_digits():
     assert sized(0.0178499) == "contact-size:0.0178"
     assert least_length(sized(1.23456e-4)) == 1.23e-4
 
@@ -38,6 +38,6 @@ def test_a_length_is_written_in_three_digits() -> None:
         ("contact-size:nan", "got 'nan'"),
     ],
 )
-def test_other_names_are_refused(name: str, told: str) -> None:
+def test_other_names_are_refused(name, told):
     with pytest.raises(InputError, match=told):
         check_sampling(name)

@@ -5,6 +5,7 @@ import pytest
 from ttus_opt.fitting.path.task_pool import task_pool
 
 
+@pytest.mark.slow
 def test_a_worker_executes_no_file_of_the_current_folder(tmp_path, monkeypatch):
     joblib = pytest.importorskip("joblib", reason="needs ttus-opt[parallel]")
     executor = pytest.importorskip("joblib.externals.loky").get_reusable_executor

@@ -32,7 +32,7 @@ def test_places_left_out_are_not_known():
         np.testing.assert_allclose(found[own], np.abs(error), rtol=1e-6)
 
 
-def test_the_profile_as_a_whole_varies_too() -> None:
+def test_the_profile_as_a_whole_varies_too():
     """Against the covariance of all voxels, by the rows of the Matérn field."""
     problem = PoseErrorProblem.of(examined()[0], NOISE)
     state = problem.start()

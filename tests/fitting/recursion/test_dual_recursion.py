@@ -60,7 +60,7 @@ class Problem:
 
 
 @pytest.fixture(scope="module")
-def coarse() -> Scene:
+def coarse():
     return small_scene(shape=(7, 12, 7), n_poses=2)
 
 
@@ -69,9 +69,7 @@ def close(a: Array, b: Array, tolerance: float = 1e-8) -> bool:
 
 
 @pytest.mark.parametrize("weight", [1e-4, 1.0, 1e4])
-def test_field_is_that_of_the_explicit_closed_form(
-    coarse: Scene, weight: float
-) -> None:
+def test_field_is_that_of_the_explicit_closed_form(coarse, weight):
     problem = Problem(coarse, 8, 0, weight)
     system = problem.start()
     assert close(system.field(), coarse.laplace.solve(coarse.b), 1e-12)
@@ -81,7 +79,7 @@ def test_field_is_that_of_the_explicit_closed_form(
         assert close(system.field(), p)
 
 
-def test_forecast_is_the_dense_posterior(coarse: Scene) -> None:
+def test_forecast_is_the_dense_posterior(coarse):
     problem = Problem(coarse, 7, 1, 1.0)
     system = problem.start()
     problem.fold(system, list(range(6)))
@@ -93,7 +91,7 @@ def test_forecast_is_the_dense_posterior(coarse: Scene) -> None:
     assert np.allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
 
 
-def test_forecast_after_a_removal_is_the_dense_posterior(coarse: Scene) -> None:
+def test_forecast_after_a_removal_is_the_dense_posterior(coarse):
     """The blocks that were there first go; the same ones once more take their part."""
     problem = Problem(coarse, 4, 10, 1.0)
     system = problem.start()
@@ -111,7 +109,7 @@ def test_forecast_after_a_removal_is_the_dense_posterior(coarse: Scene) -> None:
     np.testing.assert_allclose(again.schur, covariance, rtol=1e-6, atol=1e-8)
 
 
-def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
+def test_whitened_innovations_carry_the_least_objective(coarse):
     problem = Problem(coarse, 5, 2, 1.0)
     system = problem.start()
     problem.fold(system, list(range(5)))
@@ -129,9 +127,7 @@ def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
     seed=st.integers(0, 1000),
 )
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_any_order_and_any_removal(
-    coarse: Scene, order: list[int], removed: int, count: int, seed: int
-) -> None:
+def test_any_order_and_any_removal(coarse, order, removed, count, seed):
     problem = Problem(coarse, 5, seed, 1.0)
     system = problem.start()
     problem.fold(system, order)
@@ -148,7 +144,7 @@ def test_any_order_and_any_removal(
     assert close(system.field(), problem.dense(list(range(5)))[1])
 
 
-def test_removing_the_last_returns_the_former_state(coarse: Scene) -> None:
+def test_removing_the_last_returns_the_former_state(coarse):
     problem = Problem(coarse, 4, 3, 1.0)
     system = problem.start()
     problem.fold(system, [0, 1, 2])
@@ -162,7 +158,7 @@ def test_removing_the_last_returns_the_former_state(coarse: Scene) -> None:
     assert close(again.mean, before.mean, 1e-12)
 
 
-def test_fading_is_the_batch_with_faded_weights(coarse: Scene) -> None:
+def test_fading_is_the_batch_with_faded_weights(coarse):
     problem = Problem(coarse, 6, 4, 1.0)
     system = problem.start()
     weights = np.ones(0)
@@ -177,7 +173,7 @@ def test_fading_is_the_batch_with_faded_weights(coarse: Scene) -> None:
 
 
 @pytest.mark.parametrize("array", ["_C", "_E", "_N"])
-def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse: Scene, array: str) -> None:
+def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse, array):
     problem = Problem(coarse, 7, 9, 1.0)
     system = problem.start()
     problem.fold(system, list(range(6)))
@@ -190,7 +186,7 @@ def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse: Scene, array: str) -
     assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
 
 
-def test_a_spoilt_factor_is_noticed_by_the_next_rows(coarse: Scene) -> None:
+def test_a_spoilt_factor_is_noticed_by_the_next_rows(coarse):
     """Rows that are said to be known better than they are measured: R is made anew."""
     problem = Problem(coarse, 7, 9, 1e2)
     system = problem.start()
@@ -204,9 +200,7 @@ def test_a_spoilt_factor_is_noticed_by_the_next_rows(coarse: Scene) -> None:
     assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
 
 
-def test_solves_that_fail_leave_what_is_held(
-    coarse: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_solves_that_fail_leave_what_is_held(coarse, monkeypatch):
     problem = Problem(coarse, 4, 10, 1.0)
     system = problem.start()
     # whatever goes with the first two blocks is known from the next two
@@ -229,7 +223,7 @@ def test_solves_that_fail_leave_what_is_held(
     assert system.forecast(problem.blocks[3]).schur.shape == (HEIGHT, HEIGHT)
 
 
-def test_rows_that_are_nearly_known_need_no_columns(coarse: Scene) -> None:
+def test_rows_that_are_nearly_known_need_no_columns(coarse):
     """Those that differ by 1e-4 have 1e-8 of their variance left, in their noise."""
     problem = Problem(coarse, 3, 11, 1.0)
     rng = np.random.default_rng(11)
@@ -247,9 +241,7 @@ def test_rows_that_are_nearly_known_need_no_columns(coarse: Scene) -> None:
     assert ranks == [HEIGHT, HEIGHT, 2 * HEIGHT]
 
 
-def test_a_factor_that_is_not_positive_is_made_anew(
-    coarse: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_factor_that_is_not_positive_is_made_anew(coarse, monkeypatch):
     problem = Problem(coarse, 4, 12, 1.0)
     system = problem.start()
     problem.fold(system, list(range(4)))
@@ -263,7 +255,7 @@ def test_a_factor_that_is_not_positive_is_made_anew(
     assert rebuilt == [True]
 
 
-def test_memory_holds_no_dense_columns() -> None:
+def test_memory_holds_no_dense_columns():
     scene = small_scene(shape=(12, 40, 24), n_poses=2)
     problem = Problem(scene, 20, 5, 1.0)
     system = problem.start()
@@ -277,7 +269,7 @@ def test_memory_holds_no_dense_columns() -> None:
     assert system.memory_bytes == growing + parts
 
 
-def test_weights_beyond_rounding_are_refused(coarse: Scene) -> None:
+def test_weights_beyond_rounding_are_refused(coarse):
     problem = Problem(coarse, 12, 6, 1e18)
     system = problem.start()
     with pytest.raises(NumericalError, match="weights are too large"):
@@ -285,9 +277,7 @@ def test_weights_beyond_rounding_are_refused(coarse: Scene) -> None:
         system.field()
 
 
-def test_a_field_that_does_not_converge_is_an_error(
-    coarse: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_field_that_does_not_converge_is_an_error(coarse, monkeypatch):
     problem = Problem(coarse, 2, 7, 1.0)
     system = problem.start()
     problem.fold(system, [0, 1])
@@ -299,7 +289,7 @@ def test_a_field_that_does_not_converge_is_an_error(
     assert close(system.field(), problem.dense([0, 1])[1])
 
 
-def test_refusals(coarse: Scene) -> None:
+def test_refusals(coarse):
     system = Problem(coarse, 1, 8, 1.0).start()
     with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
         system.remove(2, 3)

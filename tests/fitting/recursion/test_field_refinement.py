@@ -25,7 +25,7 @@ class Unpreconditioned(LowRankKernel):
 
 
 @pytest.fixture(scope="module")
-def coarse() -> Scene:
+def coarse():
     return small_scene(shape=(7, 12, 7), n_poses=2)
 
 
@@ -46,9 +46,7 @@ def measured(scene: Scene, weight: float) -> tuple[MeasuredRows, Array]:
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e3])
-def test_directions_are_conjugate(
-    coarse: Scene, weight: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_directions_are_conjugate(coarse, weight, monkeypatch):
     """Without a factor: twelve rows in as many steps, and few more for rounding."""
     rows, D = measured(coarse, weight)
     d0 = np.random.default_rng(13).normal(size=len(D))
@@ -71,9 +69,7 @@ def test_directions_are_conjugate(
     assert again.shift is found.shift and again.y is found.y
 
 
-def test_too_few_rounds_say_what_is_left(
-    coarse: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_few_rounds_say_what_is_left(coarse, monkeypatch):
     rows, D = measured(coarse, 1e3)
     d0 = np.random.default_rng(13).normal(size=len(D))
     V, n = coarse.n_voxels, len(d0)

@@ -68,7 +68,7 @@ def grown(K: Array, step: int, tolerance: float = TOLERANCE) -> LowRankKernel:
 
 
 @pytest.mark.parametrize(("n", "rank", "step"), [(5, 5, 3), (90, 17, 6), (700, 40, 6)])
-def test_equals_the_dense_system(n: int, rank: int, step: int) -> None:
+def test_equals_the_dense_system(n, rank, step):
     rng = np.random.default_rng(n)
     K = gram(n, rank, rng)
     kernel = grown(K, step)
@@ -84,7 +84,7 @@ def test_equals_the_dense_system(n: int, rank: int, step: int) -> None:
     assert np.allclose(kernel.adjoint(y), R.T @ y)
 
 
-def test_a_projection_has_the_schur_complement() -> None:
+def test_a_projection_has_the_schur_complement():
     rng = np.random.default_rng(1)
     K = gram(64, 20, rng)
     kernel = grown(K[:60, :60], 6)
@@ -108,9 +108,7 @@ def test_a_projection_has_the_schur_complement() -> None:
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=60, deadline=None)
-def test_rows_removed_anywhere_were_never_there(
-    n: int, rank: int, step: int, start: int, count: int, seed: int
-) -> None:
+def test_rows_removed_anywhere_were_never_there(n, rank, step, start, count, seed):
     start = min(start, n - 1)
     count = min(count, n - start)
     rng = np.random.default_rng(seed)
@@ -134,7 +132,7 @@ def test_rows_removed_anywhere_were_never_there(
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e3])
-def test_a_window_slides_without_drift(scale: float) -> None:
+def test_a_window_slides_without_drift(scale):
     """R of K whose entries have an error, a spectrum that decays far, and no growth."""
     rng = np.random.default_rng(8)
     steps, height, held = 150, 3, 12
@@ -167,7 +165,7 @@ def test_a_window_slides_without_drift(scale: float) -> None:
     assert 0 < compared < height * steps
 
 
-def test_an_error_of_the_factor_is_gone_once_as_many_rows_went_as_are_held() -> None:
+def test_an_error_of_the_factor_is_gone_once_as_many_rows_went_as_are_held():
     rng = np.random.default_rng(9)
     K = gram(60, 12, rng)
     kernel = grown(K[:20, :20], 2)
@@ -182,7 +180,7 @@ def test_an_error_of_the_factor_is_gone_once_as_many_rows_went_as_are_held() -> 
     assert np.allclose(y + K[np.ix_(rows, rows)] @ y, g, atol=1e-6)
 
 
-def test_a_row_that_takes_all_digits_along() -> None:
+def test_a_row_that_takes_all_digits_along():
     """Rows far heavier than the others, and nothing of their rounding is left."""
     K = np.diag([1e14, 1.0, 1.0, 1.0]) + 0.5
     K[0, 1:] = K[1:, 0] = 1e6
@@ -198,7 +196,7 @@ def test_a_row_that_takes_all_digits_along() -> None:
     assert np.allclose(kernel.solve(g), np.linalg.solve(np.eye(3) + left, g), rtol=1e-6)
 
 
-def test_scaling_is_that_of_the_rows() -> None:
+def test_scaling_is_that_of_the_rows():
     rng = np.random.default_rng(2)
     K = gram(30, 8, rng)
     kernel = grown(K, 3)
@@ -208,7 +206,7 @@ def test_scaling_is_that_of_the_rows() -> None:
     assert np.allclose(kernel.solve(g), expected, atol=1e-6)
 
 
-def test_rows_that_nearly_depend_do_not_spoil_each_other() -> None:
+def test_rows_that_nearly_depend_do_not_spoil_each_other():
     """A spectrum that decays as far as rounding, and columns known to 1e-9."""
     rng = np.random.default_rng(3)
     n = 300
@@ -223,7 +221,7 @@ def test_rows_that_nearly_depend_do_not_spoil_each_other() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_error_of_an_entry_makes_no_variance(sign: float) -> None:
+def test_an_error_of_an_entry_makes_no_variance(sign):
     """An entry of K ten times what two variances allow, as an error may leave it."""
     K = np.diag([1.0, 1e-6, 2e-4])
     K[1, 2] = K[2, 1] = sign * 1e-4
@@ -236,7 +234,7 @@ def test_an_error_of_an_entry_makes_no_variance(sign: float) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
-def test_a_residual_variance_is_scaled_with_its_row(factor: float) -> None:
+def test_a_residual_variance_is_scaled_with_its_row(factor):
     """The entry that such an error may leave, of a row that came before."""
     K = np.diag([1.0, 1e-6, 2e-4])
     K[1, 2] = K[2, 1] = 1e-4
@@ -248,7 +246,7 @@ def test_a_residual_variance_is_scaled_with_its_row(factor: float) -> None:
     assert row == pytest.approx([0.0, 1e-3 * factor], rel=1e-6)
 
 
-def test_what_is_no_variance_brings_no_column() -> None:
+def test_what_is_no_variance_brings_no_column():
     kernel = grown(np.diag([1.0, 1e-8, 2.0, 0.0]), 2, 1e-6)
     assert sorted(kernel.pivots.tolist()) == [0, 2]
     expected = np.diag([np.sqrt(1.0 + JITTER * 1e-6), np.sqrt(2.0 + JITTER * 1e-6)])
@@ -256,7 +254,7 @@ def test_what_is_no_variance_brings_no_column() -> None:
     assert not dense(kernel)[[1, 3]].any()
 
 
-def test_memory_is_that_of_the_columns() -> None:
+def test_memory_is_that_of_the_columns():
     K = gram(2000, 10, np.random.default_rng(4))
     kernel = grown(K, 6)
     k = kernel.rank
@@ -270,7 +268,7 @@ def test_memory_is_that_of_the_columns() -> None:
     assert full.memory_bytes < 8 * (2 * 10**2 + (10 + 2 * MORE) ** 2 + 3 * 10)
 
 
-def test_refusals() -> None:
+def test_refusals():
     """Whatever is one too many or too few, and what was not there."""
     K = gram(8, 8, np.random.default_rng(0))
     kernel = grown(K[:6, :6], 3)

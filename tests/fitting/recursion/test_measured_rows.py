@@ -34,9 +34,7 @@ def random_rows(
     data=st.data(),
 )
 @settings(max_examples=50, deadline=None)
-def test_equals_a_dense_matrix(
-    counts: list[int], height: int, factor: float, seed: int, data: st.DataObject
-) -> None:
+def test_equals_a_dense_matrix(counts, height, factor, seed, data):
     rng = np.random.default_rng(seed)
     rows, dense = random_rows(counts, height, rng)
     kept = (
@@ -63,7 +61,7 @@ def test_equals_a_dense_matrix(
         assert np.allclose(rows.times(x, some), dense[some] @ x, atol=1e-12)
 
 
-def test_grows_beyond_its_first_room() -> None:
+def test_grows_beyond_its_first_room():
     rng = np.random.default_rng(0)
     rows, dense = random_rows([V] * (2 * ROOM // V + 3), 3, rng)
     x = rng.normal(size=V)
@@ -72,7 +70,7 @@ def test_grows_beyond_its_first_room() -> None:
     assert rows.memory_bytes <= 2 * entries * (4 + 3 * 8) + 8 * (len(rows) + 1)
 
 
-def test_refusals() -> None:
+def test_refusals():
     rows = MeasuredRows(V, 3)
     with pytest.raises(InputError, match="block needs values"):
         rows.append(Block(np.arange(2, dtype=np.int32), np.zeros((2, 6))))

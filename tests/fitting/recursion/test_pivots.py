@@ -6,7 +6,7 @@ from scipy.linalg import lapack
 from ttus_opt.fitting.recursion.pivots import incomplete_cholesky, replacements
 
 
-def test_the_factor_is_lapacks() -> None:
+def test_the_factor_is_lapacks():
     """Against dpstrf, which pivots by the largest residual variance as well."""
     rng = np.random.default_rng(0)
     G = rng.normal(size=(12, 5))
@@ -19,7 +19,7 @@ def test_the_factor_is_lapacks() -> None:
     np.testing.assert_allclose(left, 0.0, atol=1e-7)
 
 
-def test_residual_variances_are_those_of_what_is_left() -> None:
+def test_residual_variances_are_those_of_what_is_left():
     """A third column is below the tolerance: its rows keep their variance."""
     factor, pivots, left = incomplete_cholesky(np.diag([4.0, 1e-3, 9.0]), 1e-2)
     assert pivots.tolist() == [2, 0]
@@ -27,7 +27,7 @@ def test_residual_variances_are_those_of_what_is_left() -> None:
     assert not factor[1].any()
 
 
-def test_the_newest_of_those_that_lose_enough_replaces() -> None:
+def test_the_newest_of_those_that_lose_enough_replaces():
     lost = np.array([[2.0, 1.1, 0.9, 0.0], [0.0, 0.0, 0.0, 1.0]])
     residual, newest_last = np.ones(4), np.arange(4)
     # losses 4, 1.21, 0.81, 1: the last has just a quarter of the largest, and once it
@@ -36,7 +36,7 @@ def test_the_newest_of_those_that_lose_enough_replaces() -> None:
     assert replacements(lost, residual, newest_last[::-1], 1e-9) == [0, 3]
 
 
-def test_rows_whose_residual_is_small_replace_nothing() -> None:
+def test_rows_whose_residual_is_small_replace_nothing():
     lost = np.array([[2.0, 1.0]])
     assert replacements(lost, np.array([0.0, 1.0]), np.arange(2), 1e-6) == [1]
     assert replacements(lost, np.zeros(2), np.arange(2), 1e-6) == []

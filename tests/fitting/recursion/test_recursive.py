@@ -66,7 +66,7 @@ def closed_form(scene: Scene, **options: float) -> Array:
 
 
 @pytest.mark.parametrize("folded", [0, 5, 12])
-def test_equals_the_closed_form_wherever_it_starts(scene: Scene, folded: int) -> None:
+def test_equals_the_closed_form_wherever_it_starts(scene, folded):
     start = scene if folded == 12 else batch(scene, slice(max(folded, 1)))
     fit = RecursiveFit(start, **WEIGHTS, fold_scene=folded > 0)
     assert fit.measurements == folded
@@ -86,7 +86,7 @@ def test_equals_the_closed_form_wherever_it_starts(scene: Scene, folded: int) ->
         {"force_weight": 1e2, "torque_weight": 1e1, "torque_length": 1.0},
     ],
 )
-def test_other_weights(weights: dict[str, float]) -> None:
+def test_other_weights(weights):
     scene = small_scene()
     fit = RecursiveFit(scene, **weights)
     # the field is refined until its dual's residual is below that, not to rounding
@@ -99,7 +99,7 @@ def test_other_weights(weights: dict[str, float]) -> None:
 
 
 @pytest.mark.slow
-def test_400_random_measurements_equal_the_batch_fit() -> None:
+def test_400_random_measurements_equal_the_batch_fit():
     scene = small_scene("trilinear", n_poses=400)
     order = np.random.default_rng(7).permutation(400).tolist()
     fit = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
@@ -112,7 +112,7 @@ def test_400_random_measurements_equal_the_batch_fit() -> None:
 
 
 @pytest.mark.slow
-def test_400_measurements_at_case_s() -> None:
+def test_400_measurements_at_case_s():
     surface = torso()
     scene = Scene.assemble(
         Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=0.03),
@@ -129,7 +129,7 @@ def test_400_measurements_at_case_s() -> None:
     assert fit.memory_bytes < 8 * rows * (rows / 2 + 256) + 100 * scene.n_voxels
 
 
-def test_downdate_leaves_what_the_others_make() -> None:
+def test_downdate_leaves_what_the_others_make():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     before = fit.field.values
@@ -146,7 +146,7 @@ def test_downdate_leaves_what_the_others_make() -> None:
         fit.downdate(3)
 
 
-def test_window_and_fading() -> None:
+def test_window_and_fading():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     fit.forget(window=20)
@@ -172,7 +172,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("which", some(SCENES, 1))
-def test_innovation_is_predicted_by_the_dense_posterior(which: str) -> None:
+def test_innovation_is_predicted_by_the_dense_posterior(which):
     scene = small_scene(*SCENES[which])
     fit = RecursiveFit(scene, **WEIGHTS, noise_std=0.2)
     pose = presses(torso(), 1, np.random.default_rng(99))
@@ -225,7 +225,7 @@ def consistent(scene: Scene, std: float, seed: int) -> Trajectory:
 
 
 @pytest.mark.slow
-def test_good_measurements_pass_and_their_statistics_are_right() -> None:
+def test_good_measurements_pass_and_their_statistics_are_right():
     scene = small_scene("trilinear", n_poses=150)
     told = consistent(scene, 0.1, 5)
     fit = RecursiveFit(
@@ -239,7 +239,7 @@ def test_good_measurements_pass_and_their_statistics_are_right() -> None:
 
 
 @pytest.mark.slow
-def test_an_outlier_is_reported_and_left_out() -> None:
+def test_an_outlier_is_reported_and_left_out():
     scene = small_scene("trilinear", n_poses=30)
     told = consistent(scene, 0.1, 6)
     assert told.force is not None
@@ -265,7 +265,7 @@ def test_an_outlier_is_reported_and_left_out() -> None:
     assert all(i.accepted for i in fold(everything, told, list(range(30))))
 
 
-def test_a_gross_outlier_is_found_by_the_weights_alone() -> None:
+def test_a_gross_outlier_is_found_by_the_weights_alone():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     told = scene.trajectory
@@ -274,7 +274,7 @@ def test_a_gross_outlier_is_found_by_the_weights_alone() -> None:
     assert fit.rejected == (12,)
 
 
-def test_poses_without_contact_are_held_and_cost_nothing() -> None:
+def test_poses_without_contact_are_held_and_cost_nothing():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     before, memory = fit.field.values, fit.memory_bytes
@@ -295,7 +295,7 @@ def test_poses_without_contact_are_held_and_cost_nothing() -> None:
     assert fit.in_contact == (10, 11)
 
 
-def test_starts_without_wrenches_at_the_laplace_field() -> None:
+def test_starts_without_wrenches_at_the_laplace_field():
     scene = small_scene()
     bare = replace(scene.trajectory, force=None, torque=None)
     fit = RecursiveFit(replace(scene, trajectory=bare))
@@ -305,7 +305,7 @@ def test_starts_without_wrenches_at_the_laplace_field() -> None:
     assert difference(fit, laplace) < 1e-10
 
 
-def test_a_field_once_given_stays() -> None:
+def test_a_field_once_given_stays():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
     first = fit.field
@@ -315,7 +315,7 @@ def test_a_field_once_given_stays() -> None:
     assert np.array_equal(first.values, copy)
 
 
-def test_capacity_is_a_limit() -> None:
+def test_capacity_is_a_limit():
     scene = small_scene()
     frames = speaking(scene)
     n, first = len(frames), frames[0]
@@ -329,7 +329,7 @@ def test_capacity_is_a_limit() -> None:
     assert fold(fit, scene.trajectory, [first])[0].accepted
 
 
-def test_forces_alone_and_the_noise_they_tell_by_dense_algebra() -> None:
+def test_forces_alone_and_the_noise_they_tell_by_dense_algebra():
     """1/√λ times the root mean square of whitened innovations: the least objective."""
     scene, weight = small_scene("trilinear", shape=(7, 12, 7), n_poses=4), 0.3
     fit = RecursiveFit(
@@ -376,13 +376,13 @@ def test_forces_alone_and_the_noise_they_tell_by_dense_algebra() -> None:
         ({"noise_std": np.inf}, "noise_std must be positive"),
     ],
 )
-def test_options_are_checked(option: dict[str, float], message: str) -> None:
+def test_options_are_checked(option, message):
     with pytest.raises(InputError, match=message) as caught:
         RecursiveFit(small_scene(), **option)
     assert "\n" not in str(caught.value)
 
 
-def test_options_at_the_ends_of_their_ranges_are_taken() -> None:
+def test_options_at_the_ends_of_their_ranges_are_taken():
     """One weight may be 0; one measurement is a capacity; 1e-12 is a probability."""
     weights = ({"force_weight": 0.0}, {"torque_weight": 0.0})
     for options in (*weights, {"noise_std": 1e-9}, {"outlier_level": 1e-12}):
@@ -402,7 +402,7 @@ def test_options_at_the_ends_of_their_ranges_are_taken() -> None:
         (3, np.zeros((3, 1)), r"torque \(3,\)"),
     ],
 )
-def test_measurements_are_checked(argument: int, value: Array, message: str) -> None:
+def test_measurements_are_checked(argument, value, message):
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     arguments = [np.eye(3), np.array([0.12, 0.0, 0.1]), np.zeros(3), np.zeros(3)]
@@ -416,12 +416,12 @@ def test_measurements_are_checked(argument: int, value: Array, message: str) -> 
 @pytest.mark.parametrize(
     ("factor", "window"), [(None, None), (0.5, 3), (0.0, None), (1.5, None), (None, -1)]
 )
-def test_forget_wants_one_sound_value(factor: float | None, window: int | None) -> None:
+def test_forget_wants_one_sound_value(factor, window):
     with pytest.raises(InputError, match=r"factor|window"):
         RecursiveFit(small_scene(), **WEIGHTS).forget(factor, window=window)
 
 
-def test_forgetting_nothing_and_everything() -> None:
+def test_forgetting_nothing_and_everything():
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
     touching = f"12 measurements held, {len(speaking(scene))} in contact>"

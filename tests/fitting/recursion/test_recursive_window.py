@@ -180,7 +180,7 @@ class Held:
         return float(np.linalg.norm(values - expected) / np.linalg.norm(expected))
 
 
-def test_the_dense_reference_is_the_closed_form() -> None:
+def test_the_dense_reference_is_the_closed_form():
     told = scene()
     expected = tt.fit(
         told, "eq10", solver="closed_form", force_weight=1e-2, torque_weight=1e-2
@@ -271,7 +271,7 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
         pytest.param(1.0, False, marks=pytest.mark.slow),
     ],
 )
-def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
+def test_a_window_slides_on_and_on(weight, fading):
     held = Held(weight, quick())
     slide(held, 100, 20, 20, fading)
     # what a window holds does not grow with what went
@@ -282,8 +282,8 @@ def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
 
 @pytest.mark.slow
 def test_a_window_slides_with_the_solves_of_the_multigrid(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     # R is sound by itself: making it anew is for what cannot be foreseen
     monkeypatch.setattr(DualRecursion, "_rebuild", None)
     held = Held(1e-2, scene())
@@ -301,6 +301,6 @@ WINDOWS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("weight", "window"), WINDOWS)
-def test_thousands_of_updates(weight: float, window: int) -> None:
+def test_thousands_of_updates(weight, window):
     """20,000 in all; each fit forgets what it held several times over."""
     slide(Held(weight, quick()), 1700, window, 100, fading=True)

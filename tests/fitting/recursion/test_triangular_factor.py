@@ -23,7 +23,7 @@ def close(found: Array, expected: Array) -> None:
 
 
 @pytest.mark.parametrize("k", SIZES)
-def test_rows_are_added(k: int) -> None:
+def test_rows_are_added(k):
     E, W = factor(k), np.random.default_rng(2).normal(size=(k, 3))
     fuller = np.linalg.cholesky(E @ E.T + W @ W.T)
     triangle.update(E, W.copy())
@@ -31,7 +31,7 @@ def test_rows_are_added(k: int) -> None:
 
 
 @pytest.mark.parametrize("q", [0, 3, 6])
-def test_a_row_is_deleted_and_all_that_goes_with_it_is_turned(q: int) -> None:
+def test_a_row_is_deleted_and_all_that_goes_with_it_is_turned(q):
     k, rng = 7, np.random.default_rng(3)
     C, N = factor(k, 4), rng.normal(size=(k, 2 * triangle.TILE + 5))
     turned, rest = N.copy(), np.delete(C, q, axis=0)

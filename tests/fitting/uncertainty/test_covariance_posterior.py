@@ -63,7 +63,7 @@ def dense() -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_covariance_is_that_of_dense_algebra() -> None:
+def test_covariance_is_that_of_dense_algebra():
     rows = wrench_rows(three_presses(), unseen())
     expected = rows @ dense() @ rows.T + of_model(exact(), unseen())
     expected = expected.reshape(5, 6, 5, 6)
@@ -76,7 +76,7 @@ def test_covariance_is_that_of_dense_algebra() -> None:
 
 
 @pytest.mark.slow
-def test_all_rows_at_once_are_those_of_dense_algebra() -> None:
+def test_all_rows_at_once_are_those_of_dense_algebra():
     rows = sp.csr_array(wrench_rows(three_presses(), unseen()))
     expected = rows @ dense() @ rows.T
     found = exact().covariance(rows, rows.shape[0])[0]
@@ -85,7 +85,7 @@ def test_all_rows_at_once_are_those_of_dense_algebra() -> None:
 
 
 @pytest.mark.slow
-def test_draws_agree_with_it() -> None:
+def test_draws_agree_with_it():
     drawn = exact().sampled(count=400)
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)

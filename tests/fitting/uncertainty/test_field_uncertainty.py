@@ -113,7 +113,7 @@ def laplace_covariance(scene: Scene) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_covariance_is_that_of_dense_algebra() -> None:
+def test_covariance_is_that_of_dense_algebra():
     scene = three_presses()
     rows = wrench_rows(scene, unseen())
     expected = rows @ dense_errors(laplace_covariance(scene), exact()) @ rows.T
@@ -134,7 +134,7 @@ def test_covariance_is_that_of_dense_algebra() -> None:
 
 @pytest.mark.filterwarnings(KEPT_SHARE)
 @pytest.mark.parametrize("sized", [1.0, 0.0])
-def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> None:
+def test_another_torque_length_with_its_weight_is_the_same_fit(sized):
     """Also where every measured torque is zero, which tells no length."""
     scene = three_presses()
     assert scene.trajectory.torque is not None
@@ -157,7 +157,7 @@ def test_another_torque_length_with_its_weight_is_the_same_fit(sized: float) -> 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_draws_agree_with_it() -> None:
+def test_draws_agree_with_it():
     drawn = uncertainty(fitted(), three_presses(), method="samples")
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
@@ -168,7 +168,7 @@ def test_draws_agree_with_it() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_draws_where_the_basis_is_not_kept_are_the_same() -> None:
+def test_draws_where_the_basis_is_not_kept_are_the_same():
     near = uncertainty(fitted(), three_presses(), method="samples", depth=0.001)
     deeper, whole = near.draws(4, 0.05), exact().draws(4, 0.05)
     assert len(deeper.voxels) > len(near.draws(4, 0.001).voxels)
@@ -177,7 +177,7 @@ def test_draws_where_the_basis_is_not_kept_are_the_same() -> None:
 
 
 @pytest.mark.slow
-def test_prior_and_noise_are_the_likeliest() -> None:
+def test_prior_and_noise_are_the_likeliest():
     found = exact()
     scene, C = found.scene, laplace_covariance(found.scene)
     touching = np.tile(np.repeat(scene.rows.contact_points > 0, 3), 2)
@@ -209,7 +209,7 @@ def test_prior_and_noise_are_the_likeliest() -> None:
 
 
 @pytest.mark.slow
-def test_fits_of_perturbed_data_scatter_as_stated() -> None:
+def test_fits_of_perturbed_data_scatter_as_stated():
     scene, rng = three_presses(), np.random.default_rng(3)
     L, rows = scene.L.toarray(), wrench_rows(scene, unseen())
     prior = np.sqrt(exact().variance)
@@ -243,7 +243,7 @@ def test_fits_of_perturbed_data_scatter_as_stated() -> None:
 
 
 @pytest.mark.slow
-def test_a_fitted_scale_is_doubted_too() -> None:
+def test_a_fitted_scale_is_doubted_too():
     scene = three_presses()
     own = Scene.assemble(scene.voxmap, scene.shell, scene.trajectory, inner="fit")
     given = own.with_boundary(own.inner, own.outer)
@@ -272,14 +272,14 @@ def replaced(given: Uncertainty, other: Uncertainty) -> Uncertainty:
     return replace(given, _posterior=replace(given._posterior, errors=errors))
 
 
-def test_one_press_is_enough() -> None:
+def test_one_press_is_enough():
     scene = small_scene("trilinear")
     found = uncertainty(tt.fit(scene, "eq10"), scene)
     assert found.variance > 0.0 and found.noise.force > 0.0
     assert (found.std(scene.trajectory).force_noise > 0.0).all()
 
 
-def test_what_has_no_such_posterior_is_refused() -> None:
+def test_what_has_no_such_posterior_is_refused():
     scene = three_presses()
     with pytest.raises(InputError, match="no uncertainty for robust"):
         uncertainty(tt.fit(scene, "robust"), scene)

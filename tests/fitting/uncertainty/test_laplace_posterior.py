@@ -81,7 +81,7 @@ def some_rows() -> sp.csr_array:
 
 
 @pytest.mark.parametrize("scale", [False, True], ids=["known scale", "fitted scale"])
-def test_covariance_is_that_of_dense_algebra(scale: bool) -> None:
+def test_covariance_is_that_of_dense_algebra(scale):
     posterior, _, exact = made(scale)
     rows = some_rows().toarray()
     found = posterior.covariance(some_rows(), 3)
@@ -93,7 +93,7 @@ def test_covariance_is_that_of_dense_algebra(scale: bool) -> None:
     assert not found[1].any()
 
 
-def test_the_mean_given_measurements_is_the_minimiser() -> None:
+def test_the_mean_given_measurements_is_the_minimiser():
     """Two solves and no fields, for draws where the basis is not kept."""
     posterior, D, _ = made()
     said = np.random.default_rng(1).normal(size=len(D))
@@ -105,7 +105,7 @@ def test_the_mean_given_measurements_is_the_minimiser() -> None:
 
 
 @pytest.mark.parametrize("scale", [False, True], ids=["known scale", "fitted scale"])
-def test_draws_have_the_covariance(scale: bool) -> None:
+def test_draws_have_the_covariance(scale):
     """400 draws: √ of a mean of squares is off by 1/√800."""
     posterior, _, exact = made(scale)
     draws = posterior.draw(400).astype(float)
@@ -120,7 +120,7 @@ def test_draws_have_the_covariance(scale: bool) -> None:
     assert np.abs(found - stated).max() < 0.25 * stated.max()
 
 
-def test_where_the_basis_is_kept_draws_are_the_same() -> None:
+def test_where_the_basis_is_kept_draws_are_the_same():
     posterior, _, _ = made()
     voxels = np.arange(0, V, 7)
     here = posterior.draw(3, voxels)
@@ -134,7 +134,7 @@ def test_where_the_basis_is_kept_draws_are_the_same() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-4 * size)
 
 
-def test_blocks_that_touch_other_voxels_are_not_known() -> None:
+def test_blocks_that_touch_other_voxels_are_not_known():
     posterior, _, _ = made()
     voxels = np.arange(V // 2)
     few = replace(posterior, fields=posterior.fields[:, voxels], voxels=voxels)

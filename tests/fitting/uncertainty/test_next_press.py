@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ def conditioned(C: np.ndarray, noise: np.ndarray, chosen: list[int]) -> np.ndarr
     return np.asarray(C - C[:, chosen] @ np.linalg.solve(among, C[chosen]))
 
 
-def test_it_takes_what_explains_most_of_what_is_left() -> None:
+def test_it_takes_what_explains_most_of_what_is_left():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(12, 5)) * rng.uniform(0.3, 2.0, (12, 1))
     C, noise = root @ root.T, rng.uniform(0.1, 1.0, 12)
@@ -65,7 +64,7 @@ def suggested() -> NextPresses:
 pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
 
-def test_presses_are_where_least_is_known() -> None:
+def test_presses_are_where_least_is_known():
     found, scene = suggested(), three_presses()
     held = scene.trajectory.select(scene.rows.contact_points > 0).position
     away = np.linalg.norm(held - found.poses.position[0], axis=1)
@@ -81,7 +80,7 @@ def test_presses_are_where_least_is_known() -> None:
     assert len(found.as_dict()["presses"]) == 3
 
 
-def test_stated_deviations_are_those_of_the_uncertainty() -> None:
+def test_stated_deviations_are_those_of_the_uncertainty():
     found = suggested()
     rows, noise = normal_forces(stated(), found.poses)
     own = np.sqrt(stated().covariance(rows)[:, 0, 0])
@@ -94,7 +93,7 @@ def test_stated_deviations_are_those_of_the_uncertainty() -> None:
     assert (noise <= np.einsum("tii->t", along)).all() and (noise > 0.0).all()
 
 
-def test_the_region_decides() -> None:
+def test_the_region_decides():
     box = (-math.inf, math.inf, -math.inf, math.inf, 0.05, 0.11)
     low = next_press(stated(), 2, box=box, sector=(2.5, 4.5), spacing=0.04, depth=0.006)
     inside = (low.z >= 0.05) & (low.z <= 0.11) & (low.theta >= 2.5) & (low.theta <= 4.5)
@@ -104,7 +103,7 @@ def test_the_region_decides() -> None:
     assert not low.in_region[elsewhere] or low.node[0] != elsewhere
 
 
-def test_poses_are_written_as_a_trajectory(tmp_path: Path) -> None:
+def test_poses_are_written_as_a_trajectory(tmp_path):
     suggested().save(tmp_path / "next.csv")
     read = tt.read_trajectory(tmp_path / "next.csv")
     np.testing.assert_array_equal(read.position, suggested().poses.position)
@@ -125,6 +124,6 @@ def test_poses_are_written_as_a_trajectory(tmp_path: Path) -> None:
         ({"sector": (0.3, 0.5), "spacing": 0.09}, "no place of the region"),
     ],
 )
-def test_what_gives_no_place_is_refused(given: dict[str, object], told: str) -> None:
+def test_what_gives_no_place_is_refused(given, told):
     with pytest.raises(InputError, match=told):
         next_press(stated(), **{"spacing": 0.04, "depth": 0.006} | given)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from ttus_opt.fitting.uncertainty.posterior import kept_rows
 
 
-def test_blocks_that_touch_other_voxels_are_told() -> None:
+def test_blocks_that_touch_other_voxels_are_told():
     for voxels in (4, 9):  # fewer blocks than voxels, or about as many
         rows = sp.csr_array(np.eye(voxels)[[0, 2, 3, 1, 2, 0]])
         kept, missing = kept_rows(rows, np.array([0, 2]), 2)

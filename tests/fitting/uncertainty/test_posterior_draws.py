@@ -14,7 +14,7 @@ from ttus_opt.fitting.uncertainty.posterior_draws import (
 )
 
 
-def test_contact_touches_kept_voxels_only_and_all_are_inside() -> None:
+def test_contact_touches_kept_voxels_only_and_all_are_inside():
     scene = small_scene("trilinear")
     kept = skin_voxels(scene.voxmap, 0.012)
     assert np.isin(scene.N.indices, kept).all()
@@ -23,14 +23,14 @@ def test_contact_touches_kept_voxels_only_and_all_are_inside() -> None:
     assert np.array_equal(kept, np.unique(kept))
 
 
-def test_deeper_than_the_innermost_layer_is_the_whole_inside() -> None:
+def test_deeper_than_the_innermost_layer_is_the_whole_inside():
     voxmap = small_scene("trilinear").voxmap
     inside = np.flatnonzero(voxmap.region.reshape(-1) > 0)
     np.testing.assert_array_equal(skin_voxels(voxmap, 0.5), inside)
 
 
 @pytest.mark.parametrize("count", [7, 2 * BATCH, 2 * BATCH + 1])
-def test_covariance_is_that_of_what_is_measured_of_the_draws(count: int) -> None:
+def test_covariance_is_that_of_what_is_measured_of_the_draws(count):
     rng = np.random.default_rng(0)
     values, voxels = rng.normal(size=(count, 3)), np.array([1, 4, 5])
     draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01)

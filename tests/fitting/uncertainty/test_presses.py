@@ -15,7 +15,7 @@ from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.probe.trajectory import Trajectory
 
 
-def test_recordings_and_air_part_presses() -> None:
+def test_recordings_and_air_part_presses():
     scene = three_presses()
     inside = scene.rows.contact_points > 0
     assert not inside[4::5].any()
@@ -39,7 +39,7 @@ def pressed() -> Scene:
     return scene_of(angle, np.full(len(angle), 0.1), depth)
 
 
-def test_presses_at_one_place_are_left_out_together() -> None:
+def test_presses_at_one_place_are_left_out_together():
     """By a third of a degree; not those a probe's size beside, nor a line."""
     touching = pressed().rows.contact_points > 0
     place = pressed_places(pressed())[touching]
@@ -50,7 +50,7 @@ def test_presses_at_one_place_are_left_out_together() -> None:
     assert len(set(line)) == 1
 
 
-def test_few_presses_are_divided_by_the_probe_s_size() -> None:
+def test_few_presses_are_divided_by_the_probe_s_size():
     few = pressed().trajectory.select(np.arange(12, 26))
     scene = replace(pressed(), trajectory=few)
     rows = replace(scene.rows, contact_points=pressed().rows.contact_points[12:26])
@@ -65,7 +65,7 @@ def test_few_presses_are_divided_by_the_probe_s_size() -> None:
         assert away.max() <= scene.shell.rms_radius
 
 
-def test_presses_after_a_line_are_places_too() -> None:
+def test_presses_after_a_line_are_places_too():
     """The same frames, the line first."""
     n = len(pressed().trajectory)
     order = np.roll(np.arange(n), 10)

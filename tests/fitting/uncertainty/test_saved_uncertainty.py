@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,13 +28,13 @@ pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("uncertainty") / "field.nc"
     save_with_uncertainty(fitted().field, exact(), path, count=40, depth=0.02)
     return path
 
 
-def test_what_is_read_is_what_was_written(file: Path) -> None:
+def test_what_is_read_is_what_was_written(file):
     shell = three_presses().shell
     found, drawn = read_uncertainty(file, shell), exact().sampled(40, 0.02)
     told, own = found.std(unseen()), drawn.std(unseen())
@@ -46,12 +45,12 @@ def test_what_is_read_is_what_was_written(file: Path) -> None:
     assert np.array_equal(found.potential.values, fitted().field.values)
 
 
-def test_a_frame_deeper_than_the_draws_is_unknown(file: Path) -> None:
+def test_a_frame_deeper_than_the_draws_is_unknown(file):
     far = replace(unseen(), position=0.4 * unseen().position)
     assert not read_uncertainty(file, three_presses().shell).std(far).known.any()
 
 
-def test_a_renderer_takes_the_map_of_the_file(file: Path) -> None:
+def test_a_renderer_takes_the_map_of_the_file(file):
     potential, shell = PotentialField.load(file), three_presses().shell
     assert potential.uncertainty is not None
     pose = unseen().rotation[0], unseen().position[0]
@@ -66,9 +65,7 @@ def test_a_renderer_takes_the_map_of_the_file(file: Path) -> None:
         tt.Renderer(fitted().field, shell, uncertainty=True)
 
 
-def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(
-    file: Path, tmp_path: Path
-) -> None:
+def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(file, tmp_path):
     shell = three_presses().shell
     fitted().field.save(tmp_path / "plain.nc")
     with pytest.raises(InputError, match="fit again with ttus-opt fit --uncertainty"):

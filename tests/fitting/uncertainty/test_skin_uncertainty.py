@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ def drawn() -> Uncertainty:
     return uncertainty(fitted(), three_presses(), method="samples")
 
 
-def test_presses_reach_the_depth_asked_for() -> None:
+def test_presses_reach_the_depth_asked_for():
     scene = three_presses()
     theta, z = np.array([0.3, 2.0, 4.0]), np.array([0.05, 0.1, 0.15])
     presses = skin_uncertainty.presses_at(scene, theta, z, 0.006)
@@ -43,7 +42,7 @@ def test_presses_reach_the_depth_asked_for() -> None:
 
 
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_it_is_smaller_where_the_patient_was_measured() -> None:
+def test_it_is_smaller_where_the_patient_was_measured():
     scene, field = three_presses(), fitted().field
     found = uncertainty_map(drawn(), field, spacing=0.04)
     assert found.relative.shape == (len(found.theta), len(found.z))
@@ -54,7 +53,7 @@ def test_it_is_smaller_where_the_patient_was_measured() -> None:
 
 
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
+def test_what_gives_no_map_is_refused(tmp_path):
     with pytest.raises(InputError, match="must be positive"):
         uncertainty_map(drawn(), fitted().field, spacing=0.0)
     with pytest.raises(InputError, match="too short"):

@@ -23,7 +23,7 @@ from ttus_opt.report.metrics import compare
 
 
 @pytest.mark.slow
-def test_errors_drawn_from_the_uncertainty_are_covered() -> None:
+def test_errors_drawn_from_the_uncertainty_are_covered():
     rng, many = np.random.default_rng(2), presses(torso(), 60, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field
     rendered = tt.evaluate(field, exact().scene.shell, many)
@@ -51,7 +51,7 @@ def test_errors_drawn_from_the_uncertainty_are_covered() -> None:
     assert wrong.force_coverage < 0.7
 
 
-def test_error_in_the_order_of_uncertainty_has_rank_correlation_one() -> None:
+def test_error_in_the_order_of_uncertainty_has_rank_correlation_one():
     many = presses(torso(), 12, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field
     rendered = tt.evaluate(field, exact().scene.shell, many)
@@ -85,7 +85,7 @@ class _Stated:
         return self.told
 
 
-def test_correlations_of_frames_of_noise_and_of_places() -> None:
+def test_correlations_of_frames_of_noise_and_of_places():
     """Errors that grow from place to place, and fall within."""
     n, each = 4, 5
     place, frame = np.repeat(np.arange(n), each), np.tile(np.arange(each), n)
@@ -123,7 +123,7 @@ def test_correlations_of_frames_of_noise_and_of_places() -> None:
     assert jackknife > 0.0
 
 
-def test_a_curve_has_the_coverage_of_the_check_and_only_frames_in_contact() -> None:
+def test_a_curve_has_the_coverage_of_the_check_and_only_frames_in_contact():
     many = presses(torso(), 12, np.random.default_rng(6))
     stated, field = exact().std(many), fitted().field
     off = np.random.default_rng(7).standard_normal((len(many), 6))

@@ -58,7 +58,7 @@ def recorded(n: int, n_places: int, k: int = 5) -> MeasuredWrenches:
     return MeasuredWrenches(images, told + errors, wrench, place, np.arange(6))
 
 
-def test_density_is_that_of_dense_algebra() -> None:
+def test_density_is_that_of_dense_algebra():
     given = recorded(9, 3)
     K = given.images.reshape(5, -1)
     covariance = dense(NOISE, given.wrench, given.place) + 0.7 * K.T @ K
@@ -68,7 +68,7 @@ def test_density_is_that_of_dense_algebra() -> None:
     assert given.log_density(0.7, NOISE) == pytest.approx(expected, rel=1e-9)
 
 
-def test_forces_alone_have_the_density_of_their_block() -> None:
+def test_forces_alone_have_the_density_of_their_block():
     whole = recorded(9, 3)
     given = MeasuredWrenches(
         whole.images[..., :3],
@@ -89,7 +89,7 @@ def test_forces_alone_have_the_density_of_their_block() -> None:
     assert np.isfinite(stated[:, :3, :3]).all() and np.isnan(stated[:, 3:]).all()
 
 
-def test_a_frame_states_the_diagonal_blocks() -> None:
+def test_a_frame_states_the_diagonal_blocks():
     given = recorded(9, 3)
     whole = dense(NOISE, given.wrench, given.place).reshape(9, 6, 9, 6)
     blocks = np.einsum("titj->tij", whole)
@@ -97,8 +97,8 @@ def test_a_frame_states_the_diagonal_blocks() -> None:
 
 
 def test_a_share_just_below_its_limit_is_at_the_limit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """The search ends on either side of the corner: 0.247 for the patient `lean`."""
     asked: list[dict[str, float]] = []
 
@@ -121,14 +121,14 @@ def test_a_share_just_below_its_limit_is_at_the_limit(
 
 
 @pytest.mark.slow
-def test_what_was_drawn_is_found() -> None:
+def test_what_was_drawn_is_found():
     variance, found = recorded(150, 25, 20).estimate(1.0)
     assert variance == pytest.approx(0.5, rel=0.7)
     for name, value in NOISE.as_dict().items():
         assert found.as_dict()[name] == pytest.approx(value, rel=0.4), name
 
 
-def test_a_share_at_its_limit_is_not_believed() -> None:
+def test_a_share_at_its_limit_is_not_believed():
     """Then the likelihood takes for errors of places what fields do not know."""
     given, rng = recorded(24, 8, 2), np.random.default_rng(8)
     share = rng.normal(0.0, 0.9, 8)[given.place, None]
@@ -148,7 +148,7 @@ def test_a_share_at_its_limit_is_not_believed() -> None:
             assert wild.log_density(variance, other) - prior < best + 0.3, name
 
 
-def test_a_sensor_ten_times_worse_than_usual_is_believed_to_be() -> None:
+def test_a_sensor_ten_times_worse_than_usual_is_believed_to_be():
     """Priors are weak: what 24 frames show of it moves by a tenth at most."""
     given, sensor = recorded(24, 8, 2), np.repeat([0.5, 0.02], 3)
     errors = sensor * np.random.default_rng(8).normal(size=(24, 6))
@@ -157,7 +157,7 @@ def test_a_sensor_ten_times_worse_than_usual_is_believed_to_be() -> None:
     assert (found.force, found.torque) == pytest.approx(size, rel=0.1)
 
 
-def test_frames_are_thinned_evenly_to_the_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_thinned_evenly_to_the_most(monkeypatch):
     given = recorded(9, 3)
     for most, frames in ((9, range(9)), (8, range(0, 9, 2)), (4, range(0, 9, 3))):
         monkeypatch.setattr(wrench_noise, "MOST_FRAMES", most)
@@ -167,7 +167,7 @@ def test_frames_are_thinned_evenly_to_the_most(monkeypatch: pytest.MonkeyPatch) 
         np.testing.assert_array_equal(few.place, given.place[list(frames)])
 
 
-def test_fields_that_frames_do_not_tell_apart_are_left_out() -> None:
+def test_fields_that_frames_do_not_tell_apart_are_left_out():
     given, rng = recorded(9, 12, 3), np.random.default_rng(3)
     alike = rng.normal(size=(40, len(given.images))) / 6.0
     many = replace(given, images=np.tensordot(alike, given.images, axes=1))
@@ -192,14 +192,14 @@ def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
     return given, errors, mixed[:-1] @ by_row @ mixed[:-1].T
 
 
-def test_rows_have_the_products_of_dense_algebra() -> None:
+def test_rows_have_the_products_of_dense_algebra():
     _, errors, covariance = weighted()
     rows = np.random.default_rng(1).normal(size=(4, 35))
     found = errors.roots(rows)
     np.testing.assert_allclose(found @ found.T, rows @ covariance @ rows.T, rtol=1e-10)
 
 
-def test_draws_have_the_covariance() -> None:
+def test_draws_have_the_covariance():
     _, errors, covariance = weighted()
     rng = np.random.default_rng(2)
     draws = np.stack([errors.draw(rng) for _ in range(4000)])
@@ -207,7 +207,7 @@ def test_draws_have_the_covariance() -> None:
     assert np.abs((draws.T @ draws / 4000 - covariance) / size).max() < 0.1
 
 
-def test_noise_is_read_as_it_was_written() -> None:
+def test_noise_is_read_as_it_was_written():
     forces = WrenchNoise(0.1, 0.02, 0.03, 0.04)
     assert WrenchNoise.from_dict(NOISE.as_dict()) == NOISE
     assert list(forces.as_dict()) == ["force", "share", "place_share", "turn"]

@@ -25,7 +25,7 @@ def field(scene: Scene, **parameters: float) -> PotentialField:
     return PotentialField(scene.voxmap, values, scene.sampling, parameters)
 
 
-def test_six_rows_of_a_frame_stand_together() -> None:
+def test_six_rows_of_a_frame_stand_together():
     poses = presses(torso(), 4, np.random.default_rng(5))
     there = Scene.assemble(
         SCENE.voxmap, SCENE.shell, poses, inner=1.0, sampling="trilinear"
@@ -38,7 +38,7 @@ def test_six_rows_of_a_frame_stand_together() -> None:
     assert abs(rows).sum() > 0.0
 
 
-def test_they_render_what_the_renderer_does() -> None:
+def test_they_render_what_the_renderer_does():
     poses = presses(torso(), 6, np.random.default_rng(6))
     own = field(SCENE)
     found = rendered(own, wrench_rows(own, SCENE.shell, poses))
@@ -50,7 +50,7 @@ def test_they_render_what_the_renderer_does() -> None:
     assert np.abs(found).max() > 0.0
 
 
-def test_drag_is_among_them() -> None:
+def test_drag_is_among_them():
     """A field fitted with friction: the same as its own rows, at the poses' motion."""
     scene = dragged_scene("contact")
     solution = tt.fit(scene, "coulomb_global", force_weight=10.0, torque_weight=1.0)
@@ -65,7 +65,7 @@ def test_drag_is_among_them() -> None:
     assert np.abs(without - expected).max() > 1e-3
 
 
-def test_deviations_are_roots_of_the_diagonal() -> None:
+def test_deviations_are_roots_of_the_diagonal():
     roots = np.random.default_rng(1).normal(size=(3, 6, 6))
     covariance = roots @ roots.transpose(0, 2, 1)
     covariance[1] = np.nan

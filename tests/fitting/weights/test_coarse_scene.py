@@ -13,8 +13,8 @@ from ttus_opt.fitting.weights.coarse_scene import coarse_shape, coarser
 
 
 def test_a_coarse_scene_keeps_shape_and_boundary(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     scene = small_scene("trilinear", shape=(12, 24, 16), n_poses=4)
     assert coarser(scene) is scene
     most = scene.n_voxels // 4
@@ -31,8 +31,8 @@ def test_a_coarse_scene_keeps_shape_and_boundary(
 
 
 def test_a_boundary_that_was_fitted_is_fitted_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     given = dragged_scene("contact", mu=0.0)
     scene = Scene.assemble(
         given.voxmap,
@@ -48,7 +48,7 @@ def test_a_boundary_that_was_fitted_is_fitted_again(
     assert coarse.outer / coarse.inner == pytest.approx(0.7)
 
 
-def test_a_coarse_shape_has_about_as_many_voxels_as_asked() -> None:
+def test_a_coarse_shape_has_about_as_many_voxels_as_asked():
     shape = coarse_shape((96, 240, 120), 60_000)
     assert np.prod(shape) == pytest.approx(60_000, rel=0.2)
     assert coarse_shape((24, 72, 30), 60_000) == (24, 72, 30)

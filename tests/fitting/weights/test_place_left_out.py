@@ -43,13 +43,13 @@ def refitted(scale: float, coefficient: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.6])
-def test_errors_are_those_of_fits_without_the_place(coefficient: float) -> None:
+def test_errors_are_those_of_fits_without_the_place(coefficient):
     found = judge().predicted(WEIGHTS, coefficient)
     assert (found.scale, found.scale_error) == (1.0, 0.0)
     np.testing.assert_allclose(found.errors, refitted(1.0, coefficient), rtol=1e-8)
 
 
-def test_the_scale_is_that_of_generalised_least_squares() -> None:
+def test_the_scale_is_that_of_generalised_least_squares():
     """By dense algebra; outside its range, or with a large error, it is 1."""
     found, rows = judge(True).predicted(WEIGHTS), judge().rows
     covariance = np.diag(1.0 / (WEIGHTS[rows.term] * rows.every))
@@ -69,13 +69,13 @@ def test_the_scale_is_that_of_generalised_least_squares() -> None:
         assert np.isnan(kept.predicted(WEIGHTS).scale_error)
 
 
-def test_the_density_counts_places_not_rows() -> None:
+def test_the_density_counts_places_not_rows():
     errors, rows = refitted(1.0), judge().rows
     expected = [-2.0 * np.log(np.mean(errors[rows.term == t] ** 2)) for t in (0, 1)]
     assert judge().log_density(WEIGHTS) == pytest.approx(sum(expected))
 
 
-def test_no_other_hyperparameters_are_more_likely() -> None:
+def test_no_other_hyperparameters_are_more_likely():
     steps, spread = judge().best()
 
     def log_posterior(steps: np.ndarray) -> float:
@@ -90,7 +90,7 @@ def test_no_other_hyperparameters_are_more_likely() -> None:
         assert spread[i] == pytest.approx((max(fall / 0.02**2, 0.25)) ** -0.5, rel=0.05)
 
 
-def test_values_are_signal_ratio_and_coefficient() -> None:
+def test_values_are_signal_ratio_and_coefficient():
     weights, coefficient = judge().values(np.array([0.5, -1.0, 0.8]))
     signal, ratio = place_left_out.SIGNAL, place_left_out.RATIO
     first = signal[0] * np.exp(0.5 * signal[1]) / 6.0
@@ -102,7 +102,7 @@ def test_values_are_signal_ratio_and_coefficient() -> None:
     assert judge().values(np.array([0.0, 0.0, 9.0]))[1] == 1.0
 
 
-def test_the_search_may_start_at_given_weights() -> None:
+def test_the_search_may_start_at_given_weights():
     """And then does no worse than these."""
     given = np.array([90.0, 0.02])
     steps, _ = judge().best([given])

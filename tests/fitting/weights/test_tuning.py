@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -48,7 +47,7 @@ def tuned() -> Tuning:
     return tune(drawn(), "eq10")
 
 
-def test_the_scale_is_found() -> None:
+def test_the_scale_is_found():
     found = tuned()
     named = {h.name: h for h in found.hyperparameters}
     scale = named["boundary_scale"]
@@ -59,7 +58,7 @@ def test_the_scale_is_found() -> None:
     assert weights == found.weights
 
 
-def test_the_errors_are_those_of_fits_without_a_place() -> None:
+def test_the_errors_are_those_of_fits_without_a_place():
     """Of the weights chosen and of the formulation's own, by fits."""
     found, own = tuned(), tt.load_formulation("eq10", drawn())
     place, means = pressed_places(drawn()), {}
@@ -88,7 +87,7 @@ def test_the_errors_are_those_of_fits_without_a_place() -> None:
     assert "places left out better than with its own weights" in str(found.check)
 
 
-def test_errors_that_differ_by_less_than_their_own_are_about_as_large() -> None:
+def test_errors_that_differ_by_less_than_their_own_are_about_as_large():
     alike = replace(tuned().check, difference_error=1e3)
     assert "about as well as with its own weights" in str(alike)
     worse = replace(tuned().check, own_error=0.0, difference_error=0.0)
@@ -96,7 +95,7 @@ def test_errors_that_differ_by_less_than_their_own_are_about_as_large() -> None:
     assert worse.as_dict()["own_error"] == 0.0
 
 
-def test_fit_with_weights_auto_is_the_fit_of_what_was_found() -> None:
+def test_fit_with_weights_auto_is_the_fit_of_what_was_found():
     found = tuned()
     expected = tt.fit(found.scene, found.formulation)
     field = tt.fit(drawn(), "eq10", weights="auto")
@@ -104,7 +103,7 @@ def test_fit_with_weights_auto_is_the_fit_of_what_was_found() -> None:
     assert field.parameters["boundary_scale"] == found.scene.inner
 
 
-def test_other_criteria_choose_multiples_of_the_weights() -> None:
+def test_other_criteria_choose_multiples_of_the_weights():
     names = [one.criterion for one in tuned().comparisons]
     assert names == ["log_evidence", "gcv"]
     for one in tuned().comparisons:
@@ -113,7 +112,7 @@ def test_other_criteria_choose_multiples_of_the_weights() -> None:
         assert one.left_out_force_error > 0.0
 
 
-def test_without_sliding_drag_is_not_taken() -> None:
+def test_without_sliding_drag_is_not_taken():
     found = tune(drawn(), ["coulomb_global", "eq10"], compare=False)
     assert found.formulation.name == "eq10"
     assert set(found.candidates) == {"eq10", "coulomb_global"}
@@ -132,7 +131,7 @@ class OwnForceTerm(ForceTerm):
         return AffineRows(blocks, 3.0 * given.target)
 
 
-def test_a_users_own_terms_are_tuned() -> None:
+def test_a_users_own_terms_are_tuned():
     """By their rows alone: in another unit the weight is another, the fit the same."""
     scene = tuned().scene
     plain = Formulation([LaplaceTerm(scene), ForceTerm(scene)])
@@ -147,7 +146,7 @@ def test_a_users_own_terms_are_tuned() -> None:
         tt.fit(drawn(), own, weights="auto")
 
 
-def test_a_users_file_is_tuned(tmp_path: Path) -> None:
+def test_a_users_file_is_tuned(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(
         "from ttus_opt import Formulation\n"
@@ -161,7 +160,7 @@ def test_a_users_file_is_tuned(tmp_path: Path) -> None:
     assert "mine with the weights chosen predicts" in solution.chosen[-1]
 
 
-def test_any_squares_are_a_prior() -> None:
+def test_any_squares_are_a_prior():
     """With next to no Tikhonov term the factorised prior is eq. 10's."""
     scene = tuned().scene
     found = tune(scene, "tikhonov", compare=False, ridge=1e-9)
@@ -171,7 +170,7 @@ def test_any_squares_are_a_prior() -> None:
     assert found.check.chosen_error == pytest.approx(plain.check.chosen_error, rel=0.02)
 
 
-def test_forces_alone_are_tuned() -> None:
+def test_forces_alone_are_tuned():
     own = drawn()
     silent = replace(own.trajectory, torque=None)
     scene = Scene.assemble(own.voxmap, own.shell, silent, inner="fit")
@@ -180,7 +179,7 @@ def test_forces_alone_are_tuned() -> None:
     assert 0.2 < found.weights["force"] / tuned().weights["force"] < 5.0
 
 
-def test_one_thread_does_the_dense_algebra() -> None:
+def test_one_thread_does_the_dense_algebra():
     seen: list[set[int]] = []
     with threadpool_limits(limits=2, user_api="blas"):
         tune(drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads()))
@@ -188,7 +187,7 @@ def test_one_thread_does_the_dense_algebra() -> None:
 
 
 @pytest.mark.slow
-def test_an_option_is_chosen_among_others() -> None:
+def test_an_option_is_chosen_among_others():
     found = tune(drawn(), "free_surface", compare=False)
     option = next(h for h in found.hyperparameters if h.name == "option_skin")
     assert 1e-7 < option.value < 1.0
@@ -196,7 +195,7 @@ def test_an_option_is_chosen_among_others() -> None:
     assert prior.skin == option.value  # type: ignore[attr-defined]
 
 
-def test_a_coarse_grid_finds_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_coarse_grid_finds_nearly_the_same(monkeypatch):
     scene = drawn()
     monkeypatch.setattr(coarse_scene, "MOST_VOXELS", scene.n_voxels // 2)
     found = tune(scene, "eq10", compare=False)
@@ -213,8 +212,8 @@ def prior_variance(scene: Scene) -> float:
 
 
 def test_what_another_grid_finds_is_rescaled_by_its_prior(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Half of the layers: the same rows have several times the prior variance."""
     scene, own = drawn(), {"force_weight": 3.0, "torque_weight": 1.0}
     voxmap = Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)
@@ -248,12 +247,12 @@ def test_what_another_grid_finds_is_rescaled_by_its_prior(
         ({"weights": "evidence"}, "take auto or own"),
     ],
 )
-def test_what_cannot_be_tuned_is_refused(given: dict, told: str) -> None:  # type: ignore[type-arg]
+def test_what_cannot_be_tuned_is_refused(given, told):  # type: ignore[type-arg]
     with pytest.raises(InputError, match=told):
         tt.fit(drawn(), **{"weights": "auto", **given})
 
 
-def test_without_contact_nothing_is_tuned() -> None:
+def test_without_contact_nothing_is_tuned():
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
     with pytest.warns(tt.TtusWarning, match="Laplace field alone"):

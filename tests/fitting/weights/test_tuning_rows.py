@@ -51,7 +51,7 @@ def used() -> np.ndarray:
     return np.flatnonzero(np.tile(np.repeat(contact(), 3), 2))
 
 
-def test_rows_and_targets_are_those_of_weight_one_in_contact() -> None:
+def test_rows_and_targets_are_those_of_weight_one_in_contact():
     scene, rows = three_presses(), rows_of("eq10", force_weight=7.0)
     assert (rows.terms, rows.coefficient) == (("force", "torque"), "")
     assert 0 < contact().sum() < len(contact())
@@ -66,8 +66,8 @@ def test_rows_and_targets_are_those_of_weight_one_in_contact() -> None:
 
 
 def test_of_many_frames_each_stands_for_several(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(tuning_rows, "MOST_FRAMES", 5)
     rows = rows_of("eq10")
     step = -(-contact().sum() // 5)
@@ -76,7 +76,7 @@ def test_of_many_frames_each_stands_for_several(
     np.testing.assert_array_equal(rows.every, float(step))
 
 
-def test_a_coefficients_rows_are_what_any_two_differ_by() -> None:
+def test_a_coefficients_rows_are_what_any_two_differ_by():
     """N − μ F is affine in μ."""
     rows = rows_of("coulomb_global")
     assert (rows.coefficient, rows.highest) == ("friction_coefficient", 1.0)
@@ -95,7 +95,7 @@ def rows_search():  # type: ignore[no-untyped-def]
     return search
 
 
-def test_rows_that_bend_in_the_coefficient_are_refused() -> None:
+def test_rows_that_bend_in_the_coefficient_are_refused():
     search, rows = rows_search(), rows_of("coulomb_global").measured
     with pytest.raises(InputError, match="affine"):
         tuning_rows._slope(
@@ -104,8 +104,8 @@ def test_rows_that_bend_in_the_coefficient_are_refused() -> None:
 
 
 def test_the_variance_is_that_of_rows_in_contact(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Hutchinson's estimate, within four of its standard deviations."""
     probes = 400
     monkeypatch.setattr(tuning_rows, "PROBES", probes)
@@ -119,7 +119,7 @@ def test_the_variance_is_that_of_rows_in_contact(
     assert abs(rows_of("eq10").variance() - expected) < 4.0 * std
 
 
-def test_the_basis_has_covariance_and_mean_of_the_rows() -> None:
+def test_the_basis_has_covariance_and_mean_of_the_rows():
     weight, at = 1e3, used()
     found = rows_of("eq10").over_basis(weight)
     _, C, base = dense()
@@ -133,7 +133,7 @@ def test_the_basis_has_covariance_and_mean_of_the_rows() -> None:
     assert found.at(0.5) is found
 
 
-def test_a_coefficient_moves_the_rows_of_the_basis() -> None:
+def test_a_coefficient_moves_the_rows_of_the_basis():
     """To the covariance and mean of those at its value."""
     found = rows_of("coulomb_global").over_basis(1e3).at(MU)
     given = TuningRows.of(rows_search().build(MU)).over_basis(1e3)
@@ -143,7 +143,7 @@ def test_a_coefficient_moves_the_rows_of_the_basis() -> None:
     np.testing.assert_allclose(*covariance, atol=2e-3 * np.abs(covariance[1]).max())
 
 
-def test_any_squares_are_a_prior() -> None:
+def test_any_squares_are_a_prior():
     """Of a Laplace and a Tikhonov term, whose Hessian is factorised."""
     declared = load("tikhonov", three_presses(), ridge=0.1, reference="zero")
     rows = TuningRows.of(declared)
@@ -160,7 +160,7 @@ def test_any_squares_are_a_prior() -> None:
     assert rows.variance() == pytest.approx(np.diag(C)[:n].mean(), rel=1e-6)
 
 
-def test_unknowns_beside_the_field_are_known_by_measurements_alone() -> None:
+def test_unknowns_beside_the_field_are_known_by_measurements_alone():
     """Their columns have a variance beyond any measurement's."""
     rows = TuningRows.of(load("viscous_drag", three_presses()))
     found, V = rows.over_basis(10.0), three_presses().n_voxels
@@ -190,7 +190,7 @@ class HeightTerm(Term):
         return AffineRows({"p": parts.astype(float)}, np.linspace(1.0, 2.0, 7))
 
 
-def test_rows_of_no_frames_are_left_out_in_parts() -> None:
+def test_rows_of_no_frames_are_left_out_in_parts():
     scene = three_presses()
     rows = TuningRows.of(load("eq10", scene) + HeightTerm(scene=scene))
     assert rows.terms == ("force", "torque", "height")
@@ -202,7 +202,7 @@ def test_rows_of_no_frames_are_left_out_in_parts() -> None:
 @pytest.mark.parametrize(
     "name", ["depth_map", "coulomb_drag", "robust", "laplace_only"]
 )
-def test_another_kind_is_refused(name: str) -> None:
+def test_another_kind_is_refused(name):
     with pytest.raises(InputError, match=f"{name} cannot be tuned") as refused:
         rows_of(name)
     assert ("no weights" in str(refused.value)) == (name == "laplace_only")

@@ -49,7 +49,7 @@ def refused(scene: Scene, told: str) -> WeightChoice:
     return choice
 
 
-def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
+def test_what_is_chosen_is_what_tune_finds_and_says_how_sure():
     choice = choice_of("auto", drawn(), "eq10")
     assert weights(choice) == tuned().weights
     assert choice.scene.inner == tuned().scene.inner
@@ -63,7 +63,7 @@ def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
     assert choice.lines[-1] == str(tuned().check)
 
 
-def test_what_stays_open_is_told_with_the_value_that_is_kept() -> None:
+def test_what_stays_open_is_told_with_the_value_that_is_kept():
     """As is a hyperparameter that ran to the end of its range."""
     choice = choice_of("auto", drawn(), "eq10")
     assert choice.tuning is not None
@@ -85,7 +85,7 @@ def test_what_stays_open_is_told_with_the_value_that_is_kept() -> None:
     assert told == f"signal_to_noise ended at its bound, {first.value:.3g}"
 
 
-def test_without_contact() -> None:
+def test_without_contact():
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
     with pytest.warns(TtusWarning, match="Laplace field alone"):
@@ -93,7 +93,7 @@ def test_without_contact() -> None:
     refused(off, "touches the patient in no frame; the weights of eq10 are used")
 
 
-def test_too_few_frames() -> None:
+def test_too_few_frames():
     scene = small_scene("trilinear")
     few = scene.trajectory.select(np.arange(12) < 4)
     refused(
@@ -102,7 +102,7 @@ def test_too_few_frames() -> None:
     )
 
 
-def test_forces_of_the_wrong_sign() -> None:
+def test_forces_of_the_wrong_sign():
     own = drawn().trajectory
     assert own.force is not None and own.torque is not None
     flipped = replace(own, force=-own.force, torque=-own.torque)
@@ -112,7 +112,7 @@ def test_forces_of_the_wrong_sign() -> None:
 
 
 @pytest.mark.parametrize("lifted", [False, True])
-def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
+def test_one_press_and_presses_at_one_place(lifted):
     rng = np.random.default_rng(1)
     angle = 1.5 + rng.uniform(-0.01, 0.01, 30)
     depth = rng.uniform(0.004, 0.012, 30)
@@ -123,7 +123,7 @@ def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
 
 
 @pytest.mark.slow
-def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
+def test_drag_in_the_recordings_is_chosen_together_with_the_weights():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)
         clean = dragged_scene("contact")
@@ -141,7 +141,7 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 
 
-def test_the_default_is_a_depth_map_in_the_likeliest_sampling() -> None:
+def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
     """The same by name in that scene; with drag where the recordings show it."""
     choice = choice_of("auto", drawn())
     assert choice.formulation.name == "depth_map" and choice.tuning is None
@@ -170,8 +170,8 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling() -> None:
 
 
 def test_where_drag_acts_is_found_and_given_options_come_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """It is looked for in the sampling that is likely with a first estimate of it."""
     looked, asked = [], []
     estimate, load = weight_choice.estimate_drag, weight_choice.load
@@ -199,7 +199,7 @@ def test_where_drag_acts_is_found_and_given_options_come_first(
     ]
 
 
-def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
+def test_forces_that_no_depth_map_explains_leave_eq10():
     pulling = replace(drawn().trajectory, force=-drawn().f.reshape(-1, 3))
     scene = Scene.assemble(drawn().voxmap, drawn().shell, pulling, inner=1.0)
     with pytest.warns(TtusWarning, match="pull the probe in.*weights of eq10"):
@@ -207,7 +207,7 @@ def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
     assert choice.formulation.name == "eq10" and "pull" in choice.reason
 
 
-def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:
+def test_a_formulation_that_cannot_be_tuned_keeps_its_weights():
     with pytest.warns(TtusWarning, match=r"coulomb_drag cannot be tuned.*are used"):
         choice = choice_of("auto", drawn(), "coulomb_drag", strict=False)
     assert choice.tuning is None and weights(choice) == OWN
@@ -217,7 +217,7 @@ def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:
         choice_of("auto", drawn(), "eq10", {"strength": 1.0})
 
 
-def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_weights_that_were_given_are_nothing_to_choose(tmp_path):  # type: ignore[no-untyped-def]
     assert has_weights("eq10") and has_weights("coulomb_global")
     assert not has_weights("laplace_only")
     assert not has_weights("depth_map")  # chooses its own
@@ -232,7 +232,7 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # typ
         choice_of("auto", drawn(), "eq10", {"force_weight": 1.0})
 
 
-def test_a_library_fit_has_the_weights_it_names() -> None:
+def test_a_library_fit_has_the_weights_it_names():
     poses = presses(torso(), 20, np.random.default_rng(0))
     scene = Scene.assemble(small_scene("trilinear").voxmap, drawn().shell, poses)
     solution = tt.fit(scene, "eq10")
@@ -253,9 +253,7 @@ WEIGHT = {"force_weight": 1.0}
         (None, WEIGHT, "own"),
     ],
 )
-def test_the_word_where_none_is_given(
-    formulation: str | None, options: dict[str, float], word: str
-) -> None:
+def test_the_word_where_none_is_given(formulation, options, word):
     assert word_for(None, formulation, options) == word
     assert word_for("own", formulation, options) == "own"
 
@@ -272,16 +270,14 @@ def test_the_word_where_none_is_given(
         ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
     ],
 )
-def test_words_that_cannot_be_followed(
-    word: Any, formulation: str | None, options: dict[str, float], told: str
-) -> None:
+def test_words_that_cannot_be_followed(word, formulation, options, told):
     with pytest.raises(InputError, match=told):
         word_for(word, formulation, options)
     with pytest.raises(InputError, match=told):
         tt.fit(small_scene("trilinear"), formulation, weights=word, **options)
 
 
-def test_own_weights() -> None:
+def test_own_weights():
     scene = small_scene("trilinear")
     choice = choice_of("own", scene, options=WEIGHT)
     assert choice.formulation.name == "eq10" and choice.tuning is None
@@ -290,9 +286,7 @@ def test_own_weights() -> None:
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_a_fit_takes_what_the_word_chose(
-    word: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_takes_what_the_word_chose(word, monkeypatch):
     def choose(scene: Scene, *_: object, **__: object) -> WeightChoice:
         other = scene.with_boundary(2.0, 1.0)
         return WeightChoice(other, tt.load_formulation("tikhonov", other))

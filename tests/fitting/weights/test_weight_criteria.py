@@ -41,7 +41,7 @@ def dense(scene: Scene) -> tuple[np.ndarray, ...]:
 
 
 @pytest.fixture(scope="module")
-def path() -> object:
+def path():
     return tt.solution_path(
         "eq10",
         three_presses(),
@@ -50,7 +50,7 @@ def path() -> object:
     )
 
 
-def test_evidence_and_gcv_are_those_of_dense_algebra(path: object) -> None:
+def test_evidence_and_gcv_are_those_of_dense_algebra(path):
     C, d, weights, _ = dense(three_presses())
     covariance = np.diag(1.0 / weights) + C
     m = len(d)
@@ -66,7 +66,7 @@ def test_evidence_and_gcv_are_those_of_dense_algebra(path: object) -> None:
     assert float(at["gcv"]) == pytest.approx(gcv, rel=1e-2)
 
 
-def test_presses_left_out_are_fits_without_them(path: object) -> None:
+def test_presses_left_out_are_fits_without_them(path):
     scene = three_presses()
     numbers = scene.presses
     touching = scene.rows.contact_points > 0
@@ -91,7 +91,7 @@ def test_presses_left_out_are_fits_without_them(path: object) -> None:
     assert at["left_out_force_error"].attrs["units"] == "N"
 
 
-def test_one_press_cannot_be_left_out() -> None:
+def test_one_press_cannot_be_left_out():
     scene = small_scene("trilinear")
     path = tt.solution_path(
         "eq10", scene, weights={"force": [1.0]}, extras=["criteria"]
@@ -100,7 +100,7 @@ def test_one_press_cannot_be_left_out() -> None:
     assert np.isfinite(path["log_evidence"]).all()
 
 
-def test_without_contact_there_is_nothing_to_tell() -> None:
+def test_without_contact_there_is_nothing_to_tell():
     told = np.zeros(6, dtype=bool)
     found = criteria_of(
         small_scene("trilinear", n_poses=1), {"force": 3, "torque": 3}, told
@@ -111,7 +111,7 @@ def test_without_contact_there_is_nothing_to_tell() -> None:
 
 
 @pytest.mark.parametrize("name", ["eq10_sign", "viscous_drag"])
-def test_criteria_are_refused_where_there_are_none(name: str) -> None:
+def test_criteria_are_refused_where_there_are_none(name):
     with pytest.raises(InputError, match="a problem without limits"):
         tt.solution_path(
             name,
@@ -121,7 +121,7 @@ def test_criteria_are_refused_where_there_are_none(name: str) -> None:
         )
 
 
-def test_an_unknown_extra_is_one_line() -> None:
+def test_an_unknown_extra_is_one_line():
     with pytest.raises(InputError, match="potential or criteria"):
         tt.solution_path(
             "eq10", small_scene("trilinear"), weights={"force": [1.0]}, extras=["all"]

@@ -21,7 +21,7 @@ def term(**options: float) -> DepthMapTerm:
     return DepthMapTerm(small_scene("trilinear"), profile=PROFILE, **options)
 
 
-def test_the_profile_costs_nothing_and_grows_inwards() -> None:
+def test_the_profile_costs_nothing_and_grows_inwards():
     one = term()
     rows = one.assembled
     assert np.abs(rows.blocks["p"] @ one.mean - rows.target).max() < 1e-9
@@ -31,7 +31,7 @@ def test_the_profile_costs_nothing_and_grows_inwards() -> None:
     assert (one.mean > 0.0).sum() == (voxel_depths(one.scene.voxmap) > 0.0).sum()
 
 
-def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
+def test_a_field_with_twice_the_deviation_costs_four_times_as_much():
     one = term()
     rows = one.assembled
     g = np.random.default_rng(1).normal(size=len(one.mean))
@@ -49,7 +49,7 @@ def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
 @pytest.mark.parametrize(
     "value", [0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e-9, 1e9]
 )
-def test_bad_options_are_refused(name: str, value: float) -> None:
+def test_bad_options_are_refused(name, value):
     with pytest.raises(InputError, match=f"{name} must lie between .*, got {value}"):
         term(**{name: value})
 
@@ -57,7 +57,7 @@ def test_bad_options_are_refused(name: str, value: float) -> None:
 ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 0.0, length_ratio=2.0)
 
 
-def test_a_term_has_the_estimated_values() -> None:
+def test_a_term_has_the_estimated_values():
     scene = small_scene("trilinear")
     found = DepthMapTerm.of(scene, ESTIMATED)
     expected = DepthMapTerm(
@@ -71,7 +71,7 @@ def test_a_term_has_the_estimated_values() -> None:
     assert found == expected
 
 
-def test_the_formula_has_a_length_for_each_direction() -> None:
+def test_the_formula_has_a_length_for_each_direction():
     formula = term(surface_length=0.03, length_ratio=4.0).formula
     assert formula == (
         "‖R (p/φ − 1)‖²/σ², φ = 0.8 (d/10 mm)^1 + 0.3 (d/10 mm)^2, σ = 0.4, lengths "
@@ -87,7 +87,7 @@ class Wrong(DepthMapTerm):
         return replace(rows, blocks={"p": rows.blocks["p"] * 1.01})
 
 
-def test_a_covariance_that_is_not_that_of_the_rows_is_refused() -> None:
+def test_a_covariance_that_is_not_that_of_the_rows_is_refused():
     wrong = Wrong(small_scene("trilinear"), profile=PROFILE)
     with pytest.raises(InputError, match="drop the tag KnownCovariance"):
         wrong.assembled  # noqa: B018

@@ -106,8 +106,8 @@ def dense(scene: Scene, chosen: _Chosen) -> float:
 
 
 def test_evidence_is_the_log_density_of_the_normal_forces(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     scene = drawn(0, 40)
     exact = dense(scene, CHOSEN)
     assert _Problem.of(scene, scene.N).evidence(CHOSEN) == pytest.approx(exact, abs=0.2)
@@ -117,7 +117,7 @@ def test_evidence_is_the_log_density_of_the_normal_forces(
     assert found == pytest.approx(exact, abs=2e-3)
 
 
-def test_fewer_nodes_tell_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fewer_nodes_tell_nearly_the_same(monkeypatch):
     """A bilinear interpolation, whose weights are 1 and which leaves planes alone."""
     scene, smooth = drawn(0, 40), CHOSEN._replace(surface_length=0.15, noise=1.0)
     exact = dense(scene, smooth)
@@ -143,8 +143,8 @@ def test_fewer_nodes_tell_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("power", [1.0, 1.5, 2.0, 3.0])
 def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
-    power: float,
-) -> None:
+    power,
+):
     """A stiff layer, a round tip on a half-space, tissue that stiffens."""
     scene = drawn(0, 40)
     p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
@@ -159,8 +159,8 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
 
 
 def test_the_posterior_has_the_priors_of_the_method(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Medians and factors as in docs/method/formulations.md, (8.15)."""
     asked = []
 
@@ -198,7 +198,7 @@ def test_the_posterior_has_the_priors_of_the_method(
     ("name", "value"),
     [("deviation", 0.7), ("surface_length", 0.05), ("length_ratio", 0.5)],
 )
-def test_what_is_given_is_not_estimated(name: str, value: float) -> None:
+def test_what_is_given_is_not_estimated(name, value):
     """It keeps its value, where the evidence would have another one."""
     scene = drawn(0, 40)
     found = estimate_depth_map(scene, **{name: value})  # type: ignore[arg-type]
@@ -209,7 +209,7 @@ def test_what_is_given_is_not_estimated(name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "contact-size", "contact-size:0.04"])
-def test_another_length_of_contacts_is_another_assembly(sampling: str) -> None:
+def test_another_length_of_contacts_is_another_assembly(sampling):
     """Whatever the rows, evidence and coefficient are those of rows with ℓ₀."""
     scene, chosen = (
         resampled(drawn(0, 40), sampling),
@@ -223,7 +223,7 @@ def test_another_length_of_contacts_is_another_assembly(sampling: str) -> None:
     assert problem.evidence(CHOSEN) != pytest.approx(expected.evidence(CHOSEN), abs=0.1)
 
 
-def test_it_finds_the_length_of_contacts_that_forces_have() -> None:
+def test_it_finds_the_length_of_contacts_that_forces_have():
     """Forces of a field sampled with ℓ₀ of 4 mm and 40 mm, about a probe of 20 mm."""
     found = []
     for least in ("0.004", "0.04"):
@@ -240,7 +240,7 @@ def test_it_finds_the_length_of_contacts_that_forces_have() -> None:
     assert 0.025 < found[1].least_length < 0.06
 
 
-def test_a_field_of_another_unit_has_the_profile_of_another_unit() -> None:
+def test_a_field_of_another_unit_has_the_profile_of_another_unit():
     """Rows twice as large are those of a field half as large; all else stays."""
     scene = drawn(3, 40)
     one = estimate_depth_map(scene, depth_length=0.015)
@@ -264,7 +264,7 @@ def lifted(scene: Scene, frame: int) -> Scene:
     return Scene.assemble(scene.voxmap, scene.shell, moved, **given)
 
 
-def test_frames_in_the_air_do_not_count() -> None:
+def test_frames_in_the_air_do_not_count():
     scene = drawn(0, 40)
     whole = _Problem.of(scene, scene.N).force
     away = lifted(scene, 0)
@@ -275,9 +275,7 @@ def test_frames_in_the_air_do_not_count() -> None:
 @pytest.mark.parametrize(
     ("most", "step"), [(200, 1), (40, 1), (39, 2), (20, 2), (19, 3), (1, 40)]
 )
-def test_many_frames_are_thinned_evenly(
-    most: int, step: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_frames_are_thinned_evenly(most, step, monkeypatch):
     """No more than are asked for, by the least step that does it."""
     scene = drawn(0, 40)
     assert (scene.rows.contact_points > 0).all()
@@ -288,7 +286,7 @@ def test_many_frames_are_thinned_evenly(
     np.testing.assert_allclose(kept, whole[::step])
 
 
-def test_further_errors_count_along_the_contact_alone() -> None:
+def test_further_errors_count_along_the_contact_alone():
     """A large variance across it changes nothing, along it the evidence of the rest."""
     scene = drawn(0, 40)
     u = contact_directions(scene)
@@ -312,7 +310,7 @@ def test_further_errors_count_along_the_contact_alone() -> None:
     assert more.evidence(CHOSEN) == pytest.approx(expected, abs=1e-9)
 
 
-def test_noise_is_never_less_than_a_covariance_needs() -> None:
+def test_noise_is_never_less_than_a_covariance_needs():
     scene = drawn(0, 40)
     problem = _Problem.of(scene, scene.N)
     silent = CHOSEN._replace(noise=1e-9, relative_noise=1e-9)
@@ -321,7 +319,7 @@ def test_noise_is_never_less_than_a_covariance_needs() -> None:
     np.testing.assert_allclose(np.sqrt(problem.variances(silent, mean)), 1e-4 * rms)
 
 
-def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
+def test_it_finds_profile_and_noise_of_drawn_fields():
     scene = drawn(3)
     found = estimate_depth_map(scene)
     _, mean = _Problem.of(scene, scene.N).mean(_Chosen(found.profile.exponents[0]))
@@ -334,7 +332,7 @@ def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     assert own.level == pytest.approx(found.noise, rel=0.05)
 
 
-def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence() -> None:
+def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence():
     scene = drawn(0, 30)
     found = replace(estimate_depth_map(scene), depth_error=5e-4, relative_noise=0.1)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
@@ -356,12 +354,12 @@ def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence() -> None:
 
 
 @pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
-def test_it_finds_in_which_direction_a_drawn_field_varies(ratio: float) -> None:
+def test_it_finds_in_which_direction_a_drawn_field_varies(ratio):
     found = estimate_depth_map(drawn(3, ratio=ratio))
     assert np.log(found.length_ratio) * np.log(ratio) > 0.5 * np.log(16.0)
 
 
-def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
+def test_noise_that_grows_with_the_force_is_not_taken_for_tissue():
     scene = drawn(4)
     rng = np.random.default_rng(4)
     size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
@@ -372,7 +370,7 @@ def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
     )
 
 
-def test_a_trackers_error_is_not_taken_for_tissue() -> None:
+def test_a_trackers_error_is_not_taken_for_tissue():
     """Depths that are wrong by 0.5 mm for a second, which 20 frames share."""
     scene = drawn(3, 120)
     step = np.random.default_rng(6).standard_normal(120)
@@ -394,7 +392,7 @@ def test_a_trackers_error_is_not_taken_for_tissue() -> None:
     assert exact.depth_error < 2e-4 < 3e-4 < moved.depth_error < 1e-3
 
 
-def test_errors_that_a_press_shares_are_not_taken_for_tissue() -> None:
+def test_errors_that_a_press_shares_are_not_taken_for_tissue():
     """Alike over millimetres: the tissue would vary as fast, if frames were apart."""
     scene = drawn(3, 120)
     press = np.arange(120) // 8
@@ -404,7 +402,7 @@ def test_errors_that_a_press_shares_are_not_taken_for_tissue() -> None:
     assert found.surface_length > 0.015
 
 
-def test_forces_that_pull_and_none_at_all_are_refused() -> None:
+def test_forces_that_pull_and_none_at_all_are_refused():
     scene = drawn(0, 20)
     for estimate in (estimate_depth_map, least_squares_profile):
         with pytest.raises(InputError, match="pull the probe in"):
@@ -419,8 +417,8 @@ def test_forces_that_pull_and_none_at_all_are_refused() -> None:
 
 
 def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     scene = drawn(0, 40)
     problem = _Problem.of(scene, scene.N)
     lengths, formed = [], depth_map_estimate.matern
