@@ -243,7 +243,9 @@ def test_a_tube_has_its_centre_wherever_it_was_seen_from(share):
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
     warns = pytest.warns(TtusWarning, match="which side is the front")
     with warns if share == 1.0 else contextlib.nullcontext():
-        found = frame_estimate._free_frame(points @ R.T + t, normals @ R.T)
+        found = frame_estimate._free_frame(
+            points @ R.T + t, normals @ R.T, None, stated=False
+        )
     np.testing.assert_allclose(found.origin, t, atol=1e-9)
     assert abs(found.z @ R[:, 2]) > 1.0 - 1e-12
     assert abs(found.upward @ found.z) < 1e-9
@@ -256,7 +258,9 @@ def test_no_round_body_is_refused():
     points, _ = tube(60, 20)
     plane = points * [1.0, 0.0, 1.0]
     with pytest.raises(GeometryError, match="not round"):
-        frame_estimate._free_frame(plane, np.tile([0.0, 1.0, 0.0], (len(plane), 1)))
+        frame_estimate._free_frame(
+            plane, np.tile([0.0, 1.0, 0.0], (len(plane), 1)), None, stated=False
+        )
 
 
 def test_on_a_plane_the_origin_is_half_way_up():

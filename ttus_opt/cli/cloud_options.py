@@ -138,7 +138,11 @@ class AxisOptions:
         if not given:
             head = None if self.head is None else numbers(self.head, 3, "--head")
             return Axis.from_cloud(
-                cloud, head=head, flip=self.flip_axis, prone=self.prone
+                cloud,
+                head=head,
+                flip=self.flip_axis,
+                prone=self.prone,
+                support=self.support,
             )
         if self.axis_origin is None or self.axis_direction is None:
             raise InputError(

@@ -23,6 +23,7 @@ _BIN, _SECTORS = 0.005, 36  # resolution of the search for the usable heights [m
 _LEAST_SEEN = 9  # fewest sectors (90°) of a usable section
 _STEEP = 0.010  # deviation of r in a sector that only occurs at a body's ends [m]
 _STEEP_SHARE = 0.25
+_ENOUGH = 20  # bins (100 mm)
 _BRIDGE = 6  # most empty bins (30 mm) within the body
 
 
@@ -101,12 +102,23 @@ def usable_range(points: Array) -> ZRange:
 
     count = total(None)
     enough = count >= 3
-    mean = total(r) / np.maximum(count, 1)
-    variance = total(r**2) / np.maximum(count, 1) - mean**2
-    steep = enough & (variance > _STEEP**2)
+    per = 1.0 / np.maximum(count, 1)
+    mean = total(r) * per
+    variance = total(r**2) * per - mean**2
+    angle = theta * (_SECTORS / (2 * np.pi)) % 1.0
+    common = total(r * angle) * per - mean * total(angle) * per
+    spread = total(angle**2) * per - (total(angle) * per) ** 2
+    sloped = variance - common**2 / np.maximum(spread, 1e-6)
     n_seen = enough.sum(axis=1)
-    usable = (n_seen >= _LEAST_SEEN) & (steep.sum(axis=1) <= _STEEP_SHARE * n_seen)
-    runs = _runs(usable, empty=count.sum(axis=1) == 0)
+    runs: list[tuple[int, int]] = []
+    # about the mean; where that leaves little, about a line over the angle, because the
+    # edges of a flat front slope
+    for scatter in (variance, sloped):
+        steep = (enough & (scatter > _STEEP**2)).sum(axis=1)
+        usable = (n_seen >= _LEAST_SEEN) & (steep <= _STEEP_SHARE * n_seen)
+        runs = _runs(usable, empty=count.sum(axis=1) == 0)
+        if any(last - first >= _ENOUGH for first, last in runs):
+            break
     if not runs:
         raise GeometryError(
             "no section of the scan shows a quarter turn around the axis: does the "

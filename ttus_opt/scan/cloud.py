@@ -17,9 +17,10 @@ import numpy as np
 
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, GeometryError, InputError, warn
 from ttus_opt.scan.box import inside
 from ttus_opt.scan.pcd import read_pcd, truncated
+from ttus_opt.scan.room import LARGEST_ROOM, ROOM, alone_in_room
 from ttus_opt.scan.xyz import read_xyz
 
 Unit = Literal["m", "cm", "mm"]
@@ -49,8 +50,8 @@ def read_cloud(
         unit: Unit of the file's coordinates; by default metres.
         drop_nan: Leave out points with NaN or infinite coordinates (cameras write them
             where they saw nothing) instead of refusing the file.
-        box: xmin, xmax, ymin, ymax, zmin, zmax in the scan's frame [m], to crop a room;
-            everything by default.
+        box: xmin, xmax, ymin, ymax, zmin, zmax in the scan's frame [m], to crop a room.
+            By default everything, or in a room the body that stands alone.
 
     Returns:
         Points in the scan's frame, shape (n, 3) [m].
@@ -78,8 +79,29 @@ def read_cloud(
     points = points[finite] * UNITS[unit or "m"]
     if box is not None:
         points = points[inside(points, box)]
+    elif ROOM < float(np.ptp(points, axis=0).max()) < LARGEST_ROOM:
+        points = body_alone(points, file.name)
     _check_extent(file, float(np.ptp(points, axis=0).max()) / UNITS[unit or "m"], unit)
     return np.ascontiguousarray(points)
+
+
+def body_alone(points: Array, name: str) -> Array:
+    """The body in a room's points (n, 3) [m]; what is left out is told.
+
+    Raises:
+        InputError: It does not stand alone.
+    """
+    try:
+        kept = alone_in_room(points)
+    except GeometryError as error:
+        raise InputError(f"{name}: {error}") from error
+    size = " x ".join(f"{edge:.2f}" for edge in np.ptp(points[kept], axis=0))
+    warn(
+        f"{name} shows a room: only the body that stands alone is read, {size} m, "
+        f"{int(kept.sum()):,} of {len(points):,} points (box=… to take another part)",
+        2,
+    )
+    return np.asarray(points[kept])
 
 
 def _read_points(file: Path) -> Array:

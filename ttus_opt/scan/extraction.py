@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.core.errors import GeometryError, InputError, warn
 from ttus_opt.scan.candidates import collect, stray, usable_range
 from ttus_opt.scan.contour_filter import (
     Contour,
@@ -24,6 +24,7 @@ from ttus_opt.scan.contour_filter import (
 )
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.limbs import trunk
 from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
 
@@ -33,6 +34,7 @@ LOG = logging.getLogger(__name__)
 SPOKE_DISTANCE = 0.004
 
 _LARGEST_RADIUS = 0.5  # of a body [m]
+_WIDEST = 0.30  # of a trunk, half its width; more is told [m]
 _LEAST_POINTS = 100
 _LEAST_OBSERVED = 0.05  # least fraction of observed nodes
 
@@ -160,7 +162,24 @@ def filled_surface(
         z_step=float(z[1] - z[0]),
         limit=None if plane is None else _plane_radius(plane, axis, theta, z),
     )
+    _tell_wild(filled.radius, contour, theta, z)
     return Surface(theta, z, filled.radius, filled.std, contour.observed, axis)
+
+
+def _tell_wild(radius: Array, contour: Contour, theta: Array, z: Array) -> None:
+    """Warn of radii that no trunk has: an arm, a wall, an axis beside the body."""
+    wild = radius > _WIDEST
+    if not wild.any():
+        return
+    j, k = np.unravel_index(int(radius.argmax()), radius.shape)
+    seen = "was seen" if contour.observed[j, k] else "was filled, not seen"
+    warn(
+        f"R reaches {100 * radius[j, k]:.0f} cm, wider than a trunk, at "
+        f"{np.degrees(theta[j]):.0f}° and z {100 * z[k]:.0f} cm, which {seen} "
+        f"({100 * wild.mean():.0f} % of the nodes are beyond {100 * _WIDEST:.0f} cm): "
+        "crop arms and what is around by a box or z_range, or give the axis",
+        3,
+    )
 
 
 def _check(
@@ -231,6 +250,8 @@ def _body_points(
             "nowhere near the axis, check axis and unit"
         )
     kept = ~stray(points)
+    if plane is None:
+        kept[kept] = trunk(points[kept])
     if kept.sum() < _LEAST_POINTS:
         raise GeometryError(
             f"only {int(kept.sum())} of {len(points)} points near the axis have others "

@@ -75,20 +75,25 @@ class Axis:
         head: ArrayLike | None = None,
         flip: bool = False,
         prone: bool = False,
+        camera: ArrayLike | None = None,
+        support: bool = True,
         rng: np.random.Generator | None = None,
     ) -> Axis:
         """Estimate the patient frame from a scan (`ttus_opt.scan.frame_estimate`).
 
         x points to the patient's right, y to the front, z to the head, and the origin
-        is inside the body. The front is away from the supporting plane, the head at the
-        deeper end of the trunk (`ttus_opt.scan.body_sides`). The plane is kept in
-        ``support``.
+        is inside the body. The front is away from the supporting plane, or the side
+        that the camera saw where there is none; the head is at the deeper end of the
+        trunk (`ttus_opt.scan.body_sides`). The plane is kept in ``support``.
 
         Args:
             cloud: Scan, shape (n, 3) [m].
             head: Direction to the head in the scan, shape (3,); guessed when not given.
             flip: Take the opposite end for the head.
-            prone: The patient lies on the front.
+            prone: The patient lies on the front; without a support, the back was seen.
+            camera: Where the scan was seen from, shape (3,) [m]; the scan's origin
+                when not given and the scan looks like it (`ttus_opt.scan.viewpoint`).
+            support: Look for the plane that the body lies on.
             rng: Draws trial planes; a fixed seed when not given.
 
         Returns:
@@ -100,7 +105,9 @@ class Axis:
             GeometryError: The scan shows no body, or ``head`` points across it.
         """
         towards = None if head is None else np.asarray(head, dtype=np.float64)
-        return cls(*estimate_frame(cloud, Lying(towards, flip, prone), rng=rng))
+        place = None if camera is None else np.asarray(camera, dtype=np.float64)
+        lying = Lying(towards, flip, prone, place, support)
+        return cls(*estimate_frame(cloud, lying, rng=rng))
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
         """The stored plane; if unknown, the one found in the scan (n, 3) [m].

@@ -5,8 +5,9 @@ of medical images. With a supporting plane y is its normal, away from the suppor
 lies in the plane along the body, and the origin is half-way between the support and
 the ridge of the body, in the middle of its width: inside the body although only its
 upper half was seen. Without one, z comes from the surface normals alone, the origin is
-the centre of the circle that fits the cross-section best, and y points to the side
-that was seen or, on a body seen all around, along the shorter diameter.
+the centre of the circle that fits the cross-section best, and y points to the camera
+where the scan is one view (`ttus_opt.scan.viewpoint`), otherwise to the side that was
+seen or, on a body seen all around, along the shorter diameter.
 
 z is the direction along the body's sides: surface normals are perpendicular to it, so
 it minimises the sum of (n·z)². The squares are clipped, because the ends of a torso (a
@@ -35,11 +36,15 @@ from ttus_opt.scan.supporting_plane import (
     across,
     find_supporting_plane,
 )
+from ttus_opt.scan.viewpoint import camera_of
 
 _CELL = 0.012  # edge of the cells that equalise the density of points [m]
 _CUT = 0.25  # (n·z)² is clipped here, at 60° from the axis
 #: Weight of the ratio of variances (longest/along) beside the mean cut (n·z)².
 _LENGTH_WEIGHT = 0.05
+#: Radii of a cross-section that a circle's fit is believed for [m], and where not, half
+#: the body's depth: a share of its width, within limits [–, m]
+_ROUND, _HALF_DEPTH, _HALF_DEPTHS = (0.06, 0.20), 0.3, (0.05, 0.14)
 _NEARBY = np.cos(np.radians(20.0))
 _STEPS = 50  # of the refinement, which settles in about five
 
@@ -65,12 +70,16 @@ class Lying:
     Attributes:
         head: Direction to the head in the scan, shape (3,); None to find it.
         flip: Take the opposite end for the head.
-        prone: The patient lies on the front.
+        prone: The patient lies on the front; without a support, the back was seen.
+        camera: Where the scan was seen from, shape (3,) [m]; None to find out.
+        support: Look for the plane that the body lies on.
     """
 
     head: Array | None = None
     flip: bool = False
     prone: bool = False
+    camera: Array | None = None
+    support: bool = True
 
 
 def estimate_frame(
@@ -94,7 +103,10 @@ def estimate_frame(
     """
     known = lying or Lying()
     head = None if known.head is None else checked_direction(known.head)
-    plane = find_supporting_plane(cloud, rng=rng)
+    camera = camera_of(cloud) if known.camera is None else known.camera
+    plane = None
+    if known.support:
+        plane = find_supporting_plane(cloud, rng=rng, camera=known.camera)
     body = cloud if plane is None else cloud[plane.above(cloud)]
     points = _thinned(body)
     if len(points) < 50:
@@ -104,7 +116,7 @@ def estimate_frame(
         )
     normals = _normals(points)
     if plane is None:
-        frame = _free_frame(points, normals)
+        frame = _free_frame(points, normals, camera, stated=known.camera is not None)
     else:
         frame = _supported_frame(points, normals, plane)
     upward, z = frame.upward, frame.z
@@ -191,7 +203,9 @@ def _supported_frame(
     return _Lengthwise(origin, up, z)
 
 
-def _free_frame(points: Array, normals: Array) -> _Lengthwise:
+def _free_frame(
+    points: Array, normals: Array, camera: Array | None, *, stated: bool
+) -> _Lengthwise:
     z = _along(points, normals, _half_sphere(4000), np.eye(3))
     basis = across(z)
     section = points @ basis.T
@@ -201,12 +215,23 @@ def _free_frame(points: Array, normals: Array) -> _Lengthwise:
     design = np.column_stack([2 * q, np.ones(len(q))])
     solution, _, rank, _ = np.linalg.lstsq(design, (q**2).sum(axis=1), rcond=1e-6)
     radius = np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0))
-    if rank < 3 or not 0.01 < radius < 1.0:
+    if rank < 3 or not 0.01 < radius < (1.0 if camera is None else np.inf):
         raise GeometryError(
             "the scan's cross-section is not round (a plane?): show more of the body "
             "or give the axis"
         )
     centre, seen = solution[:2], -solution[:2]
+    height = np.percentile(points @ z, [2, 98]).mean()
+    origin = (centre + mean) @ basis + height * z
+    upward = None if camera is None else _towards(camera, points, z)
+    if upward is not None:
+        curved = float(seen @ (basis @ upward))
+        believed = _ROUND[0] < radius < _ROUND[1]
+        if believed and curved > 0.0:
+            return _Lengthwise(origin, upward, z)
+        if stated or not believed:
+            return _Lengthwise(_behind(points, upward, z), upward, z)
+        # it curves away from the scan's origin: the camera was elsewhere
     if np.linalg.norm(seen) < 0.15 * radius:  # seen all around
         _, vectors = np.linalg.eigh(np.cov(q.T))
         upward = vectors[:, 0] @ basis
@@ -214,9 +239,28 @@ def _free_frame(points: Array, normals: Array) -> _Lengthwise:
     else:
         upward = seen @ basis
         upward /= np.linalg.norm(upward)
-    height = np.percentile(points @ z, [2, 98]).mean()
-    origin = (centre + mean) @ basis + height * z
     return _Lengthwise(origin, upward, z)
+
+
+def _towards(camera: Array, points: Array, z: Array) -> Array | None:
+    """Direction across the body to the camera, (3,); None if it looked along it."""
+    towards = camera - points.mean(axis=0)
+    upward = towards - (towards @ z) * z
+    length = float(np.linalg.norm(upward))
+    if length < 0.3 * float(np.linalg.norm(towards)):
+        return None
+    return np.asarray(upward / length)
+
+
+def _behind(points: Array, upward: Array, z: Array) -> Array:
+    """A point inside a body of which a side too flat for a circle was seen, (3,)."""
+    side = np.cross(upward, z)
+    left, right = np.percentile(points @ side, [2, 98])
+    half_depth = float(np.clip(_HALF_DEPTH * (right - left), *_HALF_DEPTHS))
+    ridge = np.percentile(points @ upward, 90)
+    height = np.percentile(points @ z, [2, 98]).mean()
+    middle = 0.5 * (left + right)
+    return np.asarray(middle * side + (ridge - half_depth) * upward + height * z)
 
 
 def _half_sphere(n: int) -> Array:

@@ -24,6 +24,9 @@ _LEAST_SHARE = 0.02  # of all points
 _MOST_BELOW = 0.02  # of all points, further below than the tolerance
 _LEAST_OUTSIDE = 0.25  # of the plane's points, beyond the body's outline
 _OUTLINE_MARGIN = 0.015  # [m]
+#: Least ratio of points within the tolerance to those just beyond: arms and legs at one
+#: depth are no plane.
+_LEAST_PEAK = 2.5
 _N_SAMPLE, _N_TRIALS, _N_ROUNDS = 4000, 600, 3
 
 
@@ -51,7 +54,10 @@ class SupportingPlane:
 
 
 def find_supporting_plane(
-    cloud: Array, *, rng: np.random.Generator | None = None
+    cloud: Array,
+    *,
+    rng: np.random.Generator | None = None,
+    camera: Array | None = None,
 ) -> SupportingPlane | None:
     """The plane on which the body lies, or None when the scan shows none.
 
@@ -59,6 +65,8 @@ def find_supporting_plane(
         cloud: Scan, shape (n, 3) [m].
         rng: Draws the trial planes; a fixed seed when not given, so that the same
             scan gives the same plane.
+        camera: Where the scan was seen from, shape (3,) [m]: a body lies on the
+            camera's side of its support.
 
     Raises:
         InputError: The cloud is not (n, 3) or has fewer than 100 points.
@@ -70,7 +78,7 @@ def find_supporting_plane(
     rng = rng or np.random.default_rng(0)
     sample = rng.permutation(cloud)[:_N_SAMPLE]
     for _ in range(_N_ROUNDS):  # one round may miss a bed of which little is seen
-        best = _one_round(sample, rng)
+        best = _one_round(sample, rng, camera)
         if best is not None:
             return _finish(cloud, *best)
     return None
@@ -83,7 +91,9 @@ def across(direction: Array) -> Array:
     return np.stack([first, np.cross(direction, first)])
 
 
-def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] | None:
+def _one_round(
+    sample: Array, rng: np.random.Generator, camera: Array | None
+) -> tuple[Array, float] | None:
     """The best trial plane that is a support; None without one."""
     normals, offsets = _trial_planes(sample, rng)
     heights = normals @ sample.T - offsets[:, None]
@@ -95,7 +105,8 @@ def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] |
         if score[best] == 0:
             return None
         normal, offset = _refine(sample, normals[best], float(offsets[best]))
-        if _supports(sample, normal, offset):
+        behind = camera is not None and normal @ camera <= offset
+        if not behind and _supports(sample, normal, offset):
             return normal, offset
     return None
 
@@ -147,6 +158,9 @@ def _supports(sample: Array, normal: Array, offset: float) -> bool:
     near = sample[np.abs(height) < TOLERANCE]
     body = sample[height > 2 * TOLERANCE]
     if (height < -TOLERANCE).mean() > _MOST_BELOW or min(len(near), len(body)) < 30:
+        return False
+    beyond = int((np.abs(height) < 2 * TOLERANCE).sum()) - len(near)
+    if len(near) < _LEAST_PEAK * beyond:
         return False
     angle = np.linspace(0, np.pi, 16, endpoint=False)
     along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across(normal)

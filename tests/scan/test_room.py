@@ -1,0 +1,52 @@
+"""A person who stands in a room, seen by one camera at the scan's origin (y down)."""
+
+import numpy as np
+import pytest
+
+from tests.refusals import refuses
+from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.scan.cloud import read_cloud
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.room import alone_in_room
+from ttus_opt.scan.viewpoint import camera_of
+
+
+def person(x=0.0):
+    """The front half of a flat trunk with two arms behind its middle, at z = 2 m."""
+    angle, y = np.meshgrid(np.linspace(0, np.pi, 150), np.linspace(-0.8, 0.4, 300))
+    parts = [(0.17, 0.11, 0.0), (0.045, 0.045, 0.27), (0.045, 0.045, -0.27)]
+    return np.concatenate(
+        [
+            np.stack([x + c + a * np.cos(angle), y, 2 - b * np.sin(angle)], -1)
+            for a, b, c in parts
+        ]
+    ).reshape(-1, 3)
+
+
+def room():
+    u, v = np.meshgrid(np.linspace(-1.5, 1.5, 100), np.linspace(-1.5, 1.1, 100))
+    wall = np.stack([u, v, np.full_like(u, 3.5)], -1).reshape(-1, 3)
+    floor = np.stack([u, np.full_like(u, 1.1), 2.4 + v * 0.8], -1).reshape(-1, 3)
+    return np.concatenate([wall, floor])
+
+
+def test_the_side_that_the_camera_saw_is_the_front():
+    axis = Axis.from_cloud(person(), head=[0, -1, 0])
+    np.testing.assert_array_equal(camera_of(person()), 0.0)
+    assert axis.support is None  # trunk's edges and arms at one depth are no table
+    assert axis.rotation[:, 1] @ [0, 0, -1] > 0.99
+    assert axis.rotation[:, 2] @ [0, -1, 0] > 0.99
+    assert 1.9 < axis.origin[2] < 2.05  # behind the skin, inside the body
+    assert camera_of(np.vstack([person(), person() + np.array([0, 0, 0.3])])) is None
+
+
+def test_who_stands_alone_is_cropped(tmp_path):
+    np.save(tmp_path / "room.npy", np.concatenate([room(), person()]))
+    with pytest.warns(TtusWarning, match="shows a room: only the body"):
+        found = read_cloud(tmp_path / "room.npy")
+    assert len(found) > 0.3 * len(person())
+    assert np.abs(found[:, 2] - 2).max() < 0.2
+    two = np.concatenate([room(), person(-0.6), person(0.6)])
+    refuses(GeometryError, "several bodies", alone_in_room, two)
+    np.save(tmp_path / "two.npy", two)
+    refuses(InputError, "crop it by box=", read_cloud, tmp_path / "two.npy")
