@@ -29,7 +29,7 @@ def trunk(points: Array) -> Mask:
     from scipy.spatial import cKDTree
 
     some = points[:: max(1, len(points) // 2000)]
-    distance, _ = cKDTree(points).query(some, k=4)
+    distance = np.asarray(cKDTree(points).query(some, k=4)[0])
     cell = max(CELL, NEIGHBOURS * float(np.median(distance[:, -1])))
     at = (points - points.min(axis=0)) / [cell, cell, SECTION]
     place = tuple(at.astype(np.int64).T)
