@@ -124,8 +124,8 @@ TARGETS = (
     ),
     Target("fitting/parameters/parabola.py", ("fitting/parameters/test_parabola.py",)),
     Target(
-        "fitting/recursion/packed_triangle.py",
-        ("fitting/recursion/test_packed_triangle.py",),
+        "fitting/recursion/triangular_factor.py",
+        ("fitting/recursion/test_triangular_factor.py",),
         is_compiled=False,
     ),
     Target("solvers/verified.py", ("solvers/test_verified.py",)),

@@ -99,6 +99,7 @@ def test_a_law_that_varies_as_the_process_says_is_recovered(
             assert judged(rival, contacts, force) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_table_of_the_bundled_example_is_kept_and_continued(truth, tmp_path, capsys):
     kept, page, dots = tmp_path / "kept", tmp_path / "t.md", tmp_path / "t.png"
     asked = ["--results", str(kept), "--cases", "example", *SHAPE]
