@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Breathing, SimulatedPatient
 from ttus_opt.live.simulation import Moment, Simulation
+from ttus_opt.live.skin_motion import SkinMotion
 from ttus_opt.message import decode, encode
 from ttus_opt.phantom.examination import Handling
 from ttus_opt.phantom.probe import EllipsoidProbe
@@ -53,8 +54,8 @@ N_POINTS = 1000
 #: Time before the first press, in which both sides meet; of a press [s]
 MEETING, PRESS = 2.0, 2.0
 
-#: Age of what a camera tells of the skin [s]
-CAMERA = 0.05
+#: Age of what a camera tells of the skin [s]; its images a second [Hz]
+CAMERA, IMAGES = 0.05, 30.0
 
 #: Places that are pressed in turn [–]
 PLACES = 3
@@ -206,8 +207,15 @@ def simulation(trial: Trial) -> Simulation:
     hand = Hand(examination(trial.seconds))
     session = Simulation(operator, follower, hand, patient, trial.impairment())
     if trial.camera and trial.breathing:
-        session.skin = lambda time: patient.breathing.shift(time - CAMERA)
+        session.skin = partial(_seen_skin, SkinMotion(), patient.breathing)
     return session
+
+
+def _seen_skin(motion: SkinMotion, breathing: Breathing, now: float) -> Array:
+    """The skin's displacement as a camera tells it, shape (3,) [m]."""
+    image = math.floor((now - CAMERA) * IMAGES) / IMAGES
+    motion.see(image, breathing.shift(image))
+    return motion.at(now)
 
 
 def warm_up() -> None:
