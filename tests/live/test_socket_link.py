@@ -1,6 +1,7 @@
 """Real sockets on this machine."""
 
 import socket
+import struct
 import time
 
 import numpy as np
@@ -13,7 +14,9 @@ from ttus_opt.live.hand import Hand
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.safety import State
-from ttus_opt.live.socket_link import SocketLink
+from ttus_opt.live.sealed_stream import UNPROVED
+from ttus_opt.live.sealing import SealedChannel
+from ttus_opt.live.socket_link import PROOF, STRANGERS, SocketLink
 
 KEY = bytes(range(32))
 
@@ -83,6 +86,86 @@ def test_a_stream_that_no_side_of_ours_opened(links):
     here = links(port=there.port, calls=True)
     here.send(0.0, [Outgoing(b"model", reliable=True)])
     until(lambda got: b"model" in got[1], here, there)
+
+
+def together(links):
+    """A follower and an operator whose stream has carried a message."""
+    there = links(port=0, calls=False)
+    here = links(port=there.port, calls=True)
+    here.send(0.0, [Outgoing(b"hello", reliable=True)])
+    until(lambda got: b"hello" in got[1], here, there)
+    return there, here
+
+
+def recorded():
+    """What an eavesdropper has of an earlier stream: greeting and proof, framed."""
+    caller, called = (
+        SealedChannel(KEY, calls=calls, purpose="stream") for calls in (True, False)
+    )
+    caller.open(called.greeting())
+    packets = caller.greeting(), caller.seal(b"")
+    return b"".join(struct.pack("<I", len(data)) + data for data in packets)
+
+
+@pytest.mark.parametrize(
+    "says", [b"", b"\xff" * 50, recorded()], ids=["silence", "noise", "recorded"]
+)
+def test_a_stranger_does_not_take_the_stream(links, says):
+    there, here = together(links)
+    now = time.monotonic()  # stands still: the operator does not call again
+    with socket.create_connection(("127.0.0.1", there.port)) as stranger:
+        stranger.sendall(says)
+        end, arrived = now + 5.0, []
+        there.receive(now)
+        there.send(now, [Outgoing(b"model", reliable=True)])
+        while b"model" not in arrived:
+            assert time.monotonic() < end, "the operator's stream is gone"
+            there.send(now, [])
+            assert there.receive(now) == []
+            here.send(now, [])
+            arrived += here.receive(now)
+
+
+def closed(stranger):
+    """Whether the other side has closed this connection."""
+    try:
+        while stranger.recv(4096):
+            pass
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        pass
+    return True
+
+
+def test_strangers_are_few_and_for_a_short_time(links):
+    there = links(port=0, calls=False)
+    address, now = ("127.0.0.1", there.port), 10.0
+    strangers = [socket.create_connection(address) for _ in range(40)]
+    for one in strangers:
+        one.setblocking(False)
+    for _ in range(5):
+        assert there.receive(now) == []
+    assert sum(not closed(one) for one in strangers) == STRANGERS
+    here = links(port=there.port, calls=True)
+    here.send(0.0, [Outgoing(b"model", reliable=True)])
+    until(lambda got: b"model" in got[1], here, there)
+    there.receive(time.monotonic() + 2.0 * PROOF)
+    assert all(closed(one) for one in strangers)
+    for one in strangers:
+        one.close()
+
+
+def test_little_of_a_stranger_is_read(links):
+    there = links(port=0, calls=False)
+    with socket.create_connection(("127.0.0.1", there.port)) as stranger:
+        # a message that is announced and allowed, but never ends
+        stranger.sendall(struct.pack("<I", UNPROVED * 2) + bytes(UNPROVED))
+        stranger.setblocking(False)
+        end = time.monotonic() + 5.0
+        while not closed(stranger):
+            assert time.monotonic() < end
+            there.receive(10.0)
 
 
 def test_an_unusable_address(links):

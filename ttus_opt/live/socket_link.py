@@ -3,28 +3,28 @@
 The follower waits at a port, the operator calls it. Sockets never block: `send` and
 `receive` do what can be done now. Of datagrams the network may lose any, of the stream
 none; a stream that breaks is opened again by the operator, and both sides greet anew.
+A connection is heard once it has proved the key, and only then takes the place of the
+one before, so that a stranger ends no session.
 """
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import socket
-import struct
 from collections.abc import Sequence
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.live.messages import LONGEST, LONGEST_DATAGRAM
+from ttus_opt.live.messages import LONGEST_DATAGRAM
 from ttus_opt.live.peer import Outgoing
+from ttus_opt.live.sealed_stream import SealedStream
 from ttus_opt.live.sealing import SealedChannel
-
-_LENGTH = struct.Struct("<I")
 
 #: Time between greetings, and between attempts to connect [s]
 GREET, RETRY = 0.2, 0.5
 
-#: Longest sealed message; most bytes waiting to be sent or read [bytes]
-MOST, WAITING = LONGEST + 64, 4 * LONGEST
+#: Time that a connection has to prove the session's key [s], far longer than a round
+#: trip; most connections that have not, of which the eldest silent one gives way [–]
+PROOF, STRANGERS = 5.0, 16
 
 #: Errors of a datagram that is lost, not of a socket that is unusable
 _LOST = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EAGAIN)
@@ -52,10 +52,11 @@ class SocketLink:
         self._key, self._calls = key, calls
         self._address: tuple[str, int] | None = None
         self._waiting: list[bytes] = []  # for the stream
-        self._stream: socket.socket | None = None
+        self._stream: SealedStream | None = None
+        self._strangers: dict[SealedStream, float] = {}  # since when
+        self._arrived: list[bytes] = []  # with the proof of a new stream
         self._greeted = self._tried = -1e9
         self._listener: socket.socket | None = None
-        self._reset_stream()
         self._sealed = SealedChannel(key, calls=calls)
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._udp.setblocking(False)
@@ -102,13 +103,16 @@ class SocketLink:
             elif self._sealed.greetings > greetings:
                 self._sendto(self._sealed.greeting(), sender)
             self._address = self._address or sender
-        self._connect(now)
+        if self._listener is not None:
+            self._accept(self._listener, now)
+        else:
+            self._connect(now)
         arrived += self._read()
         return arrived
 
     def close(self) -> None:
         """Close the sockets."""
-        for one in (self._udp, self._stream, self._listener):
+        for one in (self._udp, self._stream, self._listener, *self._strangers):
             if one is not None:
                 one.close()
 
@@ -128,90 +132,66 @@ class SocketLink:
             if error.errno not in _LOST:
                 raise InputError(f"the network refuses: {error.strerror}") from error
 
-    def _reset_stream(self) -> None:
-        """Begin a stream anew, with new keys."""
-        if self._stream is not None:
-            self._stream.close()
-        self._stream = None
-        self._framed = SealedChannel(self._key, calls=self._calls, purpose="stream")
-        self._in, self._out, self._hailed = bytearray(), bytearray(), False
-
     def _connect(self, now: float) -> None:
-        """Open the stream, or take a newly opened one."""
-        if self._listener is not None:
-            with contextlib.suppress(BlockingIOError):
-                fresh, _ = self._listener.accept()
-                self._reset_stream()
-                fresh.setblocking(False)
-                self._stream = fresh
-        elif self._stream is None and now - self._tried >= RETRY:
-            self._tried = now
-            assert self._address is not None
-            stream = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            stream.setblocking(False)
-            with contextlib.suppress(BlockingIOError):
-                stream.connect(self._address)
-            self._reset_stream()
-            self._stream = stream
+        """Open the stream anew where there is none."""
+        if self._stream is not None or now - self._tried < RETRY:
+            return
+        self._tried = now
+        assert self._address is not None
+        connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        connection.setblocking(False)
+        try:
+            connection.connect(self._address)
+        except BlockingIOError:
+            pass
+        except OSError:  # no way there now
+            connection.close()
+            return
+        self._stream = SealedStream(connection, self._key, calls=True)
+
+    def _accept(self, listener: socket.socket, now: float) -> None:
+        """Take connections; the stream is the newest one that proved the key."""
+        for _ in range(STRANGERS):
+            try:
+                connection, _ = listener.accept()
+            except OSError:  # none, or gone already
+                break
+            stranger = SealedStream(connection, self._key, calls=False)
+            self._strangers[stranger] = now
+        for stranger, since in list(self._strangers.items()):
+            stranger.send([])
+            arrived = stranger.receive()
+            if stranger.proved and not stranger.broken:
+                if self._stream is not None:
+                    self._stream.close()
+                self._stream = stranger
+                self._arrived += arrived
+                del self._strangers[stranger]
+            elif stranger.broken or now - since > PROOF:
+                self._refuse(stranger)
+        while len(self._strangers) > STRANGERS:  # a greeting needs the key once
+            strangers = list(self._strangers)
+            silent = (one for one in strangers if not one.greeted)
+            self._refuse(next(silent, strangers[0]))
+
+    def _refuse(self, stranger: SealedStream) -> None:
+        stranger.close()
+        del self._strangers[stranger]
 
     def _read(self) -> list[bytes]:
-        if self._stream is None:
-            return []
-        try:
-            while len(self._in) < WAITING:
-                content = self._stream.recv(65536)
-                if not content:
-                    self._reset_stream()
-                    return []
-                self._in += content
-        except (BlockingIOError, InterruptedError):
-            pass
-        except OSError:  # not connected yet, or broken
-            if not self._connecting():
-                self._reset_stream()
-            return []
-        return self._unframed()
-
-    def _unframed(self) -> list[bytes]:
-        """The whole messages that have arrived on the stream."""
-        arrived = []
-        while len(self._in) >= _LENGTH.size:
-            (length,) = _LENGTH.unpack(self._in[: _LENGTH.size])
-            if length > MOST:
-                self._reset_stream()  # not a side of ours
-                break
-            if len(self._in) < _LENGTH.size + length:
-                break
-            data = bytes(self._in[_LENGTH.size : _LENGTH.size + length])
-            del self._in[: _LENGTH.size + length]
-            content = self._framed.open(data)
-            if content is not None:
-                arrived.append(content)
+        """What has arrived on the stream."""
+        arrived, self._arrived = self._arrived, []
+        if self._stream is not None:
+            arrived += self._stream.receive()
+            self._drop_broken()
         return arrived
 
-    def _connecting(self) -> bool:
-        assert self._stream is not None
-        return self._stream.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == 0
-
     def _write(self) -> None:
-        if self._stream is None:
-            return
-        if not self._hailed:
-            self._hailed = True
-            self._frame(self._framed.greeting())
-        if self._framed.ready:
-            for data in self._waiting:
-                self._frame(self._framed.seal(data))
-            self._waiting.clear()
-        try:
-            while self._out:
-                sent = self._stream.send(self._out[:65536])
-                del self._out[:sent]
-        except (BlockingIOError, InterruptedError):
-            pass
-        except OSError:
-            if not self._connecting():
-                self._reset_stream()
+        if self._stream is not None:
+            self._stream.send(self._waiting)
+            self._drop_broken()
 
-    def _frame(self, data: bytes) -> None:
-        self._out += _LENGTH.pack(len(data)) + data
+    def _drop_broken(self) -> None:
+        if self._stream is not None and self._stream.broken:
+            self._stream.close()
+            self._stream = None
