@@ -46,7 +46,32 @@ def test_who_stands_alone_is_cropped(tmp_path):
         found = read_cloud(tmp_path / "room.npy")
     assert len(found) > 0.3 * len(person())
     assert np.abs(found[:, 2] - 2).max() < 0.2
+
+
+def test_the_table_that_a_body_lies_on_stays_with_it(tmp_path):
+    rng = np.random.default_rng(0)
+    angle, z = np.meshgrid(np.linspace(0, np.pi, 120), np.linspace(-0.3, 0.3, 120))
+    trunk = np.stack([0.17 * np.cos(angle), 0.24 * np.sin(angle) - 0.02, z], -1)
+    trunk = trunk[trunk[..., 1] > 0]
+    u, v = np.meshgrid(np.linspace(-0.45, 0.45, 90), np.linspace(-1.25, 1.25, 250))
+    table = np.stack([u, np.zeros_like(u), v], -1)[np.abs(u) + np.abs(v) > 0.3]
+    points = np.concatenate([trunk, table]) + rng.normal(0, 0.001, (1, 3))
+    whole = Axis.from_cloud(points, head=[0, 0, 1])
+    np.save(tmp_path / "wide.npy", points)
+    with pytest.warns(TtusWarning, match="shows a room"):
+        found = read_cloud(tmp_path / "wide.npy")
+    assert np.ptp(found[:, 2]) < 1.3  # of 2.5 m
+    axis = Axis.from_cloud(found, head=[0, 0, 1])
+    assert axis.support is not None
+    np.testing.assert_allclose(axis.origin, whole.origin, atol=0.005)
+    np.testing.assert_allclose(axis.rotation, whole.rotation, atol=0.01)
+
+
+def test_several_bodies_are_named(tmp_path):
     two = np.concatenate([room(), person(-0.6), person(0.6)])
     refuses(GeometryError, "several bodies", alone_in_room, two)
-    np.save(tmp_path / "two.npy", two)
-    refuses(InputError, "crop it by box=", read_cloud, tmp_path / "two.npy")
+    np.save(tmp_path / "two.npy", two)  # 3 m: no larger than a torso's scan may be
+    with pytest.warns(TtusWarning, match="read whole: .*crop it by box="):
+        assert len(read_cloud(tmp_path / "two.npy")) == len(two)
+    np.save(tmp_path / "larger.npy", 1.2 * two)
+    refuses(InputError, "crop it by box=", read_cloud, tmp_path / "larger.npy")

@@ -88,13 +88,18 @@ def read_cloud(
 def body_alone(points: Array, name: str) -> Array:
     """The body in a room's points (n, 3) [m]; what is left out is told.
 
+    Where none stands alone, a scan that a torso's limits allow is read whole.
+
     Raises:
-        InputError: It does not stand alone.
+        InputError: None stands alone, and the scan is larger.
     """
     try:
         kept = alone_in_room(points)
     except GeometryError as error:
-        raise InputError(f"{name}: {error}") from error
+        if float(np.ptp(points, axis=0).max()) > EXTENT_LIMITS[1]:
+            raise InputError(f"{name}: {error}") from error
+        warn(f"{name} is read whole: {error}", 2)
+        return points
     size = " x ".join(f"{edge:.2f}" for edge in np.ptp(points[kept], axis=0))
     warn(
         f"{name} shows a room: only the body that stands alone is read, {size} m, "

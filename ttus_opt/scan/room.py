@@ -1,7 +1,8 @@
 """The body in the scan of a room, where it stands alone.
 
 Floor, walls and table tops are planes: the large ones are taken away. Of what is left,
-a body is the part of a body's size that has no other like it.
+a body is the part of a body's size that has no other like it. The table that it lies on
+comes with it, because the patient's frame is found by it.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.core.errors import GeometryError
+from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.scan.supporting_plane import find_supporting_plane
 
 #: Larger scans are of a room [m], larger ones in another unit
 ROOM, LARGEST_ROOM = 2.2, 10.0
@@ -26,9 +28,13 @@ PLANE_WIDTH = 0.8
 #: Length of a body [m]; the next part is smaller than this share of it [–]
 LENGTHS, ALONE = (0.35, 2.2), 0.5
 
+#: Around a body this much of its table is kept; a body lies on a plane when its lowest
+#: points are this close and its highest not further than this [m]
+MARGIN, LYING = 0.3, (0.12, 0.6)
+
 
 def alone_in_room(points: Array) -> Mask:
-    """Which points of a room are the body that stands alone, shape (n,).
+    """Which points of a room are the body that stands alone, and its table, shape (n,).
 
     Args:
         points: Scan of a room, shape (n, 3) [m].
@@ -64,7 +70,22 @@ def alone_in_room(points: Array) -> Mask:
     if others and sizes[others[0]] > ALONE * sizes[first]:
         told = "; or ".join(_box(*boxes[name]) for name in [first, *others][:3])
         raise GeometryError(f"the scan shows several bodies: crop it by box={told}")
-    return np.asarray(part[cell_of] == first)
+    return _with_table(points, np.asarray(part[cell_of] == first))
+
+
+def _with_table(points: Array, body: Mask) -> Mask:
+    """The body's points (n,) and what is around it, where it lies on a plane."""
+    low, high = points[body].min(axis=0), points[body].max(axis=0)
+    around = ((points > low - MARGIN) & (points < high + MARGIN)).all(axis=1)
+    try:
+        plane = find_supporting_plane(points[around])
+    except InputError:  # too few points for one
+        return body
+    if plane is None:
+        return body
+    lowest, highest = np.percentile(plane.height(points[body]), [2, 98])
+    lies = lowest < LYING[0] and highest < LYING[1]
+    return np.asarray(around & (plane.height(points) > -MARGIN)) if lies else body
 
 
 def _box(low: Array, high: Array) -> str:
