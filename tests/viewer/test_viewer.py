@@ -158,20 +158,30 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(
         assert asked == ["once"]
 
 
-def test_the_running_plot_is_level_while_nothing_moves() -> None:
+def test_the_running_plots_are_level_while_nothing_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Viewer, "_run", lambda _: None)  # this test's clock alone
     with tt.view(field(), probe(), port=0) as one:
-        until(lambda: bool(one.page.probe._points))
         tab, points = one.page.probe, one.page.probe._points
-        points.clear()
-        points.append((100.0, [1.0]))
+        points.append((100.0, [1.0, 20.0]))
         tab.add_point(100.03)  # too soon
         tab.add_point(104.0)
-        time, force = tab._columns()
+        (time, force), (same, torque) = tab.columns()
         np.testing.assert_allclose(time, [-4.0, -0.05, 0.0], atol=1e-9)
-        now = np.linalg.norm(one.state.touches[0].wrench.force)
-        assert force.tolist() == [1.0, 1.0, now]
+        np.testing.assert_array_equal(same, time)
+        wrench = tt.Renderer(field(), probe()).render(*one.state.pose)
+        pushed, turned = np.linalg.norm([wrench.force, wrench.torque], axis=1)
+        assert turned > 5e-5
+        np.testing.assert_allclose(force, [1.0, 1.0, pushed])
+        np.testing.assert_allclose(torque, [20.0, 20.0, 1e3 * turned])
+        tab.draw()
+        labels = [plot.axes[1]["label"] for plot in tab.plots]
+        assert labels == ["force [N]", "torque [mN m]"]
+        drawn = [np.asarray(plot.data[1]) for plot in tab.plots]
+        np.testing.assert_allclose(drawn, [force, torque], rtol=1e-6)
         tab.add_point(113.99)
-        time, force = tab._columns()
+        (time, force), _ = tab.columns()
         np.testing.assert_allclose(time, [-10.0, -9.99, -0.05, 0.0], atol=1e-9)
         assert force[0] == 1.0
 

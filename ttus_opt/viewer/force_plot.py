@@ -1,4 +1,4 @@
-"""Plots of force over time, as uPlot takes them."""
+"""Plots of force or torque over time, as uPlot takes them."""
 
 from __future__ import annotations
 
@@ -53,24 +53,28 @@ def series(names: Sequence[str], *, measured: bool, marker: bool = False) -> Any
     return tuple(out)
 
 
-def axes() -> Any:
-    """Seconds below, newtons on the left."""
+def axes(quantity: str) -> Any:
+    """Seconds below, the quantity on the left."""
     small = {"font": "11px sans-serif", "labelFont": "11px sans-serif"}
     return (
         {**small, "size": 24, "label": "time [s]", "labelSize": 14},
-        {**small, "size": 36, "label": "force [N]", "labelSize": 14},
+        {**small, "size": 36, "label": quantity, "labelSize": 14},
     )
 
 
 def add_plot(
-    gui: Any, columns: Any, told: Any, span: tuple[float, float] | None = None
+    gui: Any,
+    columns: Any,
+    told: Any,
+    span: tuple[float, float] | None = None,
+    quantity: str = "force [N]",
 ) -> Any:
-    """A plot of columns, the first of which is time, over a span of forces [N]."""
+    """A plot of columns, the first of which is time, over a span of the quantity."""
     upright = {"auto": True} if span is None else {"range": span}
     return gui.add_uplot(
         columns,
         told,
-        axes=axes(),
+        axes=axes(quantity),
         scales={"x": {"time": False, "auto": True}, "y": upright},
         legend={"show": False},  # the numbers above have the colours
         height=HEIGHT,

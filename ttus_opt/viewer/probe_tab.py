@@ -1,4 +1,4 @@
-"""The tab that moves the probe: by fields, buttons and keys, and a running plot."""
+"""The tab that moves the probe: by fields, buttons and keys, and running plots."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.stage import Stage, by_hand
 from ttus_opt.viewer.state import LEAST, MOST
@@ -14,8 +15,11 @@ from ttus_opt.viewer.state import LEAST, MOST
 #: A step of the buttons and keys [m], [deg]
 STEP, TURN = 1e-3, 1.0
 
-#: What the running plot shows [s], and how often it takes a point [s]
+#: What the running plots show [s], and how often they take a point [s]
 SHOWN, EVERY = 10.0, 0.05
+
+#: What they show: a plot each
+QUANTITIES = "force [N]", "torque [mN m]"
 
 #: Ways of the buttons and keys: name, keys back and forth; around, along, deeper
 WAYS = {
@@ -64,7 +68,11 @@ class ProbeTab:
         self.free = gui.add_checkbox(
             "handle", False, hint="arrows and rings at the probe, for any pose"
         )
-        self._plot = add_plot(gui, self._columns(), series(stage.names, measured=False))
+        told = series(stage.names, measured=False)
+        self.plots = tuple(
+            add_plot(gui, columns, told, quantity=quantity)
+            for columns, quantity in zip(self.columns(), QUANTITIES, strict=True)
+        )
         gui.add_markdown(HELP)
         self._listen()
         self.show()
@@ -79,27 +87,32 @@ class ProbeTab:
         self._angles.value = tuple(round(float(a), 1) + 0.0 for a in state.angles)
 
     def add_point(self, time: float) -> None:
-        """Take what is felt now into the running plot, every `EVERY`."""
+        """Take what is felt now into the running plots, every `EVERY`."""
         points = self._points
         if points and time - points[-1][0] < EVERY:
             return
         if points and time - points[-1][0] > 2.0 * EVERY:  # it rested
             points.append((time - EVERY, points[-1][1]))
-        forces = [touch.wrench.force for touch in self._stage.state.touches]
-        points.append((time, [float(np.linalg.norm(force)) for force in forces]))
+        wrenches = [touch.wrench for touch in self._stage.state.touches]
+        felt = [w.force for w in wrenches] + [1e3 * w.torque for w in wrenches]
+        points.append((time, [float(np.linalg.norm(one)) for one in felt]))
         while len(points) > 2 and points[1][0] < time - SHOWN:
             points.popleft()
 
     def draw(self) -> None:
-        """Draw the running plot."""
-        self._plot.data = self._columns()
+        """Draw the running plots."""
+        for plot, columns in zip(self.plots, self.columns(), strict=True):
+            plot.data = columns
 
-    def _columns(self) -> tuple[Any, ...]:
+    def columns(self) -> tuple[tuple[Array, ...], ...]:
+        """Of every plot: time [s] and every field's, force [N] and torque [mN m]."""
+        fields = len(self._stage.names)
         if len(self._points) < 2:
-            return tuple(np.zeros(2) for _ in range(len(self._stage.names) + 1))
+            return (tuple(np.zeros((fields + 1, 2))),) * 2
         times, sizes = zip(*self._points, strict=True)
-        time = np.array(times) - times[-1]
-        return (np.maximum(time, -SHOWN), *np.array(sizes).T)
+        time = np.maximum(np.array(times) - times[-1], -SHOWN)
+        felt = np.array(sizes).T
+        return (time, *felt[:fields]), (time, *felt[fields:])
 
     def _step(self, way: tuple[int, int, int], sign: int) -> None:
         around, along, deeper = (STEP * sign * w for w in way)
