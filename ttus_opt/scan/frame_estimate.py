@@ -223,8 +223,9 @@ def _free_frame(
     centre, seen = solution[:2], -solution[:2]
     height = np.percentile(points @ z, [2, 98]).mean()
     origin = (centre + mean) @ basis + height * z
+    all_around = np.linalg.norm(seen) < 0.15 * radius  # no one camera sees that
     upward = None if camera is None else _towards(camera, points, z)
-    if upward is not None:
+    if upward is not None and (stated or not all_around):
         curved = float(seen @ (basis @ upward))
         believed = _ROUND[0] < radius < _ROUND[1]
         if believed and curved > 0.0:
@@ -232,7 +233,7 @@ def _free_frame(
         if stated or not believed:
             return _Lengthwise(_behind(points, upward, z), upward, z)
         # it curves away from the scan's origin: the camera was elsewhere
-    if np.linalg.norm(seen) < 0.15 * radius:  # seen all around
+    if all_around:
         _, vectors = np.linalg.eigh(np.cov(q.T))
         upward = vectors[:, 0] @ basis
         upward = upward * front_along(points @ upward)

@@ -1,7 +1,8 @@
 """Arms beside a trunk, told by the gap that sections show between them.
 
-In each section across the axis, what does not hang together with the rest and has less
-than `SHARE` of its points is a limb. Legs have half each, and stay.
+In each section across the axis, what does not hang together with the rest, has less
+than `SHARE` of its points and is no wider than an arm is a limb. Legs have half each,
+and stay; so does a part of the trunk behind a fold, which is wide.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ LEAST = 100
 
 #: Largest share of a section's points in a limb [–]
 SHARE = 0.3
+
+#: Largest extent of a limb's section [m]
+WIDTH = 0.16
 
 
 def trunk(points: Array) -> Mask:
@@ -41,4 +45,9 @@ def trunk(points: Array) -> Mask:
     _, part = np.unique(names[place], return_inverse=True)
     of_part = np.bincount(part)
     of_section = np.bincount(place[2])
-    return np.asarray(of_part[part] >= SHARE * of_section[place[2]])
+    low = np.full((len(of_part), 2), np.inf)
+    high = -low
+    np.minimum.at(low, part, points[:, :2])
+    np.maximum.at(high, part, points[:, :2])
+    wide = (high - low).max(axis=1) > WIDTH
+    return np.asarray(wide[part] | (of_part[part] >= SHARE * of_section[place[2]]))
