@@ -17,8 +17,9 @@ measurement that disagrees by more than four standard deviations counts less, th
 the more it disagrees.
 
 What was measured fades: g follows an Ornstein-Uhlenbeck process, which returns to its
-prior over `memory`. The mean law does not fade; friction μ is the ratio of tangential
-and normal forces while the probe slides, over the last `SLIDES` of them.
+prior over `memory`. The mean law does not fade; friction μ is the ratio of the force
+that is not the model's pressure to the drag of all points at μ = 1
+(`ttus_opt.contact.point_drag`), over the last `SLIDES` of it.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.contact.contact_size import patches_of
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.contact.rows import checked_poses, contact_rows
+from ttus_opt.contact.slip import Slip
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.depth_lattice import DEPTHS, DepthLattice
@@ -59,8 +60,8 @@ LAW = 2
 #: Normalised residual from which a measurement counts less [–]
 DISAGREES = 4.0
 
-#: Forces of sliding frames that friction is averaged over [N]; below the least speed
-#: [m/s] and normal force [N] a frame does not count
+#: Drag at μ = 1 that friction is averaged over [N]; speed below which the drag of a
+#: point fades [m/s]; least normal force of a frame that counts [N]
 SLIDES, LEAST_SPEED, LEAST_FORCE = 100.0, 3e-3, 0.5
 
 #: Largest friction coefficient [–]
@@ -247,23 +248,26 @@ class RecursiveDepthMap:
         points = int(rows.contact_points[0])
         if not points:
             return Folded(0, wrench[:3].copy(), 0.0, 1.0)
-        torque = sp.csr_array(rows.W / self.shell.rms_radius)
-        H, prior = self._state_rows(sp.csr_array(sp.vstack([rows.N, torque])))
+        long = self.shell.rms_radius
+        parts = [rows.N, rows.W / long, *self._drag_rows(R, at, twist)]
+        H, prior = self._state_rows(sp.csr_array(sp.vstack(parts)))
+        both = prior + H @ self._mean
+        H, prior, expected = H[:6], prior[:6], both[:6]
+        rubs = both[6:] if twist is not None else np.zeros(6)  # drag at μ = 1
         measured = wrench.copy()
         measured[3:] /= self.shell.rms_radius
-        expected = prior + H @ self._mean
         size = float(np.linalg.norm(prior[:3]))
         normal = prior[:3] / size if size > 0.0 else np.zeros(3)
         pressed = max(float(normal @ expected[:3]), 0.0)
-        drag = np.zeros(6)
-        if twist is not None and pressed >= LEAST_FORCE:
-            drag = self._drag(R, at, np.asarray(twist), wrench[:3], pressed)
+        drag = self.friction * rubs
         residual = measured - expected - drag
         noise = _noise(normal, pressed, ALIKE / max(min(pause, ALIKE), 1e-3))
         cross = self._covariance @ H.T
         spread = H @ cross + noise
         nis = float(residual @ np.linalg.solve(spread, residual))
         counts = min(1.0, (DISAGREES**2 / max(nis / len(H), 1e-12)) ** 2)
+        if pressed >= LEAST_FORCE:
+            self._rub(rubs[:3], (measured - expected)[:3], counts)
         spread += (1.0 / counts - 1.0) * noise
         gain = scipy.linalg.solve(spread, cross.T, assume_a="pos")
         self._mean = self._mean + residual @ gain
@@ -394,23 +398,36 @@ class RecursiveDepthMap:
             self._everywhere = self._predictor(np.arange(self.lattice.n_places))
         return self._everywhere
 
-    def _drag(
-        self, R: Array, at: Array, twist: Array, force: Array, pressed: float
-    ) -> Array:
-        """The drag expected of one pose, torque over ℓ, (6,) [N]; then learns μ."""
-        patch = patches_of(self.lattice.voxmap, self.shell, R, at)
-        normal, arm = patch.normal[0], patch.centre[0]
-        moved = twist[:3] + np.cross(twist[3:], R[0] @ self.shell.reference + arm)
-        along = moved - (normal @ moved) * normal
-        speed = float(np.linalg.norm(along))
-        if speed < LEAST_SPEED:
-            return np.zeros(6)
-        direction = along / speed
-        drag = -self.friction * pressed * direction
-        fade = max(1.0 - pressed / SLIDES, 0.0)
-        self._slid = fade * self._slid - float(force @ direction)
-        self._pressed = fade * self._pressed + max(float(force @ normal), 0.0)
-        return np.concatenate([drag, np.cross(arm, drag) / self.shell.rms_radius])
+    def _drag_rows(
+        self, R: Array, at: Array, twist: Array | None
+    ) -> list[sp.csr_array]:
+        """Rows of drag at μ = 1, of every point for itself: force, and torque over ℓ.
+
+        A probe that is pressed straight in slides along its flanks: its force is larger
+        than that of its release, which without friction looks like two stiffnesses.
+        """
+        if twist is None:
+            return []
+        slides = np.array(twist, dtype=np.float64)
+        slides[:3] += np.cross(slides[3:], R[0] @ self.shell.reference)
+        rows = contact_rows(
+            self.lattice.voxmap,
+            self.shell,
+            R,
+            at,
+            sampling=SAMPLING,
+            slip=Slip(slides[None], LEAST_SPEED),
+        )
+        return [-rows.N, sp.csr_array(rows.W / -self.shell.rms_radius)]
+
+    def _rub(self, rubs: Array, force: Array, counts: float) -> None:
+        """Learn μ from the drag expected at μ = 1 and from what is not pressure [N]."""
+        size = float(np.linalg.norm(rubs))
+        if size == 0.0:
+            return
+        fade = max(1.0 - counts * size / SLIDES, 0.0)
+        self._slid = fade * self._slid + counts * float(force @ rubs) / size
+        self._pressed = fade * self._pressed + counts * size
 
 
 def _signed_depth(voxmap: Voxmap) -> Array:

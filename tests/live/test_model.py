@@ -1,0 +1,33 @@
+"""What a live model learns from presses, without a link."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ttus_opt.live.feedback import ModelFeedback
+from ttus_opt.live.model import USUAL_LAW, LiveModel, ModelPlan
+from ttus_opt.live.patient import SimulatedPatient
+from ttus_opt.live.trial import examination, patient_surface, probe_shell
+
+#: The hand gives way, so that it is not as deep as it intends [m]
+FRICTION, LIFTED = 0.25, np.array([0.0, 0.008, 0.0])
+
+
+def test_presses_alone_tell_friction_from_stiffness():
+    # a press is a tenth larger than its release: drag along the probe's flanks
+    law = replace(USUAL_LAW, coefficients=(1.6 * USUAL_LAW.coefficients[0],))
+    model = LiveModel(patient_surface(), probe_shell(), ModelPlan(law=law))
+    patient, still = SimulatedPatient(friction=FRICTION), SimulatedPatient(noise=0.0)
+    path = examination(7.0)
+    samples = []
+    for time, R, p in zip(path.time, path.rotation, path.position, strict=True):
+        samples.append(patient.sense(time, R, p + LIFTED))
+        model.fold(samples[-1])
+    assert model.learner.friction == pytest.approx(FRICTION, abs=0.1)
+    feel = ModelFeedback(model.field, probe_shell())
+    for sample in samples[-60::5]:
+        place = sample.rotation, sample.position
+        true = np.linalg.norm(still.wrench(0.0, *place, np.zeros(3))[:3])
+        if true > 2.0:
+            assert np.linalg.norm(feel.at(*place)[:3]) == pytest.approx(true, rel=0.06)
