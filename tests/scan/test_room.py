@@ -67,6 +67,16 @@ def test_the_table_that_a_body_lies_on_stays_with_it(tmp_path):
     np.testing.assert_allclose(axis.rotation, whole.rotation, atol=0.01)
 
 
+def test_strips_of_floor_are_no_bodies():
+    u, v = np.meshgrid(np.linspace(0.2, 1.9, 150), np.linspace(2.5, 3.2, 80))
+    height = np.random.default_rng(0).normal(1.1, 0.007, u.shape)
+    strips = [np.stack([side * u, height, v], -1).reshape(-1, 3) for side in (-1, 1)]
+    points = np.concatenate([person(), *strips])  # too short for a large plane
+    found = points[alone_in_room(points)]
+    assert np.abs(found[:, 2] - 2).max() < 0.2
+    assert len(found) > 0.3 * len(person())
+
+
 def test_several_bodies_are_named(tmp_path):
     two = np.concatenate([room(), person(-0.6), person(0.6)])
     refuses(GeometryError, "several bodies", alone_in_room, two)

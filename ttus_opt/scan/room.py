@@ -28,6 +28,10 @@ PLANE_WIDTH = 0.8
 #: Length of a body [m]; the next part is smaller than this share of it [–]
 LENGTHS, ALONE = (0.35, 2.2), 0.5
 
+#: A part as flat and as wide as this is a strip of floor or wall (standard deviations)
+#: [m]; the front half of a trunk has about 0.025 and 0.1
+FLAT, BROAD = 0.015, 0.12
+
 #: Around a body this much of its table is kept; a body lies on a plane when its lowest
 #: points are this close and its highest not further than this [m]
 MARGIN, LYING = 0.3, (0.12, 0.6)
@@ -58,7 +62,10 @@ def alone_in_room(points: Array) -> Mask:
     boxes = {}
     for name in np.argsort(-sizes)[:20].tolist():
         own = centres[part == name] if sizes[name] else centres[:0]
-        if len(own) > 20 and LENGTHS[0] < np.ptp(own, axis=0).max() < LENGTHS[1]:
+        if len(own) <= 20 or not LENGTHS[0] < np.ptp(own, axis=0).max() < LENGTHS[1]:
+            continue
+        spread = np.linalg.eigvalsh(np.cov(points[part[cell_of] == name].T))
+        if spread[0] > FLAT**2 or spread[1] < BROAD**2:
             boxes[name] = own.min(axis=0) - CELL, own.max(axis=0) + CELL
     first, *others = [*boxes] or [0]
     if not boxes:
