@@ -8,14 +8,18 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 from tests.cli.conftest import PROBE, Run
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
@@ -110,6 +114,21 @@ def test_what_is_wrong_is_said_in_a_line(
     assert answer.status == 2
     assert len(answer.errors) == 1
     assert why in answer.errors[0]
+
+
+def test_a_field_of_another_patient_is_refused(
+    run: Run, field: Path, tmp_path: Path, served: list[str]
+) -> None:
+    one, other = PotentialField.load(field), tmp_path / "other.nc"
+    surface = one.voxmap.surface
+    larger = replace(surface, radius=1.02 * surface.radius)
+    voxmap = Voxmap.from_surface(larger, shape=one.voxmap.grid.shape, r_inner=0.03)
+    PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear").save(other)
+    answer = run(f"view {field} --compare {other} --port 0 --no-browser")
+    assert answer.status == 2
+    assert len(answer.errors) == 1
+    assert "on one patient" in answer.errors[0]
+    assert served == []
 
 
 def test_a_viser_that_is_missing_is_named(
