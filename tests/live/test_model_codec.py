@@ -32,7 +32,7 @@ def test_a_model_survives_within_its_rounding():
     assert there.scale == pytest.approx(here.scale, rel=1e-6)
     at = np.array([0.11, 0.0, 0.15])
     forces = [
-        tt.Renderer(one.field, model.shell).render(np.eye(3), at).force
+        tt.Renderer(one.field, model.shell).render(np.eye(3), at, np.zeros(6)).force
         for one in (model, far)
     ]
     np.testing.assert_allclose(*forces, rtol=0.01, atol=0.02)
