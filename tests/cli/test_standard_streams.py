@@ -47,6 +47,13 @@ def test_a_result_on_stdout_is_the_file_and_words_go_beside_it(
     assert answer.errors == [told.out.strip().replace(str(out), "stdout")]
 
 
+def test_an_error_names_stdin_and_no_file_that_is_gone(run, recorded, monkeypatch):
+    typed(monkeypatch, b"")
+    answer = run(words(wrenches=recorded / "force.csv"))
+    refused(answer, "stdin.csv is empty")
+    assert "ttus-opt-" not in answer.errors[0]
+
+
 def test_what_cannot_be_a_stream_is_refused(run, recorded):
     wrenches = recorded / "force.csv"
     refused(run(words(wrenches="-")), "read once")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt.cli.console import words_beside
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import InputError, TtusError
 
 #: The file that stands for stdin or stdout
 DASH = Path("-")
@@ -68,7 +68,11 @@ def standard_streams(given: dict[str, Any], *, folder: bool) -> Iterator[None]:
         if writes:
             given["output"] = result
         with words_beside(writes, f"{place}/"):
-            yield
+            try:
+                yield
+            except TtusError as error:
+                error.args = (str(error).replace(f"{place}/", ""),)
+                raise
         if writes and result.exists():
             with result.open("rb") as stream:
                 shutil.copyfileobj(stream, sys.stdout.buffer)

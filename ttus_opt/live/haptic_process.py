@@ -245,10 +245,12 @@ class _Loop:
         self.replace(dataclasses.replace(old, values=shaped, parameters=parameters))
 
     def replace(self, field: PotentialField) -> None:
-        """Blend another field in, over the same or another surface."""
-        with contextlib.suppress(TtusError):  # what is not finite changes nothing
-            self._feedback.update(field)
-            self._field = field
+        """Blend another field in, over the same or another surface.
+
+        One that cannot be rendered ends the loop, which the operator answers by STOP.
+        """
+        self._feedback.update(field)
+        self._field = field
 
     def frame(self, now: float, stopped: bool) -> Array:
         """One frame; what is published of it, shape (HAND,)."""

@@ -50,8 +50,8 @@ class Impairment:
     def __post_init__(self) -> None:
         """Refuse what no link does."""
         for name in ("delay", "jitter"):
-            if not 0.0 <= getattr(self, name) <= 60.0:
-                raise InputError(f"{name} must lie between 0 and 60 s")
+            if not 0.0 <= (value := getattr(self, name)) <= 60.0:
+                raise InputError(f"{name} must lie between 0 and 60 s, got {value} s")
         for name in ("loss", "duplicates"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise InputError(f"{name} is a share from 0 to below 1")
