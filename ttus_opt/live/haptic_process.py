@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import NumericalError, TtusError
+from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.feedback import ModelFeedback
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.messages import Sample
