@@ -40,6 +40,11 @@ PHONE, DESK = {"width": 390, "height": 700}, {"width": 900, "height": 560}
 #: viser's own, at every drag in Chromium; it has no effect
 KNOWN = "Unable to preventDefault inside passive event listener invocation."
 
+#: Three frames: a page takes an event, tells it, and draws
+FRAMES = """async () => {
+  for (let k = 0; k < 3; k++) await new Promise(requestAnimationFrame);
+}"""
+
 ARGUMENTS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -96,6 +101,11 @@ class Visit:
         while not true():
             assert time.monotonic() < end, "did not become true in time"
             self.page.wait_for_timeout(100)
+
+    def drawn(self) -> None:
+        """Wait for frames that show, and take, what was done before."""
+        self.page.evaluate(FRAMES)
+        self.page.wait_for_timeout(100)  # pages send drags 20 times a second
 
     def tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=name).click()
@@ -165,19 +175,21 @@ def test_a_click_puts_the_probe_there(visit: Visit, viewer: Viewer) -> None:
 
 def drag(visit: Visit, viewer: Viewer, way: np.ndarray) -> None:
     """Take the probe by the mouse some way [m]."""
+    rests(viewer)
     start, mouse = centre(viewer), visit.page.mouse
     mouse.move(*pixel(viewer, start))
-    visit.page.wait_for_timeout(1500)
+    visit.drawn()
     mouse.down()
-    visit.page.wait_for_timeout(500)
+    visit.drawn()
     for share in np.linspace(0.0, 1.0, 8):
         mouse.move(*pixel(viewer, start + share * way))
-        visit.page.wait_for_timeout(300)
+        visit.drawn()
     mouse.up()
-    visit.page.wait_for_timeout(1500)
+    visit.drawn()
 
 
 def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
+    viewer.state.slide(1.9, 0.11)
     before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
     theta, z = np.array([before[0] - 0.3]), np.array([before[1] - 0.02])
     goal = skin_points(viewer.state.surface, theta, z)[0]
@@ -193,13 +205,23 @@ def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> N
 
 
 def test_a_drag_with_shift_presses_the_probe_in(visit: Visit, viewer: Viewer) -> None:
-    place, depth = viewer.state.place, viewer.state.depth
+    viewer.state.slide(1.6, 0.09)
+    place, before = viewer.state.place, centre(viewer)
+    events: list[Any] = []
+    node = viewer.page._nodes[0].probe
+    node.on_drag("left", modifier="shift")(events.append)
+    way = -0.01 * viewer.state.outward
     visit.page.keyboard.down("Shift")
-    drag(visit, viewer, -0.006 * viewer.state.outward)
+    drag(visit, viewer, way)
     visit.page.keyboard.up("Shift")
-    assert viewer.state.depth - depth == pytest.approx(0.006, rel=0.25)
     np.testing.assert_allclose(viewer.state.place, place, atol=0.03)
     rests(viewer)
+    gripped, moved = np.array(events[0].start_position), centre(viewer) - before
+    assert moved @ way > 0.5 * way @ way
+    # the point that was gripped is under the pointer, to a pixel along the way
+    along = np.subtract(pixel(viewer, before + way), pixel(viewer, before))
+    missed = np.subtract(pixel(viewer, gripped + moved), pixel(viewer, before + way))
+    assert abs(missed @ along) < 1.0 * np.linalg.norm(along)
 
 
 def test_keys_step_by_a_millimetre_and_a_degree(visit: Visit, viewer: Viewer) -> None:

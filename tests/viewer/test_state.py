@@ -207,7 +207,7 @@ def test_fields_of_two_patients_are_refused() -> None:
     other = Surface.from_radius(np.full((90, 31), 0.1), torso().z)
     voxmap = Voxmap.from_surface(other, shape=(24, 48, 20), r_inner=0.03)
     round_one = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
-    with pytest.raises(InputError, match="different surfaces"):
+    with pytest.raises(InputError, match="differ by up to"):
         ViewState([field(), round_one], probe())
     with pytest.raises(InputError, match="one field or two"):
         ViewState([], probe())

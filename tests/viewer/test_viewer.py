@@ -20,14 +20,14 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
-from ttus_opt.viewer.page import front_of
+from ttus_opt.viewer.page import along_line, front_of
 from ttus_opt.viewer.skin import SkinMesh
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
 
-def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
+def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
     """Wait for something to become true."""
     end = time.monotonic() + seconds
     while not true():
@@ -257,3 +257,18 @@ def test_the_front_is_what_was_seen() -> None:
     right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
     one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
     np.testing.assert_allclose(front_of(one_side), [1.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_a_pointer_is_followed_along_a_line() -> None:
+    rng = np.random.default_rng(3)
+    point, way = np.array([0.1, -0.2, 0.6]), rng.normal(size=3)
+    way /= np.linalg.norm(way)
+    for out in rng.uniform(-0.1, 0.1, 5):
+        # through the moved point, and beside it: the nearest of the plane counts
+        ray = 3.0 * (point + out * way)
+        aside = ray + np.cross(point, way)
+        assert along_line(point, way, ray) == pytest.approx(out)
+        assert along_line(point, way, aside) == pytest.approx(out)
+    along = point / np.linalg.norm(point)
+    near = along + 0.01 * np.cross(along, [0.0, 1.0, 0.0])
+    assert abs(along_line(point, near / np.linalg.norm(near), ray)) < 0.1

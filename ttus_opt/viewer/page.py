@@ -49,8 +49,8 @@ SHOWN = 8.0
 #: Width of the panel [px]
 WIDTH = 360
 
-#: Least square of the part of the skin's normal that a page shows: where one looks
-#: along it, the probe moves less than the pointer [–]
+#: Least squared sine between the skin's normal and the pointer's ray: where one looks
+#: along the normal, the probe moves less than the pointer [–]
 STEEP = 0.1
 
 #: How far a ray may pass the skin and still point at it [m]
@@ -238,13 +238,10 @@ class Page:
             if event.phase == "start" or "point" not in grip:
                 point = np.array(event.start_position)
                 grip.update(point=point, depth=self.state.depth)
-            camera, outward = event.client.camera, self.state.outward
-            ahead = np.asarray(camera.look_at - camera.position)
-            ahead /= np.linalg.norm(ahead)
-            # the normal as the page shows it: the probe follows the pointer along it
-            shown = outward - (outward @ ahead) * ahead
-            way = (np.array(event.end_position) - grip["point"]) @ shown
-            self.state.press(grip["depth"] - float(way) / max(shown @ shown, STEEP))
+            eye = np.asarray(event.client.camera.position)
+            ray = np.array(event.end_position) - eye
+            out = along_line(grip["point"] - eye, self.state.outward, ray)
+            self.state.press(grip["depth"] - out)
 
         nodes.probe.on_drag("left")(slid)
         nodes.probe.on_drag("left", modifier="shift")(pressed)
@@ -260,6 +257,21 @@ def _light(scene: viser.SceneApi, front: Array) -> None:
         scene.add_light_directional(
             f"/light/from{k}", intensity=0.35 * LIGHT, position=tuple(at.tolist())
         )
+
+
+def along_line(point: Array, way: Array, ray: Array) -> float:
+    """How far along a line the pointer is, as the page shows it.
+
+    Args:
+        point: A point of the line, from the eye, shape (3,) [m].
+        way: The line's direction, a unit vector, shape (3,) [–].
+        ray: From the eye through the pointer, shape (3,), of any length.
+    """
+    across = np.cross(point, way)  # the line and the eye span a plane: the ray in it
+    across = across / (np.linalg.norm(across) * np.linalg.norm(ray))
+    missed = float(np.cross(ray, point) @ across)
+    sine = float(np.cross(way, ray) @ across)
+    return missed * sine / max(sine**2, STEEP)
 
 
 def front_of(surface: Surface) -> Array:

@@ -347,10 +347,17 @@ def _one_patient(fields: Sequence[PotentialField]) -> Surface:
     if len(fields) not in (1, 2):
         raise InputError(f"a viewer shows one field or two, got {len(fields)}")
     surface = fields[0].voxmap.surface
-    for other in fields[1:]:
-        alike = surface.radius.shape == other.voxmap.surface.radius.shape
-        if not (alike and np.allclose(surface.radius, other.voxmap.surface.radius)):
-            raise InputError(
-                "two fields are compared on one patient, these have different surfaces"
-            )
+    for other in (one.voxmap.surface for one in fields[1:]):
+        shapes = surface.radius.shape, other.radius.shape
+        if shapes[0] != shapes[1]:
+            differ = "{} × {} nodes and {} × {}".format(*shapes[0], *shapes[1])
+        elif not np.allclose(surface.radius, other.radius):
+            apart = float(np.abs(surface.radius - other.radius).max())
+            differ = f"radii that differ by up to {1e3 * apart:.3g} mm"
+        else:
+            continue
+        raise InputError(
+            "two fields are compared on one patient: the surface of the second is "
+            f"another one ({differ})"
+        )
     return surface
