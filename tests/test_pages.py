@@ -3,7 +3,8 @@
 What a block is, its language says: ``shell`` and ``python`` run one after the other in
 the folder that ``ttus-opt example`` writes, after the README's commands; one with a
 title is written to that file first. ``sh`` and ``py`` need what is not here (an hour, a
-device, ROS): their options are looked up, their Python is compiled. All else is text.
+device, ROS): their options are looked up, their Python is compiled; so are options in
+``console``, which has what a command said. All else is text.
 """
 
 import contextlib
@@ -83,6 +84,10 @@ def test_blocks_are_what_they_say(page):
                 require_known(words)
         elif block.language in ("python", "py"):
             compile(block.text, f"{page.name}: {block.text.splitlines()[0]}", "exec")
+        elif block.language == "console":  # with what the commands say
+            typed = re.findall(r"^\$ (.*)", block.text, re.M)
+            for words in commands("\n".join(typed)):
+                require_known(words)
         else:  # what is to be typed says so
             assert not commands(block.text), block.text
             assert not re.search("^import ", block.text, re.M), block.text

@@ -76,3 +76,15 @@ def test_units_are_doubted_with_the_reason(
     (doubt,) = diagnosis(bad).units
     assert words in doubt
     assert not diagnosis(bad.replaced(units_stated=True)).units
+
+
+def test_a_stream_that_was_never_valid() -> None:
+    """PLUS writes such a transform for a tool that was not in view."""
+    whole = recording(50).noted("mm")
+    found = diagnosis(whole.without(np.ones(50, bool), "not OK"))
+    assert found.faults == ("no frame is valid: was the target in view?",)
+    assert found.rows == 0 and found.segments == 0
+    assert found.lines()[0] == "poses and wrenches, 0 rows over 0 s"
+    assert "50 of 50 frames are not OK: gaps" in found.lines()
+    alone = RawRecording("x", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+    assert alone.rows().shape == (0, 8)

@@ -145,10 +145,10 @@ def received(*messages):
 def test_what_came_is_checked():
     two = received(transform(0), transform(1, "StylusToTracker"))
     refuses(InputError, r"several devices.*StylusToTracker", two.trajectory)
-    refuses(InputError, "sent no TRANSFORM: one of", two.trajectory, "Needle")
-    refuses(InputError, "no SENSOR arrived", two.wrenches)
+    refuses(InputError, "sent no poses: one of", two.trajectory, "Needle")
+    refuses(InputError, "no forces arrived", two.wrenches)
     text = received(pyigtl.StringMessage("hello", device_name="Text"))
-    refuses(InputError, r"no TRANSFORM arrived, but Text \(STRING\)", text.trajectory)
+    refuses(InputError, r"no poses arrived, but Text \(STRING\)", text.trajectory)
     assert received(sensor(0, 3), sensor(1, 3)).wrenches().torque is None
 
 
@@ -216,7 +216,7 @@ def test_a_body_of_another_size():
 
 def test_equal_stamps_are_told():
     again = received(transform(1), transform(0), transform(1))
-    with pytest.warns(TtusWarning, match="1 of 3 TRANSFORM messages of Probe"):
+    with pytest.warns(TtusWarning, match="1 of 3 poses of Probe"):
         poses = again.trajectory()
     np.testing.assert_allclose(poses.time, [50.0, 50.1], atol=1e-6)
 

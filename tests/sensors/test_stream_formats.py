@@ -192,6 +192,33 @@ def euroc(file: Path) -> Path:
     return file
 
 
+def plotjuggler(file: Path) -> Path:
+    """Names of topic and field with slashes; whole seconds and nanoseconds apart."""
+    names = ["/p/header.stamp.sec", "/p/header.stamp.nanosec"]
+    names += [f"/p/pose.position.{x}" for x in "xyz"]
+    names += [f"/p/pose.orientation.{x}" for x in "xyzw"]
+    rows = [
+        [1_700_000_000 + i // 4, 250_000_000 * (i % 4), *PLACE[i], *TURN[i].as_quat()]
+        for i in range(8)
+    ]
+    file.write_text(lines(list(names), *rows))
+    return file
+
+
+def in_ms_and_mm() -> list[list[float]]:
+    """Times [ms], forces [N] and torques [N mm]."""
+    columns = zip(1e3 * TIME, FORCE, 1e3 * TORQUE, strict=True)
+    return [[t, *f, *m] for t, f, m in columns]
+
+
+def robotiq(file: Path) -> Path:
+    """A name, an empty line, and units in brackets of both kinds."""
+    names = ["Time (ms)", "Fx (N)", "Fy (N)", "Fz (N)"]
+    names += ["Mx [Nmm]", "My [Nmm]", "Mz [Nmm]"]
+    file.write_text("Robotiq FT 300\n\n" + lines(list(names), *in_ms_and_mm()))
+    return file
+
+
 SAMPLES = {
     "toolbox.csv": ndi_toolbox,
     "api.csv": ndi_api,
@@ -235,7 +262,7 @@ def test_frames_without_times_are_counted_aloud(tmp_path: Path) -> None:
 def test_several_tools_are_named(tmp_path: Path) -> None:
     file = ndi_toolbox(tmp_path / "toolbox.csv")
     with pytest.raises(
-        FileError, match="several tools of poses: name one of Probe, St"
+        FileError, match="several tools of poses: Probe, Stylus: choose one"
     ):
         read_poses(file)
     other = read_poses(file, "Stylus")  # its own state, not the probe's
@@ -323,19 +350,25 @@ def test_markers_of_a_body_that_are_seen_in_part(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.position, PLACE[SEEN], atol=1e-8)
 
 
+def test_markers_of_no_rigid_body_are_told(tmp_path: Path) -> None:
+    """One of four wanders by 0.1 m, so that the rigid body is off by 5 cm."""
+    file = trc(tmp_path / "a.trc")
+    rows = file.read_text().splitlines()
+    for i, row in enumerate(rows[6:]):
+        *cells, last = row.split("\t")
+        rows[6 + i] = "\t".join([*cells, f"{float(last) + 200 * (i % 2):.6f}"])
+    file.write_text("\n".join(rows) + "\n")
+    with pytest.warns(TtusWarning, match=r"move by \d\d mm against each other"):
+        read_poses(file)
+
+
 def test_two_columns_of_one_time_and_units(tmp_path: Path) -> None:
     """Seconds and nanoseconds are found by their names, or told; so are units."""
-    names = ["/p/header.stamp.sec", "/p/header.stamp.nanosec"]
-    names += [f"/p/pose.position.{x}" for x in "xyz"]
-    names += [f"/p/pose.orientation.{x}" for x in "xyzw"]
-    rows = [
-        [1_700_000_000 + i // 4, 250_000_000 * (i % 4), *PLACE[i], *TURN[i].as_quat()]
-        for i in range(8)
-    ]
-    (tmp_path / "a.csv").write_text(lines(list(names), *rows))
-    found = read_poses(tmp_path / "a.csv")
+    found = read_poses(plotjuggler(tmp_path / "a.csv"))
     np.testing.assert_allclose(np.diff(found.time), 0.25, atol=1e-6)
-    names[:3] = ["whole", "rest", "tip_x"]
+    head, *told = (tmp_path / "a.csv").read_text().splitlines()
+    names = ["whole", "rest", "tip_x", *head.split(",")[3:]]
+    rows = [[float(cell) for cell in line.split(",")] for line in told]
     rows = [[*row[:2], 1e3 * row[2], *row[3:]] for row in rows]
     (tmp_path / "b.csv").write_text(lines(list(names), *rows))
     told = read_column_map("t=whole+rest[ns],px=tip_x[mm]")
@@ -347,17 +380,15 @@ def test_two_columns_of_one_time_and_units(tmp_path: Path) -> None:
 
 
 def test_units_of_the_header_and_below_it(tmp_path: Path) -> None:
-    rows = [
-        [t, *f, *m] for t, f, m in zip(1e3 * TIME, FORCE, 1e3 * TORQUE, strict=True)
-    ]
-    names = ["Time (ms)", "Fx (N)", "Fy (N)", "Fz (N)"]
-    names += ["Mx [Nmm]", "My [Nmm]", "Mz [Nmm]"]
-    (tmp_path / "a.csv").write_text("Robotiq FT 300\n\n" + lines(list(names), *rows))
+    rows = in_ms_and_mm()
+    robotiq(tmp_path / "a.csv")
     bare: list[object] = ["t", "fx", "fy", "fz", "tx", "ty", "tz"]
     units: list[object] = ["ms", "N", "N", "N", "N.mm", "N.mm", "N.mm"]
     (tmp_path / "b.csv").write_text(lines(bare, units, *rows))
     for name in ("a.csv", "b.csv"):
         found = read_wrenches(tmp_path / name)
+        (raw,) = raw_recordings(tmp_path / name)
+        assert raw.units_stated and raw.notes[0].startswith("t in ms, fx fy fz in N, ")
         np.testing.assert_allclose(found.time, TIME)
         assert found.torque is not None
         np.testing.assert_allclose(found.torque, TORQUE)

@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import re
+import shlex
 import shutil
 import sys
 import textwrap
@@ -42,6 +43,8 @@ OPTIONS = {
     "prone": "--prone",
     "camera": "--camera",
     "repair": "--repair",
+    "name": "--stream",
+    "columns": "--columns",
     "weights": "--weights",
 }
 
@@ -66,15 +69,18 @@ def as_options(message: str, **options: str) -> str:
 
     >>> as_options("are these millimetres? pass unit='mm'")
     'are these millimetres? pass --unit mm'
+    >>> as_options("map them by columns, for instance px=x")
+    'map them by --columns px=x'
     """
     table = {**OPTIONS, **options}
 
     def written(match: re.Match[str]) -> str:
-        name, value = match["name"], match["value"]
-        return table[name] if value == "True" else f"{table[name]} {value}"
+        option, value = table[match["name"]], match["quoted"] or match["bare"]
+        return option if value == "True" else f"{option} {shlex.quote(value)}"
 
-    pattern = rf"\b(?P<name>{'|'.join(table)})=(?P<q>['\"]?)(?P<value>[\w-]+)(?P=q)"
-    return re.sub(pattern, written, message)
+    value = r"(?:(?P<q>['\"])(?P<quoted>[^'\"]+)(?P=q)|(?P<bare>[\w-]+))"
+    told = re.sub(rf"\b(?P<name>{'|'.join(table)})={value}", written, message)
+    return told.replace("by columns, for instance ", f"by {table['columns']} ")
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -134,7 +135,7 @@ def _recording(file: Path, columns: str, unit: str | None) -> _Found:
     found = [diagnosis(raw) for raw in streams.values()]
     lines = []
     for one in found:
-        first, *rest = one.lines()
+        first, *rest = map(as_options, one.lines())
         lines += [first, *(f"    {line}" for line in rest)]
     facts = {"streams": [one.facts() for one in found]}
     return _Found(kind.title, lines or ["no poses, no wrenches"], facts, streams)
@@ -146,11 +147,16 @@ def _bag(file: Path, columns: str, unit: str | None) -> _Found:
 
     found = _recording(file, columns, unit)
     try:
-        frame = read_bag_depth(file).frame[1]
+        depth = read_bag_depth(file)
     except FileError:
         return found
     images = _depth(file, columns, unit)
-    lines = [f"{frame} depth images", *images.lines, *_camera_lines(file)]
+    number, count = depth.frame
+    line = (
+        f"{count} depth images in units of {1e3 * depth.unit:g} mm, of which number "
+        f"{number + 1} is read"
+    )
+    lines = [line, *images.lines, *_camera_lines(file)]
     own = found.lines if found.streams else []
     return found._replace(lines=[*own, *lines], facts={**found.facts, **images.facts})
 
@@ -160,9 +166,17 @@ def _camera_lines(file: Path) -> list[str]:
 
     camera = read_intrinsics(file)
     (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    size = "" if camera.size is None else f" for {camera.size[0]} x {camera.size[1]}"
-    bent = "distorted" if camera.distortion.any() else "no distortion"
-    return [f"camera fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f}{size}, {bent}"]
+    lines = [f"camera fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} pixels"]
+    if camera.size is not None:
+        (across, down) = camera.size
+        angles = (2 * math.atan(n / 2 / f) for n, f in ((across, fx), (down, fy)))
+        view = " x ".join(f"{math.degrees(angle):.0f}°" for angle in angles)
+        lines[0] += f" for {across} x {down}"
+        lines.append(f"a view of {view}")
+    bent = ", ".join(f"{k:g}" for k in camera.distortion)
+    if not camera.distortion.any():
+        bent = "none"
+    return [*lines, f"distortion (k1, k2, p1, p2, k3, …): {bent}"]
 
 
 def _camera(file: Path, columns: str, unit: str | None) -> _Found:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import bars_shown, tell
+from ttus_opt.cli.console import as_options, bars_shown, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, warn
 
@@ -86,31 +85,33 @@ class _Files:
         facts |= {"dropped": dict(got.dropped), "ended": got.ended or None}
         lines, missing = [], []
         # what came cannot be had again: one file is written whatever the other lacks
-        for key, count, file, find in (
-            (
-                "poses",
-                "pose_frames",
-                self.poses,
-                partial(got.trajectory, self.pose_device),
-            ),
+        poses = self.poses, self.pose_device, "--pose-device"
+        wrenches = self.wrenches, self.sensor, "--wrench-device"
+        for key, count, (file, device, option), find, sent, unit in (
+            ("poses", "pose_frames", poses, got.trajectory, got.poses, "mm"),
             (
                 "wrenches",
                 "wrench_frames",
-                self.wrenches,
-                partial(got.wrenches, self.sensor),
+                wrenches,
+                got.wrenches,
+                got.readings,
+                "N, N m",
             ),
         ):
             if file is None:
                 continue
             try:
-                stream = find()
+                stream = find(device)
             except InputError as error:
-                missing.append(str(error))
+                missing.append(as_options(str(error), device=option))
                 continue
             stream.save(file)
             frames, seconds = len(stream.time), float(stream.time[-1] - stream.time[0])
             facts |= {key: str(file), count: frames}
-            lines.append(f"{file}: {frames} frames, {seconds:.1f} s")
+            name = device or next(iter(sent))
+            rate = f"{(frames - 1) / seconds:.4g} Hz, " if seconds else ""
+            line = f"{file}: {frames} frames of {name}, {seconds:.1f} s, {rate}"
+            lines.append(f"{line}sent in {unit}")
         return facts, lines, missing
 
     def keep(self, received: Received) -> None:

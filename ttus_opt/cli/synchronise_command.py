@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import tell
+from ttus_opt.cli.console import as_options, tell
 from ttus_opt.cli.options import check_outputs
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
@@ -79,7 +79,11 @@ def synchronise(
         raise InputError("give either --by contact or angular-speed, or --offset")
     named = read_column_map(wrench_columns)
     track = read_poses(poses, stream, read_column_map(columns), repair=repair)
-    forces = read_wrenches(wrenches, wrench_stream, named, repair=repair)
+    try:
+        forces = read_wrenches(wrenches, wrench_stream, named, repair=repair)
+    except TtusError as error:
+        options = {"name": "--wrench-stream", "columns": "--wrench-columns"}
+        raise InputError(as_options(str(error), **options)) from error
     found = None
     if by is not None:
         around = float(track.time[0] - forces.time[0]) if together else 0.0

@@ -111,19 +111,21 @@ class Header:
         names: The package's name of every column, or its own.
         scale: Factor from its unit to SI, by column.
         sums: Columns that are the sum of several, by name.
-        stated: Names whose unit the file or the user states.
+        stated: Units that the file or the user states, as written, by name.
         faults: What is wrong with a column's unit, by column.
         absent: Names that the user maps and the header does not have.
         notes: What was taken for granted.
+        frame: Where poses are and axes of wrenches, as the program documents it.
     """
 
     names: list[str]
     scale: list[float]
     sums: dict[str, list[int]] = field(default_factory=dict)
-    stated: frozenset[str] = frozenset()
+    stated: Mapping[str, str] = field(default_factory=dict)
     faults: dict[int, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    frame: str = "no frame stated"
 
     def noted(self, *notes: str) -> Header:
         """The same with more notes."""
@@ -161,7 +163,9 @@ def named_columns(
         if len(places) == len(terms) > 1:
             sums[ours] = places
     notes = _adjusted(names, units, sums, given, required)
-    return _scaled(names, units, sums, tuple(absent), notes)
+    found = _scaled(names, units, sums, tuple(absent), notes)
+    robot = any(word.lower() in RTDE for word in given)
+    return replace(found, frame="the robot's base (RTDE)") if robot else found
 
 
 def _terms(
@@ -241,7 +245,7 @@ def _scaled(
     """The header with factors to SI."""
     scale, faults = [1.0] * len(names), {}
     ours = dict(enumerate(names)) | {i: n for n, terms in sums.items() for i in terms}
-    stated = set()
+    stated: dict[str, str] = {}
     for index, name in ours.items():
         quantity, unit = quantity_of(name), units[index]
         if quantity is None or unit is None or not OWN.fullmatch(name):
@@ -254,8 +258,8 @@ def _scaled(
             )
         else:
             scale[index] = found
-            stated.add(name)
-    return Header(names, scale, sums, frozenset(stated), faults, absent, notes)
+            stated[name] = f"{stated[name]} + {unit}" if name in stated else unit
+    return Header(names, scale, sums, stated, faults, absent, notes)
 
 
 def _factor(quantity: str, unit: str) -> float | None:

@@ -41,7 +41,7 @@ class RawRecording:
         line: Line of the file of each row, shape (T,); empty where it has no lines.
         unread: Why a cell is not a number, by row.
         name: Name of the stream in its file; empty where there is one only.
-        notes: Units, frames and gaps, as the format or the file states them.
+        notes: Units and frame, as the format or the file states them, then gaps.
         cautions: What was taken for granted or changed; a reader warns of it.
         units_stated: Whether the format or the file states the units.
     """
@@ -99,7 +99,8 @@ class RawRecording:
 
     def rows(self) -> Array:
         """All numbers as one table, shape (T, k)."""
-        return np.hstack([v.reshape(len(self), -1) for v in self.arrays().values()])
+        shape = {name: (len(self), len(of)) for name, of in COMPONENTS.items()}
+        return np.hstack([v.reshape(shape[k]) for k, v in self.arrays().items()])
 
     def select(self, rows: Mask | IntArray) -> RawRecording:
         """Some of the rows, in the order given."""
@@ -146,4 +147,4 @@ def parts(segment: NDArray[np.int64]) -> list[slice]:
     """The runs of equal numbers, in order."""
     cuts = np.flatnonzero(np.diff(segment)) + 1
     edges = [0, *cuts.tolist(), len(segment)]
-    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]

@@ -20,6 +20,9 @@ FARTHEST, MOST_READING = 100.0, 1e5
 #: Frames further apart than this are taken for times in milliseconds [s]
 SLOW = 5.0
 
+#: What is wrong with a recording of no rows
+NO_FRAME = "no frame is valid: was the target in view?"
+
 #: Most faults that an error lists
 MOST_LISTED = 6
 
@@ -58,7 +61,7 @@ def checked(raw: RawRecording) -> RawRecording:
         FileError: Anything is wrong with it; one line that lists it all.
     """
     if not len(raw):
-        raise FileError(f"{raw.title}: no frame is valid: was the target in view?")
+        raise FileError(f"{raw.title}: {NO_FRAME}")
     new = new_rows(raw)
     if not new.all():
         warn(f"{raw.title}: {(~new).sum()} rows repeat the row before: left out", 2)

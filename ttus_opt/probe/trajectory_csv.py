@@ -91,6 +91,7 @@ def recording_of(table: TextTable, what: str, required: Sequence[str]) -> RawRec
     vectors = part(ROTATION_VECTOR)
     if quaternion is None and vectors is not None:
         quaternion = rotation_vectors_to_quaternions(vectors)
+    unstated, units = _units(table.header.stated, wanted)
     return RawRecording(
         source,
         seconds(time[:, 0]),
@@ -101,8 +102,25 @@ def recording_of(table: TextTable, what: str, required: Sequence[str]) -> RawRec
         _segments(table, source, part([SEGMENT])),
         table.line,
         unread,
+        notes=(f"{units}, {table.header.frame}",),
         cautions=table.notes,
+        units_stated=not unstated,
     )
+
+
+def _units(stated: Mapping[str, str], names: Sequence[str]) -> tuple[list[str], str]:
+    """The columns without a unit, and a note of all units."""
+    of_unit: dict[str, list[str]] = {}
+    for name in names:
+        if name != SEGMENT and name not in QUATERNION:
+            of_unit.setdefault(stated.get(name, ""), []).append(name)
+    unstated = of_unit.pop("", [])
+    if not of_unit:
+        return unstated, "SI, as none are stated"
+    if unstated:
+        of_unit["SI units"] = unstated
+    told = [f"{' '.join(own)} in {unit}" for unit, own in of_unit.items()]
+    return unstated, ", ".join(told)
 
 
 def _refuse_half_a_wrench(source: str, names: Sequence[str]) -> None:

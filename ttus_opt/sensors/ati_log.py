@@ -55,8 +55,10 @@ def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
         readings[:, columns] *= scale / (per_unit if counts else 1.0)
         words.append(unit)
         notes.append(f"{per_unit:g} per {unit}")
-    told = f"counts, {' and '.join(notes)}" if counts else f"{' and '.join(words)}"
-    first = sequence[np.isfinite(sequence)][:1]
+    told = f"counts, {' and '.join(notes)}" if counts else " and ".join(words)
+    known = sequence[np.isfinite(sequence)]
+    first, lost = known[:1], int((np.diff(known) - 1).clip(0).sum())
+    packets = f", lost packets: {lost:,}" if lost else ""
     raw = RawRecording(
         str(file),
         (sequence - (first[0] if len(first) else 0.0)) / rate,
@@ -64,7 +66,10 @@ def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
         torque=readings[:, 3:],
         line=table.line,
         unread=unread,
-        notes=(told, f"sequence numbers at {rate:g} Hz from 0 s, sensor axes"),
+        notes=(
+            f"{told}, the sensor's axes",
+            f"times are sequence numbers at {rate:g} Hz{packets}",
+        ),
         units_stated=True,
     )
     return [raw.without(_failed(table.cells, table.names), "with an error status")]

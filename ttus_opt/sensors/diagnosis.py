@@ -14,6 +14,7 @@ from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import (
     MOST_FORCE,
     MOST_POSITION,
+    NO_FRAME,
     SLOW,
     bad_quaternions,
     faults,
@@ -29,9 +30,6 @@ ROUNDING = 1e-9
 
 #: A lever longer than this makes torques of another unit likely [m]
 LONGEST_LEVER = 2.0
-
-#: What is said of a file that states nothing
-UNSTATED = ("SI units, as no other are stated",)
 
 #: Forces below this say nothing of the lever [N]
 LEAST_FORCE = 0.5
@@ -58,7 +56,7 @@ class Diagnosis:
         force: Largest magnitude [N]; None without forces.
         torque: Largest magnitude [N·m]; None without torques.
         noise: Standard deviation of white noise on each, by name [m, N, N·m].
-        notes: Units and frames as stated, and what was taken for granted.
+        notes: Units and frame as stated, then what was taken for granted.
         units: Doubts about units, each with its reason.
         faults: What is wrong, with the place of the first.
         repair: What `ttus_opt.probe.repair` would do.
@@ -105,9 +103,10 @@ class Diagnosis:
         """As a person would say it."""
         named = f"{self.name}: " if self.name else ""
         several = f" in {self.segments} recordings" if self.segments > 1 else ""
+        rate = "" if np.isnan(self.rate) else f", {self.rate:.4g} Hz"
         lines = [
             f"{named}{self.holds}, {self.rows:,} rows over {self.seconds:.4g} s"
-            f"{several}, {self.rate:.4g} Hz"
+            f"{several}{rate}"
         ]
         if self.position is not None and self.turned is not None:
             spans = ", ".join(
@@ -115,9 +114,10 @@ class Diagnosis:
                 for axis, low, high in zip("xyz", *self.position, strict=True)
             )
             noise = 1e3 * self.noise["position"]
-            lines.append(f"position {spans} m, noise {noise:.2g} mm")
+            lines.append(f"position {spans} m")
             lines.append(
-                f"rotation up to {np.rad2deg(self.turned):.0f}° from the first"
+                f"rotation up to {np.rad2deg(self.turned):.0f}° from the first, noise "
+                f"of positions {noise:.2g} mm"
             )
         for name, most, unit in (
             ("force", self.force, "N"),
@@ -128,7 +128,9 @@ class Diagnosis:
                     f"{name} up to {most:.3g} {unit}, noise "
                     f"{self.noise[name]:.2g} {unit} a component"
                 )
-        lines += [f"as {note}" for note in self.notes]
+        if self.notes:
+            lines.append(f"units and frame: {self.notes[0]}")
+        lines += self.notes[1:]
         lines += [f"units? {doubt}" for doubt in self.units]
         number, longest = self.gaps
         if number:
@@ -177,9 +179,11 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
         _largest(sound.force),
         _largest(sound.torque),
         _noise(sound),
-        (*(raw.notes or UNSTATED), *raw.cautions),
+        (*raw.notes, *raw.cautions),
         tuple(_doubts(sound, usual)),
-        tuple(f"{raw.place(f.first)}: {f.what}" for f in faults(raw)),
+        tuple(f"{raw.place(f.first)}: {f.what}" for f in faults(raw))
+        if len(raw)
+        else (NO_FRAME,),
         repair,
     )
 

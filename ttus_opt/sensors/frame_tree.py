@@ -80,6 +80,14 @@ class FrameTree:
         """Parents and children whose transform changes."""
         return [key for key, link in self._links.items() if not link.static]
 
+    def _frames(self) -> list[str]:
+        return sorted({name for key in self._links for name in key})
+
+    def advice(self) -> str:
+        """How a pose of any frame in any other is read."""
+        first, *_, last = names = self._frames()
+        return f"any of {', '.join(names)} in any other: name='{first}:{last}'"
+
     def recording(self, source: str, base: str, frame: str) -> RawRecording:
         """Poses of a frame in another, at the stamps of the link with most of them.
 
@@ -95,10 +103,9 @@ class FrameTree:
         """
         path = self._path(base, frame)
         if path is None:
-            known = ", ".join(sorted({name for key in self._links for name in key}))
             raise FileError(
                 f"{source}: no transforms lead from {base} to {frame}: the frames are "
-                f"{known or 'none'}"
+                f"{', '.join(self._frames()) or 'none'}"
             )
         name = f"{base}:{frame}"
         (key, up), *rest = path
@@ -160,6 +167,6 @@ def _recording(
         position,
         quaternion,
         name=name,
-        notes=(f"/tf: {frame} in {base}, SI units",),
+        notes=(f"SI, {frame} in {base} by /tf",),
         units_stated=True,
     )

@@ -15,8 +15,13 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.raw_recording import RawRecording, complete
 
+LOOSE = "its markers move by {:.0f} mm against each other: no rigid body"
+
 #: Rounds in which the mean shape and the poses are found in turn
 ROUNDS = 4
+
+#: Markers that move by more than this against each other are of no rigid body [m]
+RIGID = 0.005
 
 #: Markers closer to one line than this give no rotation [m]
 LEAST_WIDTH = 1e-3
@@ -45,7 +50,7 @@ def bodies(
         poses = body_poses(points[:, markers])
         if poses is None:
             continue
-        position, quaternion = poses
+        position, quaternion, off = poses
         told = [names[i].partition(":")[2] or names[i] for i in markers[:3]]
         raw = RawRecording(
             source,
@@ -58,6 +63,7 @@ def bodies(
                 f"origin in marker {told[0]}, x towards {told[1]}, z normal to the "
                 f"plane with {told[2]}",
             ),
+            cautions=(LOOSE.format(1e3 * off),) if off > RIGID else (),
             units_stated=True,
         )
         lost = ~complete(quaternion)
@@ -65,14 +71,15 @@ def bodies(
     return out
 
 
-def body_poses(points: Array) -> tuple[Array, Array] | None:
-    """Positions (T, 3) [m] and quaternions w, x, y, z (T, 4) of a rigid body.
+def body_poses(points: Array) -> tuple[Array, Array, float] | None:
+    """Positions (T, 3) [m], quaternions w, x, y, z (T, 4), and what is left [m].
 
     Args:
         points: Its markers, NaN where not seen, shape (T, m, 3) [m].
 
     Returns:
-        NaN for frames with fewer than three markers; None where no frame has all
+        Poses of a rigid body, NaN for frames with fewer than three markers, and the
+        root-mean-square distance of the markers from it; None where no frame has all
         markers, or they lie on one line.
     """
     seen: Mask = np.asarray(np.isfinite(points).all(axis=2), dtype=bool)
@@ -93,7 +100,9 @@ def body_poses(points: Array) -> tuple[Array, Array] | None:
     turn, shift = _fitted(shape, points[able], seen[able])
     position[able] = turn @ origin + shift
     quaternion[able] = to_quaternions(turn @ frame)
-    return position, quaternion
+    away = points[able] - (shape @ turn.transpose(0, 2, 1) + shift[:, None])
+    off = float(np.sqrt((away[seen[able]] ** 2).sum(axis=1).mean()))
+    return position, quaternion, off
 
 
 def _frame(shape: Array) -> Array:

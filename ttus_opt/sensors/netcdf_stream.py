@@ -87,7 +87,8 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
             vectors["force"] = _vector(data, "force", names, "xyz")
             if "torque" in there:
                 vectors["torque"] = _vector(data, "torque", names, "xyz")
-    raw = RawRecording(str(file), time, units_stated=True)
+    note = "those of the variables' attributes, no frame stated"
+    raw = RawRecording(str(file), time, notes=(note,), units_stated=True)
     return [raw.replaced(**vectors)]
 
 

@@ -95,7 +95,7 @@ class Received:
         Raises:
             InputError: No such device, or several to choose from.
         """
-        name, at, matrices = _stream(self.poses, device, "TRANSFORM", self.others)
+        name, at, matrices = _stream(self.poses, device, "poses", self.others)
         position = MILLIMETRE * matrices[:, :3, 3]
         with located(name):
             return Trajectory(at, position, matrices[:, :3, :3].copy())
@@ -109,7 +109,7 @@ class Received:
         Raises:
             InputError: As `trajectory`, a single reading, or counts for newtons.
         """
-        name, at, numbers = _stream(self.readings, device, "SENSOR", self.others)
+        name, at, numbers = _stream(self.readings, device, "forces", self.others)
         torque = numbers[:, 3:].copy() if numbers.shape[1] == 6 else None
         with located(name):
             return WrenchStream(at, numbers[:, :3].copy(), torque)
@@ -269,7 +269,10 @@ def _stream(
         came = f", but {listed}" if listed else ""
         raise InputError(f"no {kind} arrived{came}: what does the server send?")
     if device is None and len(kept) > 1:
-        raise InputError(f"several devices sent {kind}: name one of {', '.join(kept)}")
+        raise InputError(
+            f"several devices sent {kind}: {', '.join(kept)}: choose one, for instance "
+            f"device='{next(iter(kept))}'"
+        )
     name = next(iter(kept)) if device is None else device
     if name not in kept:
         raise InputError(f"{name} sent no {kind}: one of {', '.join(kept)}")
@@ -277,9 +280,8 @@ def _stream(
     different, first = np.unique(stamps, return_index=True)
     if more := len(stamps) - len(different):
         warn(
-            f"{more} of {len(stamps)} {kind} messages of {name} "
-            "have the time stamp of another, the first of which is kept: does the "
-            "server stamp what it sends?",
+            f"{more} of {len(stamps)} {kind} of {name} have the time stamp of another, "
+            "the first of which is kept: does the server stamp what it sends?",
             2,
         )
     return name, different, np.array([kept[name][i][1] for i in first])

@@ -138,13 +138,14 @@ def _poses(file: Path, frames: dict[int, dict[str, str]], name: str) -> RawRecor
     if not np.abs(matrices).max(initial=0.0) < 1e6:
         raise InputError("a transform is not finite or shifts beyond a kilometre")
     rotation, worst = nearest_rotations(matrices[:, :3, :3])
+    own, _, other = name.partition("To")
     raw = RawRecording(
         str(file),
         time,
         MILLIMETRE * matrices[:, :3, 3],
         to_quaternions(rotation),
         name=name,
-        notes=("translations in mm",),
+        notes=(f"mm, {f'{own} in {other}' if other else 'no frame stated'}",),
         units_stated=True,
     ).without(lost, "not OK")
     if worst > 0.0:

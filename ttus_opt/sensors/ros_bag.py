@@ -174,7 +174,10 @@ def _streams(
         pair = (wanted.name or "").split(":")
         if len(pair) == 2 and not any(raw.name == wanted.name for raw in out):
             links = sorted({*links, (pair[0], pair[1])})
-        out += [tree.recording(str(place), *link) for link in links]
+        of_tree = [tree.recording(str(place), *link) for link in links]
+        if of_tree and not wanted.kind:
+            of_tree[0] = of_tree[0].noted(tree.advice())
+        out += of_tree
     if wanted.kind:
         out = [_by_time(raw) for raw in out]
     return out
@@ -194,7 +197,7 @@ def _recording(
     frame: str,
 ) -> RawRecording:
     time, values = np.array(times, np.float64), np.array(rows, np.float64)
-    note = f"{kind.rpartition('/')[2]} in {frame or 'an unnamed frame'}, SI units"
+    note = f"SI, {kind.rpartition('/')[2]} in {frame or 'an unnamed frame'}"
     if kind in WRENCHES:
         return RawRecording(
             str(place),

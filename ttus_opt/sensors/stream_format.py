@@ -74,7 +74,8 @@ def chosen(
     if wanted.name is None:
         if len(of_kind) > 1:
             raise FileError(
-                f"{file} has several {word}s of {kind}: name one of {', '.join(names)}"
+                f"{file} has several {word}s of {kind}: {', '.join(names)}: choose "
+                f"one, for instance name='{names[0]}'"
             )
         return of_kind[0]
     if wanted.name not in names:
