@@ -13,7 +13,7 @@ from tests.conftest import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.packages.closed_form import ClosedForm, ClosedFormSolver, Factor
+from ttus_opt.solvers.packages.closed_form import ClosedForm, Factor
 
 SCENE = small_scene("trilinear", shape=(5, 8, 5), n_poses=4)
 
@@ -23,7 +23,7 @@ def compiled(weight: float = 1.0, name: str = "eq10") -> Program:
     return formulation.load(name, SCENE, **weights).compile()
 
 
-class Counting(ClosedFormSolver):
+class Counting(ClosedForm):
     """Writes down what it is asked for."""
 
     name, summary = "counting", ""
