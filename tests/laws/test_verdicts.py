@@ -21,7 +21,7 @@ from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.packages import osqp, scs
+from ttus_opt.solvers.packages import splitting
 
 TOLERANCE = 1e-6
 TIMES = Timings(0.0, 0.0, 0.0)
@@ -139,12 +139,9 @@ def _few_dual(patch, n):
     patch.setattr(registry.solvers()["structured"], "options", few)
 
 
-def _few_iterations(module):
-    def stop(patch, n):
-        patch.setattr(module, "ITERATIONS", n)
-        patch.setattr(module._Loaded, "continuations", 0)
-
-    return stop
+def _few_iterations(patch, n):
+    patch.setattr(splitting, "ITERATIONS", n)
+    patch.setattr(splitting.Loaded, "continuations", 0)
 
 
 def _few_of(name, key):
@@ -160,8 +157,8 @@ def _few_of(name, key):
 STOPS: dict[str, Callable[[pytest.MonkeyPatch, int], None]] = {
     "structured": _few_dual,
     "clarabel": _few_of("clarabel", "max_iter"),
-    "osqp": _few_iterations(osqp),
-    "scs": _few_iterations(scs),
+    "osqp": _few_iterations,
+    "scs": _few_iterations,
     "cvxpy_clarabel": _few_of("cvxpy_clarabel", "max_iter"),
     "cvxpy_scs": _few_of("cvxpy_scs", "max_iters"),
 }

@@ -8,11 +8,12 @@ import pytest
 from tests.solvers.problems import M, bounds, capped, minimum, program, rows, term
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.packages import osqp
+from ttus_opt.solvers.packages import splitting
+from ttus_opt.solvers.registry import asked_for
 
 pytest.importorskip("osqp")
 
-SOLVER = osqp.Osqp()
+SOLVER = asked_for("osqp")
 INF = np.inf
 
 
@@ -48,13 +49,13 @@ def test_other_rows_take_a_new_solver() -> None:
 
 def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
     """In pieces of 25 iterations, checked between, it comes to the same."""
-    monkeypatch.setattr(osqp, "ITERATIONS", 25)
+    monkeypatch.setattr(splitting, "ITERATIONS", 25)
     problem, request = capped(1.0), Request(1e-9)
     found = SOLVER.prepare(problem, request).solve()
     assert found.iterations > 25
     assert kkt_residuals(problem, found.x, found.duals).worst_relative <= 1e-9
     np.testing.assert_allclose(found.x, minimum(1.0), atol=1e-7)
-    monkeypatch.setattr(osqp._Loaded, "continuations", 0)
+    monkeypatch.setattr(splitting.OsqpLoaded, "continuations", 0)
     cut = SOLVER.prepare(problem, request).solve()
     assert cut.iterations == 25 and cut.claim is Claim.PAUSED
     assert kkt_residuals(problem, cut.x, cut.duals).worst_relative > 1e-9

@@ -9,11 +9,12 @@ from tests.solvers.problems import M, capped, minimum, program, rows, term
 from ttus_opt.problem.terms.penalties.linear import Linear
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.packages import scs
+from ttus_opt.solvers.packages import splitting
+from ttus_opt.solvers.registry import asked_for
 
 pytest.importorskip("scs")
 
-SOLVER = scs.Scs()
+SOLVER = asked_for("scs")
 INF = np.inf
 
 
@@ -40,13 +41,13 @@ def test_an_update_keeps_the_solver(changed: dict[str, float], keeps: bool) -> N
 
 def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
     """In pieces of 25 iterations, checked between, it comes to the same."""
-    monkeypatch.setattr(scs, "ITERATIONS", 25)
+    monkeypatch.setattr(splitting, "ITERATIONS", 25)
     problem, request = capped(1.0), Request(1e-9)
     found = SOLVER.prepare(problem, request).solve()
     assert found.iterations > 25
     assert kkt_residuals(problem, found.x, found.duals).worst_relative <= 1e-9
     np.testing.assert_allclose(found.x, minimum(1.0), atol=1e-7)
-    monkeypatch.setattr(scs._Loaded, "continuations", 0)
+    monkeypatch.setattr(splitting.ScsLoaded, "continuations", 0)
     cut = SOLVER.prepare(problem, request).solve()
     assert cut.iterations == 25 and cut.claim is Claim.PAUSED
     assert kkt_residuals(problem, cut.x, cut.duals).worst_relative > 1e-9
