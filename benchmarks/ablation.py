@@ -2,13 +2,13 @@
 
     python benchmarks/ablation.py
     python benchmarks/ablation.py --only patience,share --problems growth,noise
-    python benchmarks/ablation.py --case M --only divergence --problems "noise drag"
+    python benchmarks/ablation.py --case M --only patience --problems "noise drag"
 
-Every option of `DualOptions` is moved alone to each of its trials. A row has for each
-problem the V-cycles spent (over those of a whole grid), working sets, directions and
-the relative KKT residual, which are the same at every run; a problem that is not solved
-to the tolerance is marked. The first row is the defaults'. docs/benchmark.md tells what
-came of it.
+Every number of `solvers.dual.options` is moved alone to each of its trials. A row has
+for each problem the V-cycles spent (over those of a whole grid), working sets,
+directions and the relative KKT residual, which are the same at every run; a problem
+that is not solved to the tolerance is marked. The first row is the defaults'.
+docs/benchmark.md tells what came of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 from ttus_opt.benchmark import reference_cases
@@ -25,7 +24,7 @@ from ttus_opt.problem import formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.structured import Structured
 
 #: By name: formulation, perturbation of the data, sampling and weight; None for the
@@ -39,6 +38,21 @@ PROBLEMS: dict[str, tuple[str, str, str, float | None]] = {
     "no drag": ("coulomb_drag", "", "trilinear", None),
     "noise drag": ("coulomb_drag", "noise", "voxel-mean", 100.0),
     "heavy": ("eq10", "noise", "trilinear", 1e6),
+}
+
+#: Other values of every number of the method
+TRIALS: dict[str, tuple[float, ...]] = {
+    "REFINEMENTS": (1,),
+    "LOOSEST_PRODUCT": (0.0, 1e-4),
+    "PRECONDITIONER_RESIDUAL": (0.05,),
+    "PRECONDITIONER_ENERGY": (0.0, 0.1),
+    "PRECONDITIONER_DELAY": (1,),
+    "SUBPROBLEM_ACCURACY": (0.0, 0.1),
+    "LOOSEST_SUBPROBLEM": (1e-4, 1e-2),
+    "FIELD_ACCURACY": (0.0,),
+    "PATIENCE": (0, 10_000),
+    "SHARE": (0.1, 1.0),
+    "NEIGHBOURHOOD": (1,),
 }
 
 WEIGHTS = ("force_weight", "torque_weight")
@@ -55,14 +69,15 @@ def build(case: str, problem: str) -> Program:
     return formulation.load(name, spec.build(), **weights).compile()
 
 
-def variants(only: list[str]) -> Iterator[tuple[str, DualOptions]]:
-    """The defaults, then every option at each of its trials."""
-    yield "defaults", DualOptions()
-    for option in fields(DualOptions):
-        if not only or option.name in only:
-            for value in option.metadata["trials"]:
-                label = f"{option.name} {value:g}"
-                yield label, DualOptions(**{option.name: value})
+def variants(only: list[str]) -> Iterator[str]:
+    """The defaults, then every number at each of its trials, set while it is tried."""
+    yield "defaults"
+    for name, trials in TRIALS.items():
+        usual = getattr(options, name)
+        for value in trials if not only or name.lower() in only else ():
+            setattr(options, name, value)
+            yield f"{name.lower()} {value:g}"
+            setattr(options, name, usual)
 
 
 @contextlib.contextmanager
@@ -82,10 +97,10 @@ def counted() -> Iterator[list[int]]:
         Workspace.v_cycle = original  # type: ignore[method-assign]
 
 
-def measured(program: Program, options: DualOptions) -> str:
+def measured(program: Program) -> str:
     """One solve in a few words."""
     with counted() as sizes:
-        found = Structured(options).prepare(program, REQUEST).solve()
+        found = Structured().prepare(program, REQUEST).solve()
     whole = Workspace(program.laplace.multigrid.hierarchy).b.size
     assert found.x is not None
     kkt = kkt_residuals(program, found.x, found.duals).worst_relative
@@ -107,8 +122,8 @@ def main() -> None:
     for program in programs:  # compiles, imports
         Structured().prepare(program, Request(1e-2, 5.0)).solve()
     print(f"{'':32}", " | ".join(f"{name:26}" for name in problems))
-    for label, options in variants(chosen.only.split(",") if chosen.only else []):
-        cells = [measured(program, options) for program in programs]
+    for label in variants(chosen.only.split(",") if chosen.only else []):
+        cells = [measured(program) for program in programs]
         print(f"{label:32}", " | ".join(cells), flush=True)
 
 

@@ -20,7 +20,7 @@ from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.packages import splitting
 
 TOLERANCE = 1e-6
@@ -135,8 +135,9 @@ def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
 
 
 def _few_dual(patch, n):
-    few = DualOptions(max_directions=n, refinements=1, max_working_sets=1 + n // 10)
-    patch.setattr(registry.solvers()["structured"], "options", few)
+    patch.setattr(options, "MAX_DIRECTIONS", n)
+    patch.setattr(options, "REFINEMENTS", 1)
+    patch.setattr(options, "MAX_WORKING_SETS", 1 + n // 10)
 
 
 def _few_iterations(patch, n):

@@ -23,13 +23,12 @@ from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.normal_equations import NormalEquations
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.registry import solvers
 
 SCENE = small_scene("trilinear")
 
 #: Every term of more rows than these is wide here, as on full grids
-SOLVER = NormalEquations(PrimalOptions(few_rows=100))
+SOLVER = NormalEquations(few_rows=100)
 TERMS = (TikhonovTerm, *OWN)
 
 

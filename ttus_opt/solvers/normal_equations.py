@@ -25,6 +25,7 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
+from ttus_opt.solvers.dual.active_set import DUAL_MARGIN
 from ttus_opt.solvers.dual.data import (
     duals_without_limits,
     refusal_of_terms,
@@ -32,14 +33,12 @@ from ttus_opt.solvers.dual.data import (
 )
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import DUAL_MARGIN
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
 from ttus_opt.solvers.primal.minimise import Goal, Minimum, minimise
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
-from ttus_opt.solvers.primal.split import Split, wide_terms
+from ttus_opt.solvers.primal.split import FEW_ROWS, Split, wide_terms
 from ttus_opt.solvers.sizes import Sizes
 
 #: Most continuations of a solve until the bound of its gap is small enough
@@ -57,7 +56,7 @@ class NormalEquations(Solver):
     """Preconditioned conjugate gradients on the normal equations.
 
     Attributes:
-        options: Options of the method.
+        few_rows: Most rows of a term that is eliminated through its dual [–].
     """
 
     name = "normal_equations"
@@ -70,8 +69,8 @@ class NormalEquations(Solver):
         keeps="the multigrid, the dual's directions, and the last answer to start from",
     )
 
-    def __init__(self, options: PrimalOptions | None = None) -> None:
-        self.options = options or PrimalOptions()
+    def __init__(self, few_rows: int = FEW_ROWS) -> None:
+        self.few_rows = few_rows
 
     def refusal(self, program: Program) -> str:
         """Takes sums of squares with a Laplace term, and few unknowns beside p."""
@@ -84,7 +83,7 @@ class NormalEquations(Solver):
             return why
         V = len(program.laplace.free)
         if program.n_variables > V:
-            for term in wide_terms(program, self.options.few_rows):
+            for term in wide_terms(program, self.few_rows):
                 if term.matrix[:, V:].nnz:
                     return (
                         f"{term.name} has many rows over other unknowns than the field"
@@ -101,30 +100,26 @@ class NormalEquations(Solver):
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Set up the multigrid."""
         self.require(program)
-        return _Loaded(program, request, self.options)
+        return _Loaded(program, request, self.few_rows)
 
 
 class _Loaded(Limited):
     _at: Array | None = None
     _preconditioner: ConstraintPreconditioner
 
-    def __init__(
-        self, program: Program, request: Request, options: PrimalOptions
-    ) -> None:
-        self._primal = options
-        super().__init__(program, request, DualOptions())
+    def __init__(self, program: Program, request: Request, few_rows: int) -> None:
+        self._few_rows = few_rows
+        super().__init__(program, request)
 
     def update(self, program: Program) -> None:
         """Take other data; keep the last answer and working set."""
         self._program, self._limits = program, SpokeLimits.of(program)
-        split = Split.of(program, self._primal.few_rows)
+        split = Split.of(program, self._few_rows)
         if self._limits.binding:
-            limited = program, self._limits, self._options
-            self._problem = LimitedSum(*limited, split, split.root(), self._primal)
+            self._problem = LimitedSum(program, self._limits, split, split.root())
             return
         free = np.ones(split.few.columns.shape[1], dtype=bool)
-        made = preconditioner(split, free, self._primal, self._options)
-        self._preconditioner = made
+        self._preconditioner = made = preconditioner(split, free)
         self._function = LeastSquares(split, made.complement)
 
     def _limited(self, accuracy: Accuracy) -> Candidate:

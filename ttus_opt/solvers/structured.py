@@ -38,25 +38,18 @@ from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes
-
-#: Most rows of a term, other than measurements, for which the dual is faster
-FEW_ROWS = 1000
 
 #: Most unknowns beside the field: each costs an approximate dual solve
 MOST = 64
 
 
 class Structured(Solver):
-    """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets.
-
-    Attributes:
-        options: Options of the method.
-    """
+    """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets."""
 
     name = "structured"
     summary = "never forms Q: multigrid, conjugate gradients in the dual, active sets"
@@ -66,9 +59,6 @@ class Structured(Solver):
         any_terms=False,
         keeps="the multigrid, all directions while the rows stay, the working set",
     )
-
-    def __init__(self, options: DualOptions | None = None) -> None:
-        self.options = options or DualOptions()
 
     def refusal(self, program: Program) -> str:
         """Takes eq. 10 with the limits of `SpokeLimits` or `FieldPair`."""
@@ -95,7 +85,7 @@ class Structured(Solver):
         if second_field(program) is not None:
             return 0.1 + 4e-5 * s.voxels
         harder = 1.0 + 5.0 * min(s.measured / s.voxels, 2.0)
-        if wide_terms(program, FEW_ROWS):  # they make the dual as large as the field
+        if wide_terms(program):  # they make the dual as large as the field
             harder = 11.0
         return 0.03 + 2.5e-6 * harder * (6.0 if s.limits else 1.0) * s.voxels
 
@@ -103,14 +93,14 @@ class Structured(Solver):
         """Set up the multigrid and the dual system."""
         self.require(program)
         if second_field(program) is not None:
-            return _LoadedPair(program, request, self.options)
-        return _Loaded(program, request, self.options)
+            return _LoadedPair(program, request)
+        return _Loaded(program, request)
 
 
 class _LoadedPair(Limited):
     def update(self, program: Program) -> None:
         """Take other data; keep the multigrid and the last working set."""
-        self._program, self._pair = program, FieldPair.of(program, self._options)
+        self._program, self._pair = program, FieldPair.of(program)
         self._limits = self._pair.limits
         program.laplace.multigrid  # noqa: B018  (counts as set-up)
 
@@ -146,7 +136,7 @@ class _Loaded(Limited):
         bounds = (b[len(self._data.b) :] for b in program.box)
         beside = LinearParameters(self._data.columns, *bounds)
         if self._solver is None or not system.same_rows(self._solver.system):
-            self._solver = DualSolver(system, beside, self._options)
+            self._solver = DualSolver(system, beside)
         else:
             self._solver.adopt(system, beside)
 
@@ -159,9 +149,7 @@ class _Loaded(Limited):
     def _limited(self, accuracy: Accuracy) -> Candidate:
         """The field within its limits."""
         assert self._solver is not None
-        problem = LimitedField(
-            self._program, self._limits, self._options, self._data, self._solver
-        )
+        problem = LimitedField(self._program, self._limits, self._data, self._solver)
         found = self._within(problem, accuracy)
         return candidate_of(found, found.p, found.multipliers.duals(self._limits))
 

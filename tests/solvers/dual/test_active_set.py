@@ -14,12 +14,12 @@ from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.solvers.dual import active_set
+from ttus_opt.solvers.dual import active_set, options
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField, Subproblem
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -29,13 +29,10 @@ PROGRAM = eq10(SCENE, 1.0).with_constraints(Sign(SCENE)).compile()
 LIMITS = SpokeLimits.of(PROGRAM)
 
 
-def iteration(
-    accuracy: Accuracy, tolerance: float = 1e-6, **options: int
-) -> ActiveSetIteration:
-    data, chosen = DualData.of(PROGRAM), DualOptions(**options)  # type: ignore[arg-type]
-    solver = DualSolver(data.system, options=chosen)
-    problem = LimitedField(PROGRAM, LIMITS, chosen, data, solver)
-    return ActiveSetIteration(problem, LIMITS, None, tolerance, accuracy)
+def iteration(accuracy: Accuracy, tolerance: float = 1e-6) -> ActiveSetIteration:
+    data = DualData.of(PROGRAM)
+    problem = LimitedField(PROGRAM, LIMITS, data, DualSolver(data.system))
+    return ActiveSetIteration(problem, None, tolerance, accuracy)
 
 
 def test_the_empty_set_violates_limits_and_pivots_mend_them() -> None:
@@ -54,11 +51,14 @@ def test_the_empty_set_violates_limits_and_pivots_mend_them() -> None:
     assert (at.multipliers.bounds[held] <= 0.0).all()
 
 
-def test_it_is_over_when_time_or_working_sets_are() -> None:
+def test_it_is_over_when_time_or_working_sets_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     late = iteration(Accuracy(1e-8, deadline=time.perf_counter() - 1.0))
     late.solve(late.active, 1e-3)
     assert late.late and late.over and not late.settled
-    once = iteration(Accuracy(1e-8), max_working_sets=1)
+    monkeypatch.setattr(options, "MAX_WORKING_SETS", 1)
+    once = iteration(Accuracy(1e-8))
     once.solve(once.active, 1e-3)
     assert once.over and not once.settled
 
@@ -112,18 +112,17 @@ def test_a_model_is_asked_where_bounds_alone_are_violated(
     at.active.links[3] = True
     assert at.predicted(found) is None
     # of soft values it needs a minimiser, of a second field less will do
-    assert not at.predicts_roughly
+    assert not at.problem.predicts_roughly
     scene = contested_pair(1, noise=0.2)
     pair = FieldPair.of(coulomb(scene, 1.0, largest_friction=0.1).compile())
-    start = ActiveSetIteration(pair, pair.limits, None, 1e-6, Accuracy(1e-8))
-    assert start.predicts_roughly
+    assert pair.predicts_roughly
 
 
 def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
     """The KKT residuals of a second field are relative to its own size."""
     scene = contested_pair(1, noise=0.2, mu=0.0)
     pair = FieldPair.of(coulomb(scene, 1e-4, largest_friction=10.0).compile())
-    at = ActiveSetIteration(pair, pair.limits, None, 1.0, Accuracy(1e-8))
+    at = ActiveSetIteration(pair, None, 1.0, Accuracy(1e-8))
     worst = at.solve(at.active, 1e-8).worst
     p, q = (np.abs(half).max() for half in np.split(at.p, 2))
     assert worst > 0.0 and q < 1e-2 * p
@@ -131,7 +130,7 @@ def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
     # 10 would do, by a tenth of the tolerance times q's share: not a matter of rounding
     for times in (2.0, 50.0):
         tolerance = times * worst * p / q
-        at = ActiveSetIteration(pair, pair.limits, None, tolerance, Accuracy(1e-8))
+        at = ActiveSetIteration(pair, None, tolerance, Accuracy(1e-8))
         for _ in range(3):
             at.solve(at.active, 1e-8)
         settled.append(at.settled)
@@ -158,6 +157,6 @@ def test_solves_are_as_exact_as_their_working_set_is_for(
         at.solve(at.active, rtol)
     assert at.steps == sum(steps) > steps[0]
     assert [a.rtol for a in asked] == [1e-3, 1e-8]
-    share = at.problem.options.field_accuracy
+    share = options.FIELD_ACCURACY
     assert [a.field_rtol for a in asked] == [share * 1e-3, RTOL]
     assert share * 1e-3 > RTOL

@@ -27,9 +27,10 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured
@@ -64,20 +65,15 @@ def coulomb(
     return declared.with_constraints(*constraints)
 
 
-def solved(program: Program, options: DualOptions | None = None) -> Candidate:
-    return Structured(options).prepare(program, Request(TOLERANCE, 120.0)).solve()
+def solved(program: Program) -> Candidate:
+    return Structured().prepare(program, Request(TOLERANCE, 120.0)).solve()
 
 
-def check(
-    declared: Formulation,
-    least_active: int,
-    close: float = 1e-5,
-    options: DualOptions | None = None,
-) -> None:
+def check(declared: Formulation, least_active: int, close: float = 1e-5) -> None:
     """Verified to the tolerance, and Clarabel's fields and objective."""
     program = declared.compile()
     assert not STRUCTURED.refusal(program)
-    candidate = solved(program, options)
+    candidate = solved(program)
     assert candidate.claim is Claim.DONE, candidate.detail
     residuals = kkt_residuals(program, candidate.x, candidate.duals)
     assert residuals.worst_relative <= TOLERANCE, residuals
@@ -124,12 +120,13 @@ def test_contested(forces: tuple[float, float], weight: float, share: float) -> 
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_the_safeguard_from_the_first_working_set_on(
-    share: float, weight: float
+    share: float, weight: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is kept for where the iteration cycles finds the same."""
     scene = contested(4, scale=-3.0)
     declared = coulomb(scene, weight, largest_friction=share)
-    check(declared, least_active=3, options=DualOptions(patience=0))
+    monkeypatch.setattr(options, "PATIENCE", 0)
+    check(declared, least_active=3)
 
 
 @pytest.mark.slow
@@ -438,14 +435,3 @@ def test_from_any_working_set_the_same_one_is_predicted(seed: int) -> None:
     assert 0 < touching.sum() < len(at)
     assert (pair.gradient(p)[at[touching]] > 0.0).all()
     assert (p > pair.limits.lower)[at[~touching]].all()
-
-
-def test_options_of_the_method_reach_its_subproblems() -> None:
-    program = coulomb(contested(1), 1e2).compile()
-    few = DualOptions(max_directions=1, refinements=1)
-    steps = []
-    for options in (few, None):
-        pair = FieldPair.of(program, options)
-        nothing = WorkingSet.empty(len(pair.limits.lower))
-        steps.append(pair.subproblem(nothing).solve(Accuracy(1e-10), None).steps)
-    assert 0 < steps[0] < steps[1] - 1

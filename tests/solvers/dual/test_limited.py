@@ -19,7 +19,7 @@ from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import duals_without_limits
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
@@ -68,7 +68,7 @@ def off_by(
 
 
 def loaded(tolerance: float = 1e-6) -> Loaded:
-    return Loaded(PROGRAM, Request(tolerance=tolerance), DualOptions())
+    return Loaded(PROGRAM, Request(tolerance=tolerance))
 
 
 def test_one_attempt_that_holds_is_enough() -> None:
@@ -100,7 +100,7 @@ def test_an_attempt_that_ran_out_of_time_is_the_last() -> None:
         return Candidate(2.0 * EXACT, iterations=1, claim=Claim.TIME_LIMIT)
 
     request = Request(tolerance=1e-6, time_limit=1.0)
-    found = Loaded(PROGRAM, request, DualOptions())._tightened(attempt)
+    found = Loaded(PROGRAM, request)._tightened(attempt)
     assert (found.iterations, found.claim) == (1, Claim.TIME_LIMIT)
 
 

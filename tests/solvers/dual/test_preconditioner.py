@@ -13,7 +13,6 @@ from tests.conftest import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual import preconditioner
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -67,7 +66,7 @@ def test_a_box_of_the_grid_is_enough(name: str) -> None:
 def test_preconditioner_nearly_inverts() -> None:
     system = dual_system("voxel-mean", 1e2)
     right_side = np.random.default_rng(0).normal(size=len(system.root_weights))
-    precondition = SchurPreconditioner(system, DualOptions())
+    precondition = SchurPreconditioner(system)
     rest = right_side - system.apply(precondition(right_side))
     exact = np.array([system.apply(e) for e in np.eye(len(right_side))])
     inverse = np.linalg.inv(exact)
@@ -89,7 +88,7 @@ def test_where_directions_become_many_a_factor_takes_over(
     )
     tilde, m = ApproximateSchur(system), len(system.root_weights)
     full = np.array([tilde.apply(e) for e in np.eye(m)])
-    precondition = SchurPreconditioner(tilde, DualOptions())
+    precondition = SchurPreconditioner(tilde)
     right_sides = np.random.default_rng(0).normal(size=(m, m))
     answers = np.array([precondition(t) for t in right_sides])
     np.testing.assert_allclose(answers @ full, right_sides, atol=1e-3)
@@ -103,7 +102,7 @@ def test_a_factor_at_any_weight_is_positive_definite(
     monkeypatch.setattr(preconditioner, "MANY", 3)
     monkeypatch.setattr(preconditioner, "SHARE", 0.0)
     system = dual_system("voxel-mean", 1e14)
-    precondition = SchurPreconditioner(system, DualOptions())
+    precondition = SchurPreconditioner(system)
     for residual in np.random.default_rng(0).normal(size=(5, len(system.root_weights))):
         answer = precondition(residual)
         assert np.isfinite(answer).all()

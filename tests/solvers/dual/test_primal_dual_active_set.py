@@ -28,13 +28,9 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual import active_set
-from ttus_opt.solvers.dual import primal_dual_active_set as module
-from ttus_opt.solvers.dual.active_set import LimitedProblem
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.optimality import Violations
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import (
+from ttus_opt.solvers.dual import active_set, options
+from ttus_opt.solvers.dual.active_set import (
+    LimitedProblem,
     _chosen,
     _peak,
     _Progress,
@@ -42,6 +38,9 @@ from ttus_opt.solvers.dual.primal_dual_active_set import (
     _strong,
     primal_dual_active_set,
 )
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.optimality import Violations
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
@@ -51,10 +50,8 @@ STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
 TOLERANCE = 1e-6
 
 
-def solved(
-    program: Program, tolerance: float = TOLERANCE, options: DualOptions | None = None
-) -> Candidate:
-    return Structured(options).prepare(program, Request(tolerance, 60.0)).solve()
+def solved(program: Program, tolerance: float = TOLERANCE) -> Candidate:
+    return Structured().prepare(program, Request(tolerance, 60.0)).solve()
 
 
 def active_limits(program: Program, p: Array) -> int:
@@ -169,16 +166,16 @@ def test_limits_that_hardly_matter_end_the_iteration(
 
 
 @pytest.mark.slow
-def test_too_few_working_sets_are_no_answer() -> None:
+def test_too_few_working_sets_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """What it ended on is told as that, and not started from."""
     scene = contested(1, scale=-3.0, noise=2.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     prepared = STRUCTURED.prepare(program, Request(TOLERANCE))
-    prepared._options = DualOptions(max_working_sets=2)
-    cut = prepared.solve()
+    with monkeypatch.context() as patch:
+        patch.setattr(options, "MAX_WORKING_SETS", 2)
+        cut = prepared.solve()
     assert cut.claim is not Claim.DONE
     assert cut.detail.startswith("2 working sets")
-    prepared._options = DualOptions()
     whole, fresh = prepared.solve(), solved(program)
     assert whole.detail == fresh.detail
     assert whole.claim is Claim.DONE
@@ -612,8 +609,9 @@ def test_patience_ends_where_nothing_gets_better(
     def active(count: int) -> WorkingSet:
         return WorkingSet((np.arange(9) < count).astype(np.int8), np.zeros(9, bool))
 
-    monkeypatch.setattr(module, "PROGRESS", 0.5)
-    progress = _Progress(DualOptions(patience=2))
+    monkeypatch.setattr(active_set, "PROGRESS", 0.5)
+    monkeypatch.setattr(options, "PATIENCE", 2)
+    progress = _Progress()
     told = []
     for worst, count, size in (
         (1.0, 8, 1),
@@ -646,9 +644,7 @@ def test_peaks_are_those_of_a_filter_over_six_neighbours() -> None:
 
 def test_links_of_every_field_join_by_their_peaks() -> None:
     shape = (3, 2, 2)
-    problem = SimpleNamespace(
-        options=DualOptions(), shape=shape, alone=False, links_along_spokes=False
-    )
+    problem = SimpleNamespace(shape=shape, alone=False, links_along_spokes=False)
     links = np.full((2, *shape), -INF)
     links[0, :, 0, 0], links[1, :, 1, 1] = [0.1, 0.3, 0.2], [0.5, 0.4, 0.5]
     n = links.size
@@ -666,10 +662,9 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
     class Scripted:
         """Violations come as written: number, size, limits of a prediction."""
 
-        predicts_roughly = True
-
-        def __init__(self, problem: SimpleNamespace, limits: SpokeLimits, *_: object):
-            self.limits, self.p, self.active = limits, nothing, WorkingSet.empty(n)
+        def __init__(self, problem: SimpleNamespace, *_: object):
+            self.limits, self.p = problem.limits, nothing
+            self.active = WorkingSet.empty(n)
 
         @property
         def over(self) -> bool:
@@ -688,22 +683,21 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
             sizes = np.where(np.arange(n) >= n - count, size, -INF)
             return Violations(sizes, np.ones(n, np.int8), nothing)
 
-    options = DualOptions(patience=2, subproblem_accuracy=1e-2)
-    problem = SimpleNamespace(
-        options=options, shape=(n, 1, 1), alone=True, links_along_spokes=False
-    )
-    problem.objective = lambda _: 0.0
+    monkeypatch.setattr(options, "PATIENCE", 2)
+    monkeypatch.setattr(options, "SUBPROBLEM_ACCURACY", 1e-2)
+    monkeypatch.setattr(active_set, "ActiveSetIteration", Scripted)
     free = np.full(n, INF)
     limits = SpokeLimits((n, 1, 1), -free, free, np.zeros(n, bool), -free, {})
-    module = "ttus_opt.solvers.dual.primal_dual_active_set.ActiveSetIteration"
-    monkeypatch.setattr(module, Scripted)
+    problem = SimpleNamespace(
+        limits=limits, shape=(n, 1, 1), alone=True, links_along_spokes=False,
+        predicts_roughly=True, objective=lambda _: 0.0,
+    )  # fmt: skip
 
     def asked(*lines: tuple[int, float, int | None]) -> list[tuple[float, int]]:
         script[:] = lines
         told.clear()
-        primal_dual_active_set(
-            cast(LimitedProblem, problem), limits, None, 1e-6, Accuracy(1e-9)
-        )
+        given = cast(LimitedProblem, problem)
+        primal_dual_active_set(given, None, 1e-6, Accuracy(1e-9))
         return told
 
     # without a model by the worst violation, 1e-3 at most; to the end with none left
@@ -721,9 +715,12 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
     ]
 
 
-def test_what_joins_is_a_share_of_the_worst_around() -> None:
+def test_what_joins_is_a_share_of_the_worst_around(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The smaller the worst of all, the more joins."""
-    options = DualOptions(share=0.5, neighbourhood=1)
+    monkeypatch.setattr(options, "SHARE", 0.5)
+    monkeypatch.setattr(options, "NEIGHBOURHOOD", 1)
     profile = np.array([1.0, 0.6, 0.2, 0.07, 0.0, 0.3]).reshape(1, 6, 1, 1)
     joins = {
         1.0: [True, True, False, False, False, True],
@@ -731,11 +728,13 @@ def test_what_joins_is_a_share_of_the_worst_around() -> None:
         0.08: [True, True, False, False, False, True],  # 0.4 instead of 0.5
     }
     for size, expected in joins.items():
-        assert _strong(size * profile, options).reshape(-1).tolist() == expected
+        assert _strong(size * profile).reshape(-1).tolist() == expected
 
 
 @pytest.mark.parametrize("reach", [1, 2, 3])
-def test_around_is_so_many_voxels_each_way(reach: int) -> None:
+def test_around_is_so_many_voxels_each_way(
+    reach: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also past the last spoke, not past the ends of the patient, nor of a field."""
     shape = (2, 9, 10, 9)
     sizes = np.random.default_rng(reach).uniform(0.1, 1.0, shape)
@@ -749,5 +748,6 @@ def test_around_is_so_many_voxels_each_way(reach: int) -> None:
             for c in range(max(k - reach, 0), min(k + reach, shape[3] - 1) + 1)
         )
         expected[field, i, j, k] = sizes[field, i, j, k] >= 0.75 * worst
-    options = DualOptions(share=0.75, neighbourhood=reach)
-    np.testing.assert_array_equal(_strong(sizes, options), expected)
+    monkeypatch.setattr(options, "SHARE", 0.75)
+    monkeypatch.setattr(options, "NEIGHBOURHOOD", reach)
+    np.testing.assert_array_equal(_strong(sizes), expected)

@@ -16,7 +16,7 @@ from ttus_opt.solvers.dual import soft_values
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import DualSolver
@@ -56,7 +56,7 @@ def test_held_are_those_of_the_equation_itself(weight: float) -> None:
     of = data(weight)
     inverse, D = dense(of)
     G = D @ inverse
-    model = SoftValues(of.system, DualOptions())
+    model = SoftValues(of.system)
     at, compliance = model.voxels, of.system.compliance
     lower = np.zeros(len(at))
 
@@ -86,9 +86,8 @@ def test_it_is_told_what_soft_values_would_be_without_limits(
     """b + ω q, where they are held and where they are free, against dense algebra."""
     program = load("free_surface", SCENE).compile()
     of, limits = DualData.of(program), SpokeLimits.of(program)
-    solver, options = DualSolver(of.system), DualOptions()
-    problem = LimitedField(program, limits, options, of, solver)
-    at = ActiveSetIteration(problem, limits, None, 1e-6, Accuracy(1e-11))
+    problem = LimitedField(program, limits, of, DualSolver(of.system))
+    at = ActiveSetIteration(problem, None, 1e-6, Accuracy(1e-11))
     told: list[Array] = []
     plain = SoftValues.held
 
@@ -126,7 +125,7 @@ def goals(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_steps_end_where_the_working_set_stays_whatever_its_size(
     goals: list[float],
 ) -> None:
-    model = SoftValues(data().system, DualOptions())
+    model = SoftValues(data().system)
     rng = np.random.default_rng(2)
     p, natural = rng.normal(size=(2, len(model.voxels)))
     lower = np.full(len(p), -0.1)
@@ -160,7 +159,7 @@ def test_where_directions_do_not_suffice_nothing_is_predicted(
     monkeypatch.setattr(soft_values, "MOST_DIRECTIONS", 1)
     monkeypatch.setattr(soft_values, "RESIDUAL", 1e-9)
     of = data()
-    model = SoftValues(of.system, DualOptions())
+    model = SoftValues(of.system)
     k = len(model.voxels)
     natural = np.random.default_rng(1).normal(size=k)
     for _ in range(2):

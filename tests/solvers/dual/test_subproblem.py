@@ -22,7 +22,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -121,7 +121,7 @@ def eliminated(program: Program, limits: SpokeLimits, active: WorkingSet) -> Arr
 
 def solved(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
     data = DualData.of(program)
-    left = reduced(program.laplace, limits, active, data, DualOptions())
+    left = reduced(program.laplace, limits, active, data)
     return left.solve(Accuracy(1e-12)).p
 
 

@@ -14,8 +14,8 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData, root_weights
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.weight_sweep import (
     BLOCK,
     PROBES,
@@ -138,9 +138,10 @@ def test_a_combination_may_be_of_fewer_fields_than_are_held() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-6 * size)
 
 
-def test_too_few_directions_complete_nothing() -> None:
+def test_too_few_directions_complete_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(options, "MAX_DIRECTIONS", 3)
     program = declared("eq10", 30.0, 30.0).compile()
-    sweep = WeightSweep(DualData.of(program), DualOptions(max_directions=3))
+    sweep = WeightSweep(DualData.of(program))
     assert not sweep.complete(root_weights(program))
     assert len(sweep) == 3
 

@@ -13,12 +13,10 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.conjugate_gradients import Map
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem, FixedBlock
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.matching import matched_root
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.voxmap.grid import nodes_of
 
@@ -45,9 +43,7 @@ def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
         program = load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
         split = Split.of(program, 50)
         assert len(split.wide) == 1
-        made = preconditioner(
-            split, np.zeros(0, dtype=bool), PrimalOptions(inner=1e-4), DualOptions()
-        )
+        made = preconditioner(split, np.zeros(0, dtype=bool), 1e-4)
         H = program.normal_equations()[0].toarray()
         inverse = np.array([made.field(e) for e in np.eye(len(H))])
         assert np.abs(inverse - inverse.T).max() < 1e-2 * np.abs(inverse).max()

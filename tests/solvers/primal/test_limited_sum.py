@@ -19,11 +19,10 @@ from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
 
 #: Terms of more rows than these are wide
@@ -40,9 +39,7 @@ def made(
     program = (declared + own(scene, 3.0)).with_constraints(*limits).compile()
     split = Split.of(program, FEW)
     assert len(split.wide) == 1
-    options, root = PrimalOptions(few_rows=FEW), split.root()
-    spokes = SpokeLimits.of(program)
-    return program, LimitedSum(program, spokes, DualOptions(), split, root, options)
+    return program, LimitedSum(program, SpokeLimits.of(program), split, split.root())
 
 
 def solved(

@@ -9,12 +9,10 @@ import pytest
 import scipy.sparse as sp
 
 from tests.solvers.own_terms import AlongZ
-from tests.solvers.primal.test_limited_sum import FEW, made
+from tests.solvers.primal.test_limited_sum import made
 from ttus_opt.core.arrays import Array
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal import preconditioner as module
 from ttus_opt.solvers.primal.least_squares import preconditioner
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import (
     ConstraintPreconditioner,
     with_few_rows,
@@ -28,8 +26,7 @@ def fresh() -> tuple[ConstraintPreconditioner, Array]:
     _, problem = made(AlongZ, False)
     split = problem.split
     columns = np.ones(split.few.columns.shape[1], dtype=bool)
-    options = PrimalOptions(few_rows=FEW)
-    built = preconditioner(split, columns, options, DualOptions())
+    built = preconditioner(split, columns)
     rng = np.random.default_rng(2)
     return built, rng.normal(size=len(split.few.b) + len(split.few.t))
 

@@ -13,10 +13,8 @@ from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.least_squares import preconditioner
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields
 
@@ -84,7 +82,7 @@ def test_the_preconditioner_is_close_where_differences_are_heavy() -> None:
     """3e-3 without them; 3e3 where soft values are tied by next voxels alone."""
     split = split_of(AlongZ(SCENE, HEAVY))
     nothing = np.zeros(0, dtype=bool)
-    made = preconditioner(split, nothing, PrimalOptions(), DualOptions())
+    made = preconditioner(split, nothing)
     P = hessian(split)
     inverse = np.array([made._system.prior(e) for e in np.eye(len(P))])
     ratios = scipy.linalg.eigh(
@@ -97,7 +95,7 @@ def test_the_preconditioner_is_close_where_differences_are_heavy() -> None:
 @pytest.mark.parametrize("weight", [1e2, 1e6])
 def test_heavy_differences_are_solved(term: type[Term], weight: float) -> None:
     program = (load("eq10", SCENE) + term(SCENE, weight)).compile()
-    solver = NormalEquations(PrimalOptions(few_rows=50))
+    solver = NormalEquations(few_rows=50)
     found = solver.prepare(program, Request(1e-6)).solve()
     assert found.x is not None
     assert kkt_residuals(program, found.x, found.duals).worst_relative <= 1e-6

@@ -2,12 +2,11 @@
 
 From top to bottom:
 
-- `primal_dual_active_set` iterates over working sets (`active_set`, `working_set`,
-  `optimality`) of one field (`subproblem`, `limits`) or of two (`field_pair`,
-  `pair_subproblem`, `pair_laplace`); where possible a model predicts the next one
-  (`soft_values`, `touched_limits`);
+- `active_set` iterates over working sets (`working_set`, `optimality`) of one field
+  (`subproblem`, `limits`) or of two (`field_pair`, `pair_subproblem`, `pair_laplace`);
+  where possible a model predicts the next one (`soft_values`, `touched_limits`);
 - `solver` solves the dual of each, with unknowns beside the field
   (`linear_parameters`), by conjugate gradients with kept directions on the Schur
   complement (`system`), with an approximate one as preconditioner (`preconditioner`);
-- `data` extracts the dual from a program; `options` holds all numerical parameters.
+- `data` extracts the dual from a program; `options` has the numbers of it all.
 """

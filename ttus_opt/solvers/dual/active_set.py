@@ -1,18 +1,43 @@
-"""State of the active-set iteration, which solves one working set after another.
+"""The primal-dual active-set method with a safeguard (docs/method, section 10.6).
 
-`primal_dual_active_set` chooses the next working set and the accuracy of its solve.
+For each working set the problem without limits is solved. Active limits whose
+multiplier has the wrong sign are released, all at once (block pivoting: Júdice and
+Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Control Optim.
+37, 1999). Which of the violated limits become active depends on their kind:
+
+- Bounds: local maxima of the violation, because a field with a second-order prior
+  touches its bound at few points (10 to 20 working sets, 50 and more with all violated
+  bounds).
+- Bounds of soft values, which a row of their own pulls to a value: all violated ones,
+  because they hardly affect each other (a third of the working sets).
+- Order along spokes: all whose violation exceeds a share of the worst nearby, because
+  active order constraints fill volumes.
+
+If a problem has a model of its field's response to multipliers (`touched_limits`,
+`soft_values`) and only bounds are violated, the model predicts the next working set.
+
+Changing all limits at once is fast but may cycle. The safeguard then activates violated
+limits only from a working set without wrong signs, as in Lawson and Hanson's method.
+The solution of such a set is the minimiser with its limits as inequalities, whose
+objective can only rise with every added limit. If it has not risen, fewer limits are
+added, so no working set without wrong signs occurs twice.
 """
 
 from __future__ import annotations
 
+import abc
 import math
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.gradient_blocks import ROUNDING
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
     Multipliers,
@@ -20,7 +45,7 @@ from ttus_opt.solvers.dual.optimality import (
     find_violations,
     multipliers,
 )
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 
@@ -28,6 +53,24 @@ from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 #: violations alone before the iteration ends: thousands of limits may be so close to
 #: active that it hardly matters which ones are [–]
 ACCEPTABLE, ACCEPTABLE_SETS = 0.1, 2
+
+#: Relative residual of the last dual over the KKT tolerance [–]
+DUAL_MARGIN = 1e-2
+
+#: Relative residual of the dual of a predicted working set: the next prediction needs
+#: no more [–]
+PREDICTED = 1e-2
+
+#: It is progress if the worst violation or their number falls below this part of the
+#: least so far, or if more limits are active than ever [–]
+PROGRESS = 0.8
+
+#: A predicted working set that changes at most this share of limits is solved fully [–]
+FEW = 0.15
+
+#: Factor on the residual of a predicted working set if the last one left no fewer
+#: violations: its accuracy may have limited the prediction [–]
+TIGHTER = 1e-2
 
 
 class SolvableSubproblem(Protocol):
@@ -37,47 +80,49 @@ class SolvableSubproblem(Protocol):
         """The minimiser; ``last`` is that of the last working set, shape (V,)."""
 
 
-class LimitedProblem(Protocol):
-    """A problem with limits, as the iteration sees it."""
+@dataclass(frozen=True)
+class LimitedProblem(abc.ABC):
+    """A problem with limits: a program of one field and no other unknowns.
 
-    @property
-    def options(self) -> DualOptions:
-        """Options of the method."""
+    Attributes:
+        program: The program.
+        limits: Its limits.
+        links_along_spokes: Whether links are between neighbours of a field, not between
+            two fields.
+        predicts_roughly: Whether a rough minimiser is enough for the next prediction.
+    """
+
+    program: Program
+    limits: SpokeLimits = field(repr=False)
+    links_along_spokes: ClassVar[bool] = True
+    predicts_roughly: ClassVar[bool] = False
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Shape of the grid of every field, (n_r, n_θ, n_z)."""
-
-    @property
-    def links_along_spokes(self) -> bool:
-        """Whether links are between neighbours of a field, not between two fields."""
+        return self.program.laplace.grid.shape
 
     @property
     def alone(self) -> Mask | bool:
         """Unknowns that a row of their own pulls to a value, such as soft values."""
+        return False
 
+    @abc.abstractmethod
     def subproblem(self, active: WorkingSet) -> SolvableSubproblem:
         """The problem of a working set."""
 
-    def gradient(self, p: Array) -> Array:
-        """Gradient of the objective, shape (V,)."""
-
     def objective(self, p: Array) -> float:
         """The objective."""
+        return self.program.objective(p)
 
-
-@runtime_checkable
-class PredictingProblem(Protocol):
-    """A problem with a model of the response of its field to multipliers of bounds."""
-
-    @property
-    def predicts_roughly(self) -> bool:
-        """Whether a rough minimiser is enough for the next prediction."""
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
+        return np.add(*self.program.gradient(p))
 
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The next working set by the model.
+        """The next working set by a model of the field's response to multipliers.
 
         Args:
             active: The working set, without links.
@@ -87,6 +132,7 @@ class PredictingProblem(Protocol):
         Returns:
             The next one; None if there is no model or nothing changes.
         """
+        return None
 
 
 class ActiveSetIteration:
@@ -108,7 +154,6 @@ class ActiveSetIteration:
     def __init__(
         self,
         problem: LimitedProblem,
-        limits: SpokeLimits,
         start: tuple[Array, WorkingSet] | None,
         tolerance: float,
         accuracy: Accuracy,
@@ -117,15 +162,14 @@ class ActiveSetIteration:
 
         Args:
             problem: The problem.
-            limits: Its limits.
             start: A field, (V,), and the initial working set; None for an empty one.
             tolerance: KKT tolerance [–].
             accuracy: Accuracy of the final working set.
         """
-        self.problem, self.limits = problem, limits.without_implied()
+        self.problem, self.limits = problem, problem.limits.without_implied()
         self.rtol, self._tolerance = accuracy.rtol, tolerance
         self._deadline = accuracy.deadline
-        size = len(limits.lower)
+        size = len(self.limits.lower)
         self.active, self._p = WorkingSet.empty(size), None
         if start is not None and len(start[0]) == size:
             self._p, active = start[0], start[1].existing(self.limits)
@@ -147,14 +191,8 @@ class ActiveSetIteration:
     @property
     def over(self) -> bool:
         """Whether the problem is solved, or time or working sets are used up."""
-        enough = self.sets == self.problem.options.max_working_sets
+        enough = self.sets == options.MAX_WORKING_SETS
         return self.settled or self.late or enough
-
-    @property
-    def predicts_roughly(self) -> bool:
-        """Whether the problem's model needs only a rough minimiser."""
-        problem = self.problem
-        return isinstance(problem, PredictingProblem) and problem.predicts_roughly
 
     def predicted(self, found: Violations) -> WorkingSet | None:
         """The working set that a model of the bounds predicts; None without one.
@@ -162,12 +200,9 @@ class ActiveSetIteration:
         Args:
             found: The KKT violations of the last working set.
         """
-        problem = self.problem
         if self.active.links.any() or (found.links > 0.0).any():
             return None
-        if not isinstance(problem, PredictingProblem):
-            return None
-        return problem.predicted(self.active, self.p, self.signs)
+        return self.problem.predicted(self.active, self.p, self.signs)
 
     def solve(self, active: WorkingSet, rtol: float) -> Violations:
         """Solve a working set's subproblem.
@@ -179,12 +214,11 @@ class ActiveSetIteration:
         Returns:
             Its KKT violations.
         """
-        options = self.problem.options
         if self._subproblem is None or active.differs(self.active):
             self._subproblem = None  # freed before the next one is allocated
             self._subproblem, self.active = self.problem.subproblem(active), active
         last = rtol == self.rtol
-        field_rtol = RTOL if last else max(RTOL, options.field_accuracy * rtol)
+        field_rtol = RTOL if last else max(RTOL, options.FIELD_ACCURACY * rtol)
         accuracy = Accuracy(rtol, field_rtol, self._deadline)
         answer = self._subproblem.solve(accuracy, self._p)
         self._p = p = answer.p
@@ -211,3 +245,149 @@ def _least_share(values: Array, n_fields: int) -> float:
     sizes = np.abs(values).reshape(n_fields, -1).max(axis=1)
     least, most = float(sizes.min()), float(sizes.max())
     return max(least / most, ROUNDING) if most > 0.0 else 1.0
+
+
+def primal_dual_active_set(
+    problem: LimitedProblem,
+    start: tuple[Array, WorkingSet] | None,
+    tolerance: float,
+    accuracy: Accuracy,
+) -> ActiveSetIteration:
+    """Find the minimiser and its working set.
+
+    Args:
+        problem: The problem.
+        start: A field, (V,), and the initial working set; None for an empty one.
+        tolerance: KKT tolerance [–].
+        accuracy: Accuracy of the final working set.
+
+    Returns:
+        The final state of the iteration.
+    """
+    iteration = ActiveSetIteration(problem, start, tolerance, accuracy)
+    progress, safeguard = _Progress(), _Safeguard()
+    rtol, rough = options.LOOSEST_SUBPROBLEM, PREDICTED
+    if accuracy.rtol < DUAL_MARGIN * tolerance and start is not None:
+        rtol = accuracy.rtol  # the start is an answer that was not accurate enough
+    found = iteration.solve(iteration.active, rtol)
+    fewest = len(problem.limits.lower)
+    while not iteration.over:
+        active = iteration.active
+        if found.count >= fewest:  # the same accuracy would lead back to this set
+            rough = max(TIGHTER * rough, accuracy.rtol)
+        fewest = min(found.count, fewest)
+        if found.count == 0 or (progress.stalled and rtol > accuracy.rtol):
+            rtol = accuracy.rtol
+        elif progress.stalled:
+            height = problem.objective(iteration.p)
+            chosen = _chosen(problem, found, active)
+            active = safeguard.following(iteration.limits, active, chosen, height)
+        elif (predicted := iteration.predicted(found)) is not None:
+            progress.note(found, active)
+            few = predicted.differs(active) <= FEW * predicted.count
+            enough = _rough(found, accuracy)
+            enough = rough if problem.predicts_roughly else min(rough, enough)
+            rtol = accuracy.rtol if few else enough
+            active = predicted
+        else:
+            progress.note(found, active)
+            rtol = _rough(found, accuracy)
+            chosen = _chosen(problem, found, active)
+            active = chosen.pivoted(iteration.limits, active)
+        found = iteration.solve(active, rtol)
+    return iteration
+
+
+def _rough(found: Violations, accuracy: Accuracy) -> float:
+    """Relative residual for a working set that is not expected to be the last."""
+    rtol = max(options.SUBPROBLEM_ACCURACY * found.worst, accuracy.rtol)
+    return min(rtol, options.LOOSEST_SUBPROBLEM)
+
+
+class _Progress:
+    """Record of the progress of the iteration."""
+
+    def __init__(self) -> None:
+        self._left = options.PATIENCE
+        self._worst, self._fewest, self._most = np.inf, np.inf, 0
+
+    @property
+    def stalled(self) -> bool:
+        """Whether there was no progress for too long."""
+        return self._left == 0
+
+    def note(self, found: Violations, active: WorkingSet) -> None:
+        """Record the KKT violations of a working set."""
+        better = found.worst < PROGRESS * self._worst
+        better |= found.count < PROGRESS * self._fewest
+        better |= active.count > self._most  # which cannot go on in a cycle
+        self._left = options.PATIENCE if better else self._left - 1
+        self._worst = min(self._worst, found.worst)
+        self._fewest = min(self._fewest, found.count)
+        self._most = max(self._most, active.count)
+
+
+class _Safeguard:
+    """Changes of the working set that cannot cycle."""
+
+    def __init__(self) -> None:
+        self._height = -np.inf
+        self._last: tuple[WorkingSet, Violations] | None = None
+
+    def following(
+        self,
+        limits: SpokeLimits,
+        active: WorkingSet,
+        found: Violations,
+        height: float,
+    ) -> WorkingSet:
+        """The next working set.
+
+        Args:
+            limits: The limits.
+            active: The working set.
+            found: Its KKT violations to be changed.
+            height: Its minimum of the objective.
+        """
+        backwards = found.among(active.bounds != 0, active.links)
+        if backwards.count:
+            return backwards.pivoted(limits, active)
+        # adding a single limit cannot fail except by rounding
+        if self._last is None or height > self._height or self._last[1].count == 1:
+            self._height, self._last = height, (active, found)
+        else:
+            self._last = self._last[0], self._last[1].worse_half()
+        return self._last[1].pivoted(limits, self._last[0])
+
+
+def _chosen(
+    problem: LimitedProblem, found: Violations, active: WorkingSet
+) -> Violations:
+    """The limits to change: all wrong signs, and some violated limits."""
+    bounds = np.maximum(found.bounds, 0.0).reshape(-1, *problem.shape)
+    links = np.maximum(found.links, 0.0).reshape(-1, *problem.shape)
+    joining = _strong(links) if problem.links_along_spokes else _peak(links)
+    return found.among(
+        (active.bounds != 0) | problem.alone | _peak(bounds).reshape(-1),
+        active.links | joining.reshape(-1),
+    )
+
+
+def _strong(values: Array) -> Mask:
+    """Where sizes, (fields, n_r, n_θ, n_z), exceed the share of order constraints."""
+    share = options.SHARE * min(1.0, 10.0 * float(values.max()))
+    size = (1, *[2 * options.NEIGHBOURHOOD + 1] * 3)
+    worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
+    return np.asarray((values > 0.0) & (values >= share * worst))
+
+
+def _peak(values: Array) -> Mask:
+    """Where sizes, (fields, n_r, n_θ, n_z), are not below those of any neighbour."""
+    peak = values > 0.0
+    peak[:, 1:] &= values[:, 1:] >= values[:, :-1]
+    peak[:, :-1] &= values[:, :-1] >= values[:, 1:]
+    for shift in (1, -1):
+        peak &= values >= np.roll(values, shift, axis=2)
+    peak[..., 1:] &= values[..., 1:] >= values[..., :-1]
+    peak[..., :-1] &= values[..., :-1] >= values[..., 1:]
+    return np.asarray(peak)

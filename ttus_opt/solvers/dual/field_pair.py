@@ -20,9 +20,9 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
+from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
 from ttus_opt.solvers.dual.touched_limits import TouchedLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -32,40 +32,32 @@ SAME = 1e-12
 
 
 @dataclass(frozen=True)
-class FieldPair:
+class FieldPair(LimitedProblem):
     """Two fields of a program in the units and signs of their limits.
 
     Attributes:
-        program: The problem.
         prior: The second field's Laplace term.
         places: Indices of p and q among the program's unknowns, shape (2V,).
         others: Index of an unknown beside them, shape (1,) or (0,).
         units: Factors from x and y to p and q, shape (2V,).
-        limits: Limits of x and y.
         links: By constraint name: the voxel of every row, and the factor of the row on
             x - y, shape (m,) each.
-        options: Options of the method.
     """
 
-    program: Program
     prior: ProgramTerm
     places: IntArray = field(repr=False)
     others: IntArray = field(repr=False)
     units: Array = field(repr=False)
-    limits: SpokeLimits = field(repr=False)
     links: dict[str, tuple[IntArray, Array]] = field(repr=False)
-    options: DualOptions
     links_along_spokes: ClassVar[bool] = False
     predicts_roughly: ClassVar[bool] = True
-    alone: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, program: Program, options: DualOptions | None = None) -> FieldPair:
+    def of(cls, program: Program) -> FieldPair:
         """Read a program.
 
         Args:
             program: The problem.
-            options: Options of the method; None for the defaults.
 
         Raises:
             ValueError: It is not such a problem; the message says why.
@@ -112,13 +104,7 @@ class FieldPair:
         ends = lower / units, upper / units
         ends = np.minimum(*ends), np.maximum(*ends)
         limits = SpokeLimits((2, V, 1), *ends, given, least, {})
-        options = options or DualOptions()
-        return cls(program, prior, places, others, units, limits, links, options)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Shape of the grid."""
-        return self.program.laplace.grid.shape
+        return cls(program, limits, prior, places, others, units, links)
 
     @cached_property
     def rows(self) -> PairRows:
@@ -166,7 +152,7 @@ class FieldPair:
 
     def subproblem(self, active: WorkingSet) -> PairSubproblem:
         """The problem of a working set."""
-        return PairSubproblem(self.rows, self.limits, active, self.options)
+        return PairSubproblem(self.rows, self.limits, active)
 
     @cached_property
     def _touched(self) -> TouchedLimits | None:

@@ -13,13 +13,14 @@ from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
-from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import (
+from ttus_opt.solvers.dual.active_set import (
     DUAL_MARGIN,
+    ActiveSetIteration,
+    LimitedProblem,
     primal_dual_active_set,
 )
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 #: Most attempts until the KKT residuals hold, each with a residual smaller by a factor:
@@ -34,11 +35,9 @@ class Limited(Prepared):
     _program: Program
     _limits: SpokeLimits
 
-    def __init__(
-        self, program: Program, request: Request, options: DualOptions
-    ) -> None:
+    def __init__(self, program: Program, request: Request) -> None:
         """Load a program."""
-        self._request, self._options = request, options
+        self._request = request
         self._last: tuple[Array, WorkingSet] | None = None
         self.update(program)
 
@@ -126,7 +125,7 @@ class Limited(Prepared):
     ) -> ActiveSetIteration:
         """The minimiser with limits, started from the last working set."""
         answer = primal_dual_active_set(
-            problem, self._limits, self._last, self._request.tolerance, accuracy
+            problem, self._last, self._request.tolerance, accuracy
         )
         if answer.settled:
             self._last = answer.p, answer.active

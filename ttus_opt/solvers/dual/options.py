@@ -1,80 +1,59 @@
-"""The numerical parameters of the method, with meaning and range.
+"""The numbers of the method that some problem notices, and the accuracy of a solve.
 
-`benchmarks/ablation.py` solves problems with many active limits at the trial values
-given here and prints V-cycles, working sets and KKT residuals.
+`benchmarks/ablation.py` moves each alone, on problems with many active limits, and
+prints V-cycles, working sets and KKT residuals.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
-from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import RTOL
 
+#: Most rounds of iterative refinement of a dual: 1 to 20 [–]
+REFINEMENTS = 8
 
-def _option(default: Any, low: float, high: float, *trials: float) -> Any:
-    """A default with its range and the trial values of the ablation."""
-    return field(default=default, metadata={"range": (low, high), "trials": trials})
+#: Largest relative residual of a solve inside a product, up to 1e-3; a hundredth of the
+#: dual's own if that is more. At 1e-4, weights of 1e4 and contradictory measurements
+#: take more directions [–]
+LOOSEST_PRODUCT = 1e-5
 
+#: Most new directions of a dual solve, and most directions of the preconditioner [–]
+MAX_DIRECTIONS = 2000
 
-@dataclass(frozen=True)
-class DualOptions:
-    """Options of the structured solver.
+#: Relative residual at which a preconditioner stops: 1e-4 to 0.1 [–]
+PRECONDITIONER_RESIDUAL = 0.002
 
-    Attributes:
-        refinements: Most rounds of iterative refinement of a dual [–].
-        loosest_product: Largest relative residual of a solve inside a product; a
-            hundredth of the dual's own if that is more. At 1e-4, weights of 1e4 and
-            contradictory measurements take more directions [–].
-        max_directions: Most new directions of a dual solve, and most directions of the
-            preconditioner [–].
-        preconditioner_residual: Relative residual at which a preconditioner stops [–].
-        preconditioner_energy: Relative error in the energy norm at which it stops too:
-            the residual may stall in single precision [–].
-        preconditioner_delay: Steps over which that error is estimated (Hestenes and
-            Stiefel's rule; Strakoš and Tichý, ETNA 13, 2002) [–].
-        max_working_sets: Most working sets [–].
-        subproblem_accuracy: Relative residual of a working set's dual over its worst
-            KKT violation [–].
-        loosest_subproblem: Largest relative residual of a working set's dual [–].
-        field_accuracy: Relative residual of the solves for a field, except the last,
-            over its dual's [–].
-        patience: Iterations without progress before the safeguard [–].
-        share: An order constraint along spokes becomes active if its violation is at
-            least this share of the worst in its neighbourhood; less if the worst
-            relative violation of all is below a tenth [–].
-        neighbourhood: Number of voxels to each side in a neighbourhood [–].
-    """
+#: Relative error in the energy norm at which it stops too, up to 0.5: the residual may
+#: stall in single precision [–]
+PRECONDITIONER_ENERGY = 0.01
 
-    refinements: int = _option(8, 1, 20, 1)
-    loosest_product: float = _option(1e-5, 0.0, 1e-3, 0.0, 1e-4)
-    max_directions: int = _option(2000, 1, 10_000)
-    preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
-    preconditioner_energy: float = _option(0.01, 0.0, 0.5, 0.0, 0.1)
-    preconditioner_delay: int = _option(4, 1, 20, 1)
-    max_working_sets: int = _option(100, 1, 10_000)
-    subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
-    loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
-    field_accuracy: float = _option(1e-3, 0.0, 0.1, 0.0)
-    patience: int = _option(5, 0, 10_000, 0, 10_000)
-    share: float = _option(0.3, 0.01, 1.0, 0.1, 1.0)
-    neighbourhood: int = _option(4, 1, 16, 1)
+#: Steps, 1 to 20, over which that error is estimated (Hestenes and Stiefel's rule;
+#: Strakoš and Tichý, ETNA 13, 2002) [–]
+PRECONDITIONER_DELAY = 4
 
-    def __post_init__(self) -> None:
-        """Check the ranges.
+#: Most working sets [–]
+MAX_WORKING_SETS = 100
 
-        Raises:
-            InputError: A number lies outside its range.
-        """
-        for option in fields(self):
-            low, high = option.metadata["range"]
-            value = getattr(self, option.name)
-            if not low <= value <= high:
-                raise InputError(
-                    f"{option.name} must lie between {low:g} and {high:g}, got {value}"
-                )
+#: Relative residual of a working set's dual over its worst KKT violation, and at most:
+#: 0 to 1, and 1e-6 to 0.1 [–]
+SUBPROBLEM_ACCURACY, LOOSEST_SUBPROBLEM = 1e-2, 1e-3
+
+#: Relative residual of the solves for a field, except the last, over its dual's, up to
+#: 0.1 [–]
+FIELD_ACCURACY = 1e-3
+
+#: Iterations without progress before the safeguard [–]
+PATIENCE = 5
+
+#: An order constraint along spokes becomes active if its violation is at least this
+#: share, 0.01 to 1, of the worst in its neighbourhood; less if the worst relative
+#: violation of all is below a tenth [–]
+SHARE = 0.3
+
+#: Number of voxels, 1 to 16, to each side in a neighbourhood [–]
+NEIGHBOURHOOD = 4
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from ttus_opt.laplace.multigrid import Multigrid
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.subproblem import selection
@@ -155,7 +155,6 @@ class PairSubproblem:
         whole: PairRows,
         limits: SpokeLimits,
         active: WorkingSet,
-        options: DualOptions,
     ) -> None:
         """Reduce the problem.
 
@@ -163,7 +162,6 @@ class PairSubproblem:
             whole: The objective.
             limits: Its limits; a pair is treated as a spoke of two voxels.
             active: Which of them are active.
-            options: Options of the method.
         """
         unknowns = _Unknowns.of(limits, active)
         self._whole, self._unknowns = whole, unknowns
@@ -207,7 +205,7 @@ class PairSubproblem:
         self._made = system.laplace.solve(square_rows(whole.column))
         column -= system.measure(self._made)
         c = LinearParameters(column[:, None], *np.array(whole.bounds)[:, None])
-        self._solver = DualSolver(system, c, options)
+        self._solver = DualSolver(system, c)
 
     @staticmethod
     def _joined(whole: PairRows, unknowns: _Unknowns) -> Mask:

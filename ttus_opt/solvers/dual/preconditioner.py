@@ -25,7 +25,7 @@ from ttus_opt.solvers.conjugate_gradients import (
     conjugate_gradients,
     norm,
 )
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.system import DualSystem
 
 #: S̃ is factorised if there are more directions than both this and this times rows [–]
@@ -137,16 +137,13 @@ class SchurPreconditioner:
     and factorising it then costs less.
     """
 
-    def __init__(
-        self, system: DualSystem | ApproximateSchur, options: DualOptions
-    ) -> None:
+    def __init__(self, system: DualSystem | ApproximateSchur) -> None:
         """Start without directions.
 
         Args:
             system: The exact dual system, of which S̃ is set up at the first call; or S̃.
-            options: Options of the solver.
         """
-        self._system, self._options = system, options
+        self._system = system
         self._factor: Array | None = None
 
     @cached_property
@@ -164,10 +161,10 @@ class SchurPreconditioner:
         """S̃⁻¹ residual, shape (m,), nearly linear in it and positive definite."""
         if self._factor is not None:
             return self._by_factor(residual, self._factor)
-        subspace, options = self._subspace, self._options
+        subspace = self._subspace
         m = len(self._approximate.coupled)
         many = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
-        goal = options.preconditioner_residual * norm(residual)
+        goal = options.PRECONDITIONER_RESIDUAL * norm(residual)
         energies: list[float] = []
         done = False
 
@@ -175,13 +172,13 @@ class SchurPreconditioner:
             nonlocal done
             energies.append(float(answer @ residual))
             gained = np.inf
-            if len(energies) > options.preconditioner_delay:
-                gained = energies[-1] - energies[-1 - options.preconditioner_delay]
+            if len(energies) > options.PRECONDITIONER_DELAY:
+                gained = energies[-1] - energies[-1 - options.PRECONDITIONER_DELAY]
             done = norm(rest) <= goal
-            done |= gained <= options.preconditioner_energy**2 * energies[-1]
+            done |= gained <= options.PRECONDITIONER_ENERGY**2 * energies[-1]
             return done
 
-        most = int(min(options.max_directions, many + 1.0)) - len(subspace)
+        most = int(min(options.MAX_DIRECTIONS, many + 1.0)) - len(subspace)
         run = conjugate_gradients(subspace, residual, np.copy, enough, most)
         if not done and len(subspace) > many:
             self._factor = _factor(self._approximate)

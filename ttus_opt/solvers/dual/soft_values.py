@@ -24,7 +24,6 @@ from ttus_opt.solvers.conjugate_gradients import (
     conjugate_gradients,
     norm,
 )
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -42,11 +41,9 @@ class SoftValues:
 
     Attributes:
         system: The dual without limits.
-        options: Options of the method.
     """
 
     system: DualSystem = field(repr=False)
-    options: DualOptions
 
     def __post_init__(self) -> None:
         """Set up the V-cycle around the contact."""
@@ -73,7 +70,7 @@ class SoftValues:
         for _ in range(0 if self._failed else STEPS):
             seen.add(held.tobytes())
             left = whole.without(held)
-            precondition = precondition or SchurPreconditioner(left, self.options)
+            precondition = precondition or SchurPreconditioner(left)
             side = -whole.measured(np.where(held, lower, natural) - p)
             change = self._solved(left, side, precondition)
             if change is None:

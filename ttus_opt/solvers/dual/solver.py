@@ -15,8 +15,9 @@ import numpy as np
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.pivoting import BlockPivoting
@@ -59,18 +60,19 @@ class DualSolver:
         self,
         system: DualSystem,
         parameters: LinearParameters | None = None,
-        options: DualOptions | None = None,
+        loosest: float | None = None,
     ) -> None:
         """Load a problem; nothing is solved yet.
 
         Args:
             system: The dual of the field alone.
             parameters: The parameters beside it; None for none.
-            options: Options of the method; None for the defaults.
+            loosest: Largest relative residual of a solve inside a product [–]; None for
+                the default.
         """
         self.system = system
         self.parameters = parameters or LinearParameters.none(len(system.root_weights))
-        self._options = options or DualOptions()
+        self._loosest = loosest or options.LOOSEST_PRODUCT
         self._base: tuple[Array, float, Array] | None = None
         self._forget()
 
@@ -80,7 +82,7 @@ class DualSolver:
         self._subspace = RecycledSubspace(self.system)
         self._across = np.ones(k, dtype=bool)
         self._free = self.parameters.moving
-        self._schur = SchurPreconditioner(self.system, self._options)
+        self._schur = SchurPreconditioner(self.system)
         self._complement: tuple[bytes, Complement] | None = None
 
     def adopt(self, system: DualSystem, parameters: LinearParameters) -> None:
@@ -100,7 +102,7 @@ class DualSolver:
             self._forget()
         elif not (ratio == 1.0).all():
             self._subspace.adopt(system)
-            self._schur = SchurPreconditioner(system, self._options)
+            self._schur = SchurPreconditioner(system)
             self._complement = None
 
     def solve(
@@ -157,9 +159,9 @@ class DualSolver:
     ) -> tuple[DualAnswer, Array]:
         """Multipliers refined from a point, and their residual, shape (m,)."""
         system, before = self.system, np.inf
-        loosest = max(self._options.loosest_product, PRODUCT * accuracy.rtol)
+        loosest = max(self._loosest, PRODUCT * accuracy.rtol)
         residual = target - system.measure(at.p) - at.y
-        for _ in range(self._options.refinements):
+        for _ in range(options.REFINEMENTS):
             rest = complement.part(residual)
             size = float(np.linalg.norm(rest))
             if size <= goal or size >= before:
@@ -169,7 +171,7 @@ class DualSolver:
                 self._subspace,
                 rest,
                 lambda y: goal,
-                self._options.max_directions,
+                options.MAX_DIRECTIONS,
                 lambda size: min(max(0.1 * goal / size, RTOL), loosest),
                 lambda: accuracy.late,
             )

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,11 +26,11 @@ from ttus_opt.laplace.multigrid import AggregatedMultigrid, Grounds, Multigrid
 from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
 from ttus_opt.laplace.square_system import BlockSolves
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
@@ -105,36 +104,7 @@ class Subproblem:
 
 
 @dataclass(frozen=True)
-class OneField:
-    """A program of one field with limits and no other unknowns.
-
-    Attributes:
-        program: The problem.
-        limits: Its limits.
-        options: Options of the active-set method.
-    """
-
-    program: Program
-    limits: SpokeLimits
-    options: DualOptions
-    links_along_spokes: ClassVar[bool] = True
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Shape of the grid."""
-        return self.limits.shape
-
-    def objective(self, p: Array) -> float:
-        """The objective."""
-        return self.program.objective(p)
-
-    def gradient(self, p: Array) -> Array:
-        """Gradient of the objective, shape (V,)."""
-        return np.add(*self.program.gradient(p))
-
-
-@dataclass(frozen=True)
-class LimitedField(OneField):
+class LimitedField(LimitedProblem):
     """One whose working sets are solved through the dual.
 
     Attributes:
@@ -144,7 +114,6 @@ class LimitedField(OneField):
 
     data: DualData
     whole: DualSolver
-    predicts_roughly: ClassVar[bool] = False
 
     @property
     def alone(self) -> Mask:
@@ -160,18 +129,12 @@ class LimitedField(OneField):
 
     @cached_property
     def _soft_values(self) -> SoftValues:
-        return SoftValues(self.data.system, self.options)
+        return SoftValues(self.data.system)
 
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The predicted working set if only soft values are at limits, or None.
-
-        Args:
-            active: The working set, without links.
-            p: Its minimiser, shape (V,).
-            signs: Its multipliers.
-        """
+        """The predicted working set if only soft values are at limits, or None."""
         limits, soft, system = self.limits, self._limited_soft, self.data.system
         prior = laplace_prior(self.program)
         assert prior is not None
@@ -208,18 +171,18 @@ class LimitedField(OneField):
         laplace = data.system.laplace
         assert isinstance(laplace, LaplaceSystem)
         if not (active.links.any() or active.bounds[laplace.free].any()):
-            return _given_instead(self.limits, active, data, self.options)
-        return reduced(laplace, self.limits, active, data, self.options)
+            return _given_instead(self.limits, active, data)
+        return reduced(laplace, self.limits, active, data)
 
 
 def _given_instead(
-    limits: SpokeLimits, active: WorkingSet, data: DualData, options: DualOptions
+    limits: SpokeLimits, active: WorkingSet, data: DualData
 ) -> Subproblem:
     """The subproblem if only soft values are held: they become given values."""
     held, n = active.bounds != 0, len(data.b)
     value = np.where(active.bounds > 0, limits.upper, limits.lower)
     compliance = np.where(held, 0.0, data.system.compliance)
-    solver = DualSolver(replace(data.system, compliance=compliance), options=options)
+    solver = DualSolver(replace(data.system, compliance=compliance))
     b = np.where(held & ~limits.given, value, data.b)
     one = sp.csr_array(sp.eye_array(n, format="csr"))
     return Subproblem(solver, b, data.t, one, np.zeros(n))
@@ -274,7 +237,6 @@ def reduced(
     limits: SpokeLimits,
     active: WorkingSet,
     data: DualData,
-    options: DualOptions,
 ) -> Subproblem:
     """The subproblem in general.
 
@@ -283,7 +245,6 @@ def reduced(
         limits: The limits.
         active: Which of them are active.
         data: The dual of the whole problem.
-        options: Options of the method.
     """
     system, n = data.system, len(data.b)
     voxels = np.arange(n)
@@ -330,7 +291,7 @@ def reduced(
         len(system.root_weights),
     )
     return Subproblem(
-        DualSolver(left, options=options),
+        DualSolver(left),
         np.where(own, sums @ target, np.where(fixed, target, 0.0)),
         np.concatenate([measured, (rest @ target)[filled]]),
         expansion,

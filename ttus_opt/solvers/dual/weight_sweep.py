@@ -26,8 +26,8 @@ from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 
 #: Relative residual of the solves for a response field; its error passes to all fields
@@ -112,7 +112,6 @@ class WeightSweep:
     def __init__(
         self,
         data: DualData,
-        options: DualOptions | None = None,
         field_rtol: float = FIELD_RTOL,
         voxels: IntArray | None = None,
     ) -> None:
@@ -120,7 +119,6 @@ class WeightSweep:
 
         Args:
             data: A problem without limits and without unknowns beside the field.
-            options: Options of the preconditioner; None for the defaults.
             field_rtol: Relative residual of the solves for a response field [–].
             voxels: Voxels at which response fields are stored, in single precision,
                 shape (n,): enough for `complete`, while `solve` needs all; None for
@@ -137,7 +135,6 @@ class WeightSweep:
         self._system = replace(
             system, rows=system.rows[self._informative], root_weights=root
         )
-        self._options = options or DualOptions()
         self._base = system.laplace.solve(data.b)
         said = np.asarray(self._system.rows @ self._base)
         self._misfit: Array = data.t[self._informative] / root - said
@@ -207,7 +204,7 @@ class WeightSweep:
         """
         root, random = root_weights[self._informative], np.random.default_rng(0)
         recent: list[float] = []
-        most = min(len(root), self._options.max_directions)
+        most = min(len(root), options.MAX_DIRECTIONS)
         while (begun := len(self)) < most:
             probes = root * random.standard_normal((PROBES, len(root)))
             # all at once against what there is, then one after another
@@ -249,11 +246,11 @@ class WeightSweep:
                 least, best = error, c
             late = deadline is not None and time.perf_counter() > deadline
             taken = len(self) - before
-            if settled or late or taken == self._options.max_directions:
+            if settled or late or taken == options.MAX_DIRECTIONS:
                 break
             if precondition is None:
                 of = self._approximate or self._system
-                precondition = SchurPreconditioner(of, self._options)
+                precondition = SchurPreconditioner(of)
             wanted = root * precondition(y)
             if not self._extend(self._without(wanted), _size(wanted)):
                 break

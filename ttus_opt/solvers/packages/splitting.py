@@ -60,10 +60,10 @@ class Loaded(Verified):
 
     def _load(self, program: Program) -> None:
         self._form = program.least_squares_qp()
-        before, rows = getattr(self, "_rows", None), TwoSided.of(self._form)
-        self._rows = rows
-        same = before is not None and rows.same_structure(before)
-        if self._solver is None or not (same and self._kept(before)):
+        rows = TwoSided.of(self._form)
+        before, self._rows = getattr(self, "_rows", rows), rows
+        same = self._solver is not None and rows.same_structure(before)
+        if not (same and self._kept(before)):
             self._last = None
             self._solver = self._set_up(self._eps, self._request.time_limit)
 

@@ -12,17 +12,18 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.solvers.conjugate_gradients import inner_product
+from ttus_opt.solvers.conjugate_gradients import Map, inner_product
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateSystem,
 )
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields
+
+#: Residual of the preconditioner's dual system over the energy norm of its solution [–]
+INNER = 0.1
 
 #: Relative residual of the solve behind `LeastSquares.gap_bound` [–]
 BOUND_RTOL = 1e-2
@@ -115,25 +116,25 @@ class LeastSquares:
 
 
 def preconditioner(
-    split: Split,
-    free: Mask,
-    options: PrimalOptions,
-    dual: DualOptions,
+    split: Split, free: Mask, inner: float = INNER
 ) -> ConstraintPreconditioner:
     """The preconditioner of a split program.
 
     Args:
         split: The terms.
         free: Which unknowns beside the field are free, shape (k,).
-        options: Options of the method.
-        dual: Options of the dual.
+        inner: As in `ConstraintPreconditioner` [–].
     """
     unseen = UnseenFields.of(split.prior, split.wide, split.moving)
     root = split.root(unseen is not None)
     system = ApproximateSystem.matched(
         split.few.system, split.operator, split.wide, root, unseen
     )
-    schur = SchurPreconditioner(system, dual) if system.adjoint.nnz else np.copy
     return ConstraintPreconditioner(
-        system, split.few.columns[:, free], options.inner, schur
+        system, split.few.columns[:, free], inner, schur_of(system)
     )
+
+
+def schur_of(system: ApproximateSystem) -> Map:
+    """About S⁻¹."""
+    return SchurPreconditioner(system) if system.adjoint.nnz else np.copy

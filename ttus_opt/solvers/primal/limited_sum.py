@@ -14,13 +14,11 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
-from ttus_opt.solvers.conjugate_gradients import Map
+from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.subproblem import (
-    OneField,
     ReducedLaplace,
     Subproblem,
     reduced,
@@ -30,10 +28,9 @@ from ttus_opt.solvers.primal.approximate_system import (
     ApproximateLaplace,
     ApproximateSystem,
 )
-from ttus_opt.solvers.primal.least_squares import LeastSquares
+from ttus_opt.solvers.primal.least_squares import INNER, LeastSquares, schur_of
 from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.minimise import Goal, minimise
-from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 
@@ -42,18 +39,16 @@ GAP = 1e-2
 
 
 @dataclass(frozen=True)
-class LimitedSum(OneField):
+class LimitedSum(LimitedProblem):
     """A program of the field alone, with limits and wide terms.
 
     Attributes:
         split: Its objective.
         root: A root of its wide terms.
-        primal: Options of a subproblem.
     """
 
     split: Split
     root: Root
-    primal: PrimalOptions
 
     @property
     def alone(self) -> Mask:
@@ -64,7 +59,7 @@ class LimitedSum(OneField):
         """The problem of a working set."""
         whole = self.split
         data = replace(whole.few, columns=np.zeros((len(whole.few.t), 0)))
-        left = reduced(whole.operator, self.limits, active, data, self.options)
+        left = reduced(whole.operator, self.limits, active, data)
         split = _reduced_split(whole, left)
         preconditioner = self._preconditioner(split, left)
         function = LeastSquares(split, preconditioner.complement)
@@ -94,11 +89,8 @@ class LimitedSum(OneField):
         approximate = ApproximateLaplace.of(laplace, cycle, more)
         approximate_system = ApproximateSystem.of(system, approximate, split.wide)
         columns = np.zeros((len(left.t), 0))
-        schur: Map = np.copy
-        if approximate_system.adjoint.nnz:
-            schur = SchurPreconditioner(approximate_system, self.options)
-        inner = self.primal.inner
-        return ConstraintPreconditioner(approximate_system, columns, inner, schur)
+        schur = schur_of(approximate_system)
+        return ConstraintPreconditioner(approximate_system, columns, INNER, schur)
 
 
 @dataclass(frozen=True)

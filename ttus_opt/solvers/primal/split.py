@@ -22,6 +22,9 @@ from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.primal.matching import Root, matched_root
 
+#: Most rows of a term, other than measurements, that is eliminated through its dual
+FEW_ROWS = 1000
+
 
 @dataclass(frozen=True)
 class Split:
@@ -40,7 +43,7 @@ class Split:
     moving: Mask = field(repr=False)
 
     @classmethod
-    def of(cls, program: Program, few_rows: int) -> Split:
+    def of(cls, program: Program, few_rows: int = FEW_ROWS) -> Split:
         """Read a program whose Laplace term has rows over p alone.
 
         Args:
@@ -80,7 +83,7 @@ class Split:
         return np.where(self.moving, 0.0, self.few.b)
 
 
-def wide_terms(program: Program, few_rows: int) -> list[ProgramTerm]:
+def wide_terms(program: Program, few_rows: int = FEW_ROWS) -> list[ProgramTerm]:
     """Terms with many rows, other than the Laplace term and measurements."""
     prior = laplace_prior(program)
     return [

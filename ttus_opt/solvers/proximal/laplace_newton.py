@@ -15,7 +15,6 @@ row would make L⁻¹h so large that it nearly cancels against the solution's y.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,7 +23,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.problem.terms.structure import LaplaceRows
-from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_columns
@@ -65,7 +64,6 @@ class LaplaceNewton:
         self._free = np.flatnonzero(laplace.free)
         self._few = [k for k, rows in enumerate(declared) if rows is None]
         self._rows = [blocks[k].matrix for k in self._few]
-        self._options = replace(DualOptions(), loosest_product=LOOSEST)
         #: v of the few blocks, and its value after a full last step
         self._balance: list[Array] | None = None
         self._aim: list[Array] = []
@@ -100,7 +98,7 @@ class LaplaceNewton:
         if not len(roots):
             return laplace.solve(h, rtol=inside), 0
         system = DualSystem(laplace, compliance, rows, roots)
-        solver = DualSolver(system, options=self._options)
+        solver = DualSolver(system, loosest=LOOSEST)
         accuracy = Accuracy(rtol, inside, deadline)
         answer = solver.solve(h, -y / roots, accuracy)
         self._aim, at = [multipliers[k].copy() for k in self._few], 0
