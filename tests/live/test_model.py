@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.live.feedback import ModelFeedback
-from ttus_opt.live.model import USUAL_LAW, LiveModel, ModelPlan
+from ttus_opt.live.messages import Sample
+from ttus_opt.live.model import USUAL_LAW, LiveModel, ModelPlan, _twist
 from ttus_opt.live.patient import SimulatedPatient
 from ttus_opt.live.trial import examination, patient_surface, probe_shell
 
@@ -31,3 +33,15 @@ def test_presses_alone_tell_friction_from_stiffness():
         true = np.linalg.norm(still.wrench(0.0, *place, np.zeros(3))[:3])
         if true > 2.0:
             assert np.linalg.norm(feel.at(*place)[:3]) == pytest.approx(true, rel=0.06)
+
+
+def test_the_twist_between_two_samples():
+    omega, velocity, dt = np.array([0.4, -0.2, 0.7]), np.array([0.03, 0.0, -0.01]), 0.02
+    start = Rotation.from_rotvec([0.3, 1.0, -0.5])
+    turned = Rotation.from_rotvec(dt * omega) * start
+    one = Sample(1.0, start.as_matrix(), np.zeros(3), np.zeros(6))
+    two = Sample(1.0 + dt, turned.as_matrix(), dt * velocity, np.zeros(6))
+    twist = _twist(one, two)
+    assert twist is not None
+    np.testing.assert_allclose(twist, [*velocity, *omega], rtol=1e-4, atol=1e-12)
+    assert _twist(two, one) is None

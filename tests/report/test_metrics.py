@@ -174,3 +174,5 @@ def test_some_frames_are_judged_as_if_recorded_alone():
     alone = evaluate(FIELD, SCENE.shell, measured.select(own), force_threshold=1.0)
     assert part.errors == alone.errors != whole.errors
     np.testing.assert_array_equal(part.time, alone.time)
+    np.testing.assert_array_equal(part.rendered_force, alone.rendered_force)
+    np.testing.assert_array_equal(part.rendered_torque, alone.rendered_torque)

@@ -75,3 +75,10 @@ def test_the_supporting_plane_is_found_once(monkeypatch):
     assert len(looks) == 1
     no_bed(monkeypatch)
     assert Axis.from_cloud(body(rng, upper=False, n=8000)).support is None
+
+
+def test_it_is_written_with_its_origin_and_direction():
+    turned = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+    shown = repr(Axis(np.array([0.012, -0.3, 1.0]), turned))
+    assert "(1.2, -30.0, 100.0) cm" in shown
+    assert "z along (1.00, 0.00, 0.00)" in shown

@@ -65,7 +65,7 @@ def test_holes_are_counted() -> None:
         ("time", 1e3, "rows are 10 s apart, so t is likely in ms"),
         ("position", 1e3, "likely in mm: px=NAME"),
         ("force", 1e6, "counts or mN"),
-        ("torque", 1e3, "likely in N mm: tx=NAME"),
+        ("torque", 1e3, "a lever of 20 m in the median, so torques are likely in N mm"),
     ],
 )
 def test_units_are_doubted_with_the_reason(
