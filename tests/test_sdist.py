@@ -47,3 +47,25 @@ def test_the_container_file_names_what_is_there():
     assert set(extras.split(",")) <= set(offered["optional-dependencies"])
     (entry,) = re.findall(r'^ENTRYPOINT \["(.*?)"\]', text, re.M)
     assert entry in offered["scripts"]
+
+
+def test_the_recipe_of_conda_requires_what_the_package_does():
+    """The same version, requirements and Python, by conda-forge's names."""
+    names = {
+        "matplotlib": "matplotlib-base",
+        "netCDF4": "netcdf4",
+        "opencv-python-headless": "py-opencv",
+    }
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = given["project"]
+    text = (ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    (run,) = re.findall(r"^  run:\n((?:    - .*\n)+)", text, re.M)
+    found = dict(line[6:].partition(" ")[::2] for line in run.splitlines())
+    expected = {"python": project["requires-python"]}
+    for word in project["dependencies"]:
+        name, pin = re.fullmatch(r"([\w-]+)(.*)", word).groups()
+        # conda-forge does not count the wheels of one version of OpenCV
+        expected[names.get(name, name)] = pin.replace("4.10.0.84", "4.10.0")
+    assert found == expected
+    assert f'version: "{project["version"]}"' in text
+    assert f"- ttus-opt = {project['scripts']['ttus-opt']}" in text

@@ -59,7 +59,7 @@ static const char *read_into(ttus_field *f, FILE *file) {
   char magic[8];
   uint32_t crc = 0, stored;
   if (!get(file, magic, 8, &crc) || memcmp(magic, "TTUSFLT1", 8))
-    return "not a flat field of this version: write it with write_flat";
+    return "not a flat field of this version: write it with ttus-opt render --flat";
   if (!get(file, f->n, sizeof f->n, &crc)) return "the file is cut off";
   for (int i = 0; i < TRILINEAR; ++i)
     if (f->n[i] < 2 - (i == POINTS) || f->n[i] > 1000000) return "damaged: its counts";

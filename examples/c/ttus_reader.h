@@ -1,6 +1,6 @@
 /* A field of ttus_opt in C, without Python: read a flat file, render poses.
  *
- * The file is written by ttus_opt.haptic.flat_file.write_flat. C99, no library but libm,
+ * The file is written by `ttus-opt render --flat`. C99, no library but libm,
  * little-endian machines. Frames allocate nothing and take no lock; two threads need a
  * field each, because a frame writes scratch memory of its field.
  */

@@ -13,6 +13,7 @@ from tests.cli.conftest import PROBE, fit_words, refused
 from tests.conftest import presses, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.haptic.flat_file import write_flat
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
@@ -308,6 +309,19 @@ def test_render_gives_what_evaluate_compares(run, files, field, tmp_path):
         "--presliding-length 1e-3"
     )
     assert without.status == 0 and "has no friction" in without.err
+
+
+def test_render_writes_the_flat_file_too(run, files, field, tmp_path):
+    flat = tmp_path / "field.flat"
+    answer = run(
+        f"render --field {field} --probe {PROBE} --points 300 --trajectory "
+        f"{files / 'press.csv'} -o {tmp_path / 'r.csv'} --flat {flat} --force-limit 15"
+    )
+    assert answer.status == 0 and f"{flat}: field and probe" in answer.out
+    shell = PointShell.from_spec(PROBE, n_points=300)
+    expected = tmp_path / "expected.flat"
+    write_flat(expected, PotentialField.load(field), shell, force_limit=15.0)
+    assert flat.read_bytes() == expected.read_bytes()
 
 
 def test_render_takes_another_presliding_length(run, files, field, tmp_path):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -30,7 +31,24 @@ def depth(i: int) -> np.ndarray:
     return image.astype(np.uint16)
 
 
-def recorded(file: Path, *, encoding: str = "mono16", unit: bool = True) -> Path:
+class Camera(NamedTuple):
+    """Images in whole units, and the matrix of their camera."""
+
+    images: Sequence[np.ndarray] = tuple(depth(i) for i in range(5))
+    K: Sequence[float] = tuple(K)
+    unit: float = UNIT
+
+
+SMALL = Camera()
+
+
+def recorded(
+    file: Path,
+    *,
+    encoding: str = "mono16",
+    unit: bool = True,
+    camera: Camera = SMALL,
+) -> Path:
     from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
 
@@ -58,16 +76,18 @@ def recorded(file: Path, *, encoding: str = "mono16", unit: bool = True) -> Path
             writer.write(open_[topic], time, store.serialize_ros1(message, kind))
 
         roi = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        camera = T[info](
-            *(header(0), 24, 32, "Brown Conrady", np.zeros(5)),
-            *(np.array(K), np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
+        height, width = camera.images[0].shape
+        told = T[info](
+            *(header(0), height, width, "Brown Conrady", np.zeros(5)),
+            *(np.array(camera.K), np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
         )
-        write(f"{SENSOR}/Depth_0/info/camera_info", 0, camera)
+        write(f"{SENSOR}/Depth_0/info/camera_info", 0, told)
         if unit:
-            write(f"{SENSOR}/option/Depth Units/value", 0, T[number](UNIT))
-        for i in range(5):
-            pixels = depth(i).view(np.uint8).ravel()
-            sent = T[image](header(i), 24, 32, encoding, 0, 64, pixels)
+            write(f"{SENSOR}/option/Depth Units/value", 0, T[number](camera.unit))
+        for i, whole in enumerate(camera.images):
+            pixels = whole.view(np.uint8).ravel()
+            size = height, width, encoding, 0, 2 * width
+            sent = T[image](header(i), *size, pixels)
             write(f"{SENSOR}/Depth_0/image/data", i, sent)
     return file
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -36,7 +38,19 @@ def lines(*rows: list[object]) -> str:
     return "".join(",".join(map(str, row)) + "\n" for row in rows)
 
 
-def ndi_toolbox(file: Path) -> Path:
+class Motion(NamedTuple):
+    """What a tracker sees, and the frames that it does not."""
+
+    time: np.ndarray = 1000 + TIME
+    place: np.ndarray = PLACE
+    turn: Rotation = TURN
+    lost: Collection[int] = LOST
+
+
+SEEN_HERE = Motion()
+
+
+def ndi_toolbox(file: Path, seen: Motion = SEEN_HERE) -> Path:
     """ToolBox: two tools, markers behind each, Missing frames without numbers."""
     pose = ["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"]
     markers = ["Markers", "State", "Tx", "Ty", "Tz"]
@@ -45,15 +59,15 @@ def ndi_toolbox(file: Path) -> Path:
         head += [f"Port 0x0{port}: {name}  s/n:3E4C880{port}"]
         head += ["Frame", "Time [sec]", "Face", "State", *pose, *markers]
     rows = [head]
-    for i, t in enumerate(TIME):
+    for i, t in enumerate(seen.time):
         row: list[object] = [2]
         for tool in range(2):
-            row += [head[1 + 18 * tool], 600 + 3 * i, 1000 + t, 0]
-            if i in LOST and tool == 0:
+            row += [head[1 + 18 * tool], 600 + 3 * i, t, 0]
+            if i in seen.lost and tool == 0:
                 row += ["Missing", *[""] * 8, 1, "Missing", "", "", ""]
             else:
-                q = TURN[i].as_quat(scalar_first=True)
-                place = 1e3 * PLACE[i] + 100 * tool
+                q = seen.turn[i].as_quat(scalar_first=True)
+                place = 1e3 * seen.place[i] + 100 * tool
                 row += ["OK", *q, *place, 0.1, 1, "OK", *place]
         rows.append(row)
     file.write_text(lines(*rows))
@@ -131,19 +145,31 @@ def vicon(file: Path) -> Path:
     return file
 
 
-def ati(file: Path, counts: bool = True) -> Path:
+class Felt(NamedTuple):
+    """What a force sensor reads at its rate [Hz], its lost packets and errors."""
+
+    rate: int = 20
+    force: np.ndarray = FORCE
+    torque: np.ndarray = TORQUE
+    lost: Collection[int] = (3,)
+    failed: Collection[int] = (4,)
+
+
+FELT_HERE = Felt()
+
+
+def ati(file: Path, counts: bool = True, felt: Felt = FELT_HERE) -> Path:
     """The demo program of ATI's Net F/T, with a lost packet and an error status."""
-    text = (
-        'Start Time: 3/12/26 10:01 AM\nRDT Sample Rate: 20\n"PLEASE NOTE: the rate"\n'
-    )
+    text = f"Start Time: 3/12/26 10:01 AM\nRDT Sample Rate: {felt.rate}\n"
+    text += '"PLEASE NOTE: the rate"\n'
     text += "Force Units: N\nCounts per Unit Force: 1000000.0\nTorque Units: Nmm\n"
     text += "Counts per Unit Torque: 1000.0\n"
     text += "Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time\n"
-    for i in range(8):
-        if i == 3:
+    for i in range(len(felt.force)):
+        if i in felt.lost:
             continue
-        status = "80010000" if i == 4 else "0"
-        values = np.r_[FORCE[i], 1e3 * TORQUE[i]]
+        status = "80010000" if i in felt.failed else "0"
+        values = np.r_[felt.force[i], 1e3 * felt.torque[i]]
         if counts:
             values = np.round(values * np.repeat([1e6, 1e3], 3))
         text += lines([status, 50 + i, 9 * i, *values, "10:01:01 AM"])

@@ -21,6 +21,7 @@ def render(
     force_limit: float = 40.0,
     torque_limit: float = 4.0,
     presliding_length: float | None = None,
+    flat: Path | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -37,6 +38,8 @@ def render(
         torque_limit: Limit the magnitude of the torque to this, inf for none [N m].
         presliding_length: Let friction hold a probe at rest: it builds up over this
             travel [m], 0 for none; by default the field's.
+        flat: Write field, probe and limits here too, as one file that examples/c
+            renders without Python.
 
     Example:
         ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -51,7 +54,7 @@ def render(
     from ttus_opt.voxmap.field import PotentialField
 
     conventions = recordings.conventions
-    check_outputs([output], [field, probe.probe, *recordings.files], force=force)
+    check_outputs([output, flat], [field, probe.probe, *recordings.files], force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
         as_written = recordings.as_written()
@@ -83,10 +86,16 @@ def render(
             force=np.array([w.force for w in wrenches]),
             torque=np.array([w.torque for w in wrenches]),
         )
+        if flat is not None:
+            from ttus_opt.haptic.flat_file import write_flat
+
+            limits = {"force_limit": force_limit, "torque_limit": torque_limit}
+            write_flat(flat, potential, shell, **limits)
         place = patient.axis.scan_to_patient
         conventions.as_recorded(rendered, shell.reference, place).save(output)
     facts = {
         "output": str(output),
+        "flat": None if flat is None else str(flat),
         "frames": len(poses),
         "frames_touching": sum(w.contact_points > 0 for w in wrenches),
         "frames_beyond_inner": sum(w.beyond_inner > 0 for w in wrenches),
@@ -102,4 +111,5 @@ def render(
         )
         + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )
-    tell(facts, line, json=json)
+    flat_line = [] if flat is None else [f"{flat}: field and probe for examples/c"]
+    tell(facts, line, *flat_line, json=json)
