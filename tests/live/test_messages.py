@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.refusals import refuses
 from ttus_opt.live.messages import (
     LONGEST,
     LONGEST_DATAGRAM,
@@ -73,8 +74,7 @@ def test_most_samples_fit_a_datagram():
 
 @given(st.binary(max_size=300))
 def test_arbitrary_bytes_are_refused(data):
-    with pytest.raises(MessageError):
-        decode(data)
+    refuses(MessageError, "", decode, data)
 
 
 @given(st.binary(max_size=200), st.integers(0, 30))
@@ -132,10 +132,8 @@ BAD = [
 
 @pytest.mark.parametrize("bad", BAD, ids=range(len(BAD)))
 def test_values_out_of_range_are_refused(bad):
-    with pytest.raises(MessageError):
-        decode(encode(bad))
+    refuses(MessageError, "", decode, encode(bad))
 
 
 def test_too_long_is_refused_before_anything_is_read():
-    with pytest.raises(MessageError, match="at most"):
-        decode(bytes(LONGEST + 1))
+    refuses(MessageError, "at most", decode, bytes(LONGEST + 1))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.live.springy import BALL, session
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.recording import Description, Recorder, frames_of, replay
@@ -99,8 +100,7 @@ def test_no_file_is_left_by_a_session_that_failed(tmp_path):
 def test_another_file_is_refused(tmp_path, content):
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
-    with pytest.raises(FileError, match="other"):
-        replay(path)
+    refuses(FileError, "other", replay, path)
 
 
 def test_a_recording_of_something_else_is_refused(tmp_path):
@@ -112,5 +112,4 @@ def test_a_recording_of_something_else_is_refused(tmp_path):
         writer.start()
         writer.add_metadata("other", {"json": json.dumps({})})
         writer.finish()
-    with pytest.raises(FileError, match="not a session"):
-        replay(path)
+    refuses(FileError, "not a session", replay, path)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.safety import SafetyLimits, State, Supervisor
 
@@ -41,8 +42,7 @@ def test_packets_end_a_hold():
 
 def test_three_periods_if_they_are_longer():
     assert SafetyLimits(period=0.05).silence == pytest.approx(0.15)
-    with pytest.raises(InputError, match="stop_seconds"):
-        SafetyLimits(period=0.2)
+    refuses(InputError, "stop_seconds", SafetyLimits, period=0.2)
 
 
 def test_what_is_missing_holds():
@@ -90,10 +90,8 @@ def test_rearming_needs_zero_contact_and_holds_until_both_are():
     one, other = running(), running()
     one.stop("the button")
     other.heard(0.1, one.state, one.stops)
-    with pytest.raises(InputError, match="zero contact"):
-        one.rearm(0.5)
-    with pytest.raises(InputError, match="zero contact"):
-        one.rearm(np.nan)
+    refuses(InputError, "zero contact", one.rearm, 0.5)
+    refuses(InputError, "zero contact", one.rearm, np.nan)
     one.rearm(0.0)
     one.heard(0.3, other.state, other.stops)  # it stopped because of this side
     assert one.judge(0.3) is HOLD
@@ -118,5 +116,4 @@ def test_who_joins_a_stopped_side_holds():
 
 
 def test_unusable_limits():
-    with pytest.raises(InputError, match="force must be positive"):
-        SafetyLimits(force=-1.0)
+    refuses(InputError, "force must be positive", SafetyLimits, force=-1.0)

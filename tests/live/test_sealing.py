@@ -3,6 +3,7 @@ import os
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.live.sealing import SealedChannel, new_key, read_key, write_key
 
@@ -33,8 +34,7 @@ def test_who_has_another_key_neither_joins_nor_reads():
     a, b = met(other=bytes(32))
     assert not a.ready
     assert not b.ready
-    with pytest.raises(InputError, match="not greeted"):
-        a.seal(b"x")
+    refuses(InputError, "not greeted", a.seal, b"x")
 
 
 def test_a_packet_opens_once_and_late_ones_open():
@@ -123,15 +123,11 @@ def test_key_files(tmp_path):
     write_key(path)
     assert len(read_key(path)) == 32
     assert path.stat().st_mode & 0o077 == 0
-    with pytest.raises(FileError, match="exists"):
-        write_key(path)
+    refuses(FileError, "exists", write_key, path)
     path.chmod(0o600)
     path.write_text("abc")
-    with pytest.raises(FileError, match="live key"):
-        read_key(path)
+    refuses(FileError, "live key", read_key, path)
     path.write_text("00" * 16)
-    with pytest.raises(FileError, match="16 bytes"):
-        read_key(path)
-    with pytest.raises(InputError, match="32 bytes"):
-        SealedChannel(b"short", calls=True)
+    refuses(FileError, "16 bytes", read_key, path)
+    refuses(InputError, "32 bytes", SealedChannel, b"short", calls=True)
     assert new_key() != new_key()

@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
 from tests.solvers.taking import ALGEBRAIC, BENT
@@ -107,8 +108,7 @@ def test_auto_takes_cones_for_group_norms() -> None:
 
 def test_unknown_name_gets_the_nearest() -> None:
     plain = program([term(np.eye(1), [1])])
-    with pytest.raises(InputError, match="did you mean clarabel"):
-        registry.choose("clarabell", plain)
+    refuses(InputError, "did you mean clarabel", registry.choose, "clarabell", plain)
 
 
 def test_solver_that_is_not_installed_gives_its_pip_name(
@@ -118,8 +118,7 @@ def test_solver_that_is_not_installed_gives_its_pip_name(
     solver = registry.solvers()["osqp"]
     monkeypatch.setattr(solver, "module", "osqp_that_is_not_here")
     assert not solver.installed
-    with pytest.raises(SolverUnavailableError, match="pip install osqp"):
-        registry.choose("osqp", plain)
+    refuses(SolverUnavailableError, "pip install osqp", registry.choose, "osqp", plain)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +145,9 @@ def test_refusals(what: object, refusing: list[str]) -> None:
         solver = registry.solvers()[name]
         assert solver.refusal(what)  # type: ignore[arg-type]
         if solver.installed:
-            with pytest.raises(InputError, match=f"solver {name} cannot take"):
-                registry.choose(name, what)  # type: ignore[arg-type]
+            refuses(
+                InputError, f"solver {name} cannot take", registry.choose, name, what
+            )  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,5 @@ def test_time_limit_strikes(solver: Solver) -> None:
 
 
 def test_request_refuses_what_cannot_be_asked() -> None:
-    with pytest.raises(InputError, match="tolerance"):
-        Request(0.0)
-    with pytest.raises(InputError, match="time_limit"):
-        Request(1e-6, -1.0)
+    refuses(InputError, "tolerance", Request, 0.0)
+    refuses(InputError, "time_limit", Request, 1e-6, -1.0)

@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.viewer import guarded_server as guard
 
@@ -98,12 +99,10 @@ def test_a_viser_that_cannot_be_guarded_is_not_started(
 
     monkeypatch.setattr(viser, "ViserServer", Elsewhere)
     threads = threading.active_count()
-    with pytest.raises(InputError, match="cannot be guarded"):
-        guard.guarded_server(0, "test")
+    refuses(InputError, "cannot be guarded", guard.guarded_server, 0, "test")
     assert threading.active_count() <= threads + 1
     assert sockets.serve is own
 
 
 def test_a_port_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="0 to 65535"):
-        guard.guarded_server(70_000, "test")
+    refuses(InputError, "0 to 65535", guard.guarded_server, 70_000, "test")

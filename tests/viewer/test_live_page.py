@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 
+from tests.refusals import refuses
 from tests.viewer.test_viewer import until
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.trial import Trial
@@ -50,13 +51,11 @@ def test_a_session_without_a_page() -> None:
     session.rearm()
     run(session, 1.0)
     assert session.view().state == "NORMAL"
-    with pytest.raises(InputError, match="nothing to re-arm"):
-        session.rearm()
+    refuses(InputError, "nothing to re-arm", session.rearm)
 
 
 def test_a_link_that_brings_no_model() -> None:
-    with pytest.raises(InputError, match="no model arrived"):
-        LiveSession(Trial(round_trip=20.0))
+    refuses(InputError, "no model arrived", LiveSession, Trial(round_trip=20.0))
 
 
 @pytest.fixture(scope="module")

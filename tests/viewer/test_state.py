@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import torso
+from tests.refusals import refuses
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.contact.standing import depth_of, skin_points
 from ttus_opt.core.errors import InputError
@@ -152,8 +153,7 @@ def test_poses_from_outside_are_felt_at_once(state: ViewState) -> None:
     np.testing.assert_array_equal(state.measured, [0.0, 1.0, 0.0])
     state.follow(R, x, time=1.0)
     state.follow(R, np.add(x, [0.0, 0.001, 0.0]), time=1.1)
-    with pytest.raises(InputError, match="not go back"):
-        state.follow(R, x, time=0.5)
+    refuses(InputError, "not go back", state.follow, R, x, time=0.5)
 
 
 def test_a_new_field_is_felt_without_a_new_page(state: ViewState) -> None:
@@ -197,20 +197,16 @@ def test_without_a_probe_there_is_nothing_to_move() -> None:
     still = ViewState([field()], None, recorded())
     assert not still.advance(FRAME)
     assert still.touches == ()
-    with pytest.raises(InputError, match="no probe"):
-        still.press(0.01)
-    with pytest.raises(InputError, match="no recording"):
-        still.show_frame(0)
+    refuses(InputError, "no probe", still.press, 0.01)
+    refuses(InputError, "no recording", still.show_frame, 0)
 
 
 def test_fields_of_two_patients_are_refused() -> None:
     other = Surface.from_radius(np.full((90, 31), 0.1), torso().z)
     voxmap = Voxmap.from_surface(other, shape=(24, 48, 20), r_inner=0.03)
     round_one = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
-    with pytest.raises(InputError, match="differ by up to"):
-        ViewState([field(), round_one], probe())
-    with pytest.raises(InputError, match="one field or two"):
-        ViewState([], probe())
+    refuses(InputError, "differ by up to", ViewState, [field(), round_one], probe())
+    refuses(InputError, "one field or two", ViewState, [], probe())
 
 
 def test_depth_is_that_of_the_deepest_point(state: ViewState) -> None:

@@ -6,6 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
@@ -214,8 +215,7 @@ def test_solves_that_fail_leave_what_is_held(coarse, monkeypatch):
         system.remove(0, 2)
         assert len(system) == 3
         for call in (system.field, lambda: system.forecast(problem.blocks[3])):
-            with pytest.raises(NumericalError, match="no convergence"):
-                call()
+            refuses(NumericalError, "no convergence", call)
         system.remove(2, 1)
         system.fade(0.5)
     _, p = problem.dense([0, 1], np.array([0.5, 0.5]))
@@ -283,19 +283,15 @@ def test_a_field_that_does_not_converge_is_an_error(coarse, monkeypatch):
     problem.fold(system, [0, 1])
     for module in (dual_recursion, field_refinement):
         monkeypatch.setattr(module, "FIELD_RTOL", 0.0)
-    with pytest.raises(NumericalError, match="dual residual stays"):
-        system.field()
+    refuses(NumericalError, "dual residual stays", system.field)
     monkeypatch.undo()
     assert close(system.field(), problem.dense([0, 1])[1])
 
 
 def test_refusals(coarse):
     system = Problem(coarse, 1, 8, 1.0).start()
-    with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
-        system.remove(2, 3)
+    refuses(InputError, "blocks 2 to 5 are not within 0 to 0", system.remove, 2, 3)
     for start, count in ((-1, 1), (1, -1), (0, 1)):
-        with pytest.raises(InputError, match=r"blocks .* are not within 0"):
-            system.remove(start, count)
+        refuses(InputError, r"blocks .* are not within 0", system.remove, start, count)
     for factor in (0.0, -0.5, 1.0 + 1e-12, np.nan):
-        with pytest.raises(InputError, match="fading factor"):
-            system.fade(factor)
+        refuses(InputError, "fading factor", system.fade, factor)
