@@ -162,10 +162,6 @@ TARGETS = (
     Target("probe/orientation.py", ("probe/test_orientation.py",)),
     Target("solvers/structured.py", ("solvers/test_structured.py",)),
     Target(
-        "solvers/dual/primal_dual_active_set.py",
-        ("solvers/dual/test_primal_dual_active_set.py",),
-    ),
-    Target(
         "solvers/dual/active_set.py",
         (
             "solvers/dual/test_active_set.py",
