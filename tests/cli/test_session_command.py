@@ -78,7 +78,7 @@ def test_a_recording_of_openigtlink(run, output):
         file.unlink()
     with serving([transform(i) for i in range(5)]) as port:
         # what came cannot be had again
-        refused(run(f"record 127.0.0.1:{port} {words}"), "no SENSOR arrived", "written")
+        refused(run(f"record 127.0.0.1:{port} {words}"), "no forces arrived", "written")
     assert len(read_trajectory(poses)) == 5 and not forces.exists()
     poses.unlink()
     refused(run("record 127.0.0.1:nine --poses a.csv"), "HOST or HOST:PORT")
