@@ -61,7 +61,14 @@ def test_what_cannot_be_a_stream_is_refused(run, recorded):
     refused(run("demo -o -"), "is a folder")
     refused(run("experiment -o -"), "is a folder")
     surface = "fit --surface s.nc --probe sphere:0.02 --trajectory a.csv -o f.nc"
-    refused(run(f"{surface} --picture -"), "a picture cannot")
+    refused(run(f"{surface} --picture -"), "name a file for --picture")
+    fitted = "--probe sphere:0.02 -o r.csv"
+    flat = f"render --field f.nc {fitted} --trajectory a.csv --flat -"
+    refused(run(flat), "name a file for --flat")
+    refused(run("record localhost --poses -"), "name a file for --poses")
+    sensor = "--axes x,y,z --point 0,0,0 --sign probe --down 0,0,-1"
+    model = f"compensate a.csv --free b.csv {sensor} {fitted} --model -"
+    refused(run(model), "name a file for --model")
     two = surface.replace("a.csv", "- --trajectory b.csv")
     refused(run(two), "read once")
 

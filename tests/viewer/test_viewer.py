@@ -269,6 +269,7 @@ def test_a_pointer_is_followed_along_a_line() -> None:
         aside = ray + np.cross(point, way)
         assert along_line(point, way, ray) == pytest.approx(out)
         assert along_line(point, way, aside) == pytest.approx(out)
+    assert along_line(np.array([0, 0, 0.5]), np.array([0, 0, 1.0]), ray) == 0.0
     along = point / np.linalg.norm(point)
     near = along + 0.01 * np.cross(along, [0.0, 1.0, 0.0])
     assert abs(along_line(point, near / np.linalg.norm(near), ray)) < 0.1

@@ -62,6 +62,13 @@ MANY_SOLVES = (refine_poses, tune, path, session, experiment)
 #: Commands whose output is a folder
 FOLDERS = (demo, session, experiment, benchmark)
 
+#: Files that commands write beside --output and pictures
+WRITTEN = {
+    compensate: ("model",),
+    record: ("poses", "wrenches"),
+    render: ("flat",),
+}
+
 #: A benchmark limits every solve, a recording or a live session lasts as long as is
 #: asked for, a page is open until it is closed, and the others are over in a moment
 UNLIMITED = (
@@ -117,6 +124,7 @@ for function in (
         judges=function in JUDGES,
         time_limit=limit,
         folder=function in FOLDERS,
+        written=WRITTEN.get(function, ()),
     )
 cameras = typer.Typer(
     help="Find markers in a photo, or a camera's place from pairs of poses.",

@@ -16,7 +16,7 @@ import re
 import textwrap
 import typing
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -73,6 +73,7 @@ def add_command(
     judges: bool = False,
     time_limit: float | None = None,
     folder: bool = False,
+    written: Sequence[str] = (),
 ) -> None:
     """Make a function a command of its name.
 
@@ -82,6 +83,7 @@ def add_command(
         judges: Whether it warns of likely mistakes; it then has the option --strict.
         time_limit: Default of its option --time-limit [s]; None for no limit.
         folder: Whether its output is a folder.
+        written: Options of files that it writes beside --output and pictures.
     """
     signature = inspect.signature(function, eval_str=True)
     about, words, example = _words(function)
@@ -108,7 +110,7 @@ def add_command(
     def run(**given: Any) -> None:
         with (
             logging_to_stderr(given.pop("verbose"), quiet=given.pop("quiet")),
-            standard_streams(given, folder=folder),
+            standard_streams(given, folder=folder, written=written),
         ):
             _grouped(given, groups)
             limit = None

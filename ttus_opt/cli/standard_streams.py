@@ -11,7 +11,7 @@ import contextlib
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +36,15 @@ BEGINNINGS = {
 
 
 @contextlib.contextmanager
-def standard_streams(given: dict[str, Any], *, folder: bool) -> Iterator[None]:
+def standard_streams(
+    given: dict[str, Any], *, folder: bool, written: Sequence[str] = ()
+) -> Iterator[None]:
     """Put files in the place of ``-`` among a command's options.
 
     Args:
         given: Options by name, changed in place. ``output`` is written, others read.
         folder: Whether the output is a folder, which no stream can be.
+        written: Options that are written too, as pictures are, which no stream can be.
 
     Raises:
         InputError: An option cannot be a stream, or two want the same.
@@ -54,8 +57,9 @@ def standard_streams(given: dict[str, Any], *, folder: bool) -> Iterator[None]:
         return
     if len(reads) > 1:
         raise InputError("- stands for stdin, which can be read once: name files")
-    if any("picture" in name for name in reads):
-        raise InputError("a picture cannot go to stdout: name a file")
+    if beside := [n for n in reads if "picture" in n or n in written]:
+        option = "--" + beside[0].replace("_", "-")
+        raise InputError(f"only --output can go to stdout: name a file for {option}")
     if writes and folder:
         raise InputError("--output is a folder here, which cannot go to stdout")
     if writes and given.get("json"):

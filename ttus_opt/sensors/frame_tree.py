@@ -85,8 +85,9 @@ class FrameTree:
 
     def advice(self) -> str:
         """How a pose of any frame in any other is read."""
-        first, *_, last = names = self._frames()
-        return f"any of {', '.join(names)} in any other: name='{first}:{last}'"
+        names = self._frames()
+        pair = f"{names[0]}:{names[-1]}"
+        return f"any of {', '.join(names)} in any other: name='{pair}'"
 
     def recording(self, source: str, base: str, frame: str) -> RawRecording:
         """Poses of a frame in another, at the stamps of the link with most of them.

@@ -266,9 +266,15 @@ def along_line(point: Array, way: Array, ray: Array) -> float:
         point: A point of the line, from the eye, shape (3,) [m].
         way: The line's direction, a unit vector, shape (3,) [–].
         ray: From the eye through the pointer, shape (3,), of any length.
+
+    Returns:
+        Distance from the point along the way [m]; 0 for a line through the eye.
     """
     across = np.cross(point, way)  # the line and the eye span a plane: the ray in it
-    across = across / (np.linalg.norm(across) * np.linalg.norm(ray))
+    size = float(np.linalg.norm(across) * np.linalg.norm(ray))
+    if size == 0.0:
+        return 0.0
+    across = across / size
     missed = float(np.cross(ray, point) @ across)
     sine = float(np.cross(way, ray) @ across)
     return missed * sine / max(sine**2, STEEP)

@@ -158,14 +158,7 @@ class ActiveSetIteration:
         tolerance: float,
         accuracy: Accuracy,
     ) -> None:
-        """Set up the initial state; nothing is solved.
-
-        Args:
-            problem: The problem.
-            start: A field, (V,), and the initial working set; None for an empty one.
-            tolerance: KKT tolerance [–].
-            accuracy: Accuracy of the final working set.
-        """
+        """Set up the initial state; arguments are those of `primal_dual_active_set`."""
         self.problem, self.limits = problem, problem.limits.without_implied()
         self.rtol, self._tolerance = accuracy.rtol, tolerance
         self._deadline = accuracy.deadline
