@@ -8,6 +8,7 @@ from typing import Any
 
 from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.core.errors import InputError
+from ttus_opt.example import PROBE
 
 #: Port that sessions use unless told otherwise
 PORT = 7411
@@ -193,35 +194,61 @@ def follower(
     port: int = PORT,
     prior: float = 1.6,
     friction: float = 0.0,
+    recording: Path | None = None,
+    surface: Path | None = None,
+    probe: str = PROBE,
     seconds: float = math.inf,
     json: bool = False,
 ) -> None:
-    """Be the patient's side over UDP, with the simulated torso as patient.
+    """Be the patient's side over UDP, with the simulated torso or a recording.
 
-    Not a medical device. A robot takes the torso's place in Python, see
-    docs/how-to/live.md.
+    A recording plays in time once the operator has its model: it obeys no pose, and
+    the operator feels what is learned from it. Not a medical device. A robot takes the
+    patient's place in Python, see docs/how-to/live.md.
 
     Args:
         key: Session key, of ttus-opt live key.
         host: Own address to wait at; 0.0.0.0 for every one.
         port: UDP and TCP port.
         prior: Factor by which the first model is too stiff.
-        friction: Coulomb coefficient of the skin.
+        friction: Coulomb coefficient of the simulated skin.
+        recording: Recording (.csv) with force and torque that plays in time.
+        surface: Its patient's surface (.nc); by default the example's.
+        probe: Its probe, ellipsoid:a,b,c [m] or a mesh; the operator's as well.
         seconds: Length of the session [s].
 
     Example:
-        ttus-opt live follower --key session.key --host 0.0.0.0
+        ttus-opt live follower --key session.key --recording press_fit.csv
     """
     from ttus_opt.live.follower import Follower
-    from ttus_opt.live.patient import SimulatedPatient
+    from ttus_opt.live.model import USUAL_LAW
+    from ttus_opt.live.patient import Patient, RecordedPatient, SimulatedPatient
     from ttus_opt.live.real_time import promptly, run_follower
+    from ttus_opt.live.safety import State
     from ttus_opt.live.sealing import read_key
     from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.trial import examination, patient_surface, prepared, warm_up
+    from ttus_opt.live.trial import (
+        TORSO_LAW,
+        examination,
+        patient_surface,
+        prepared,
+        shell_of,
+        warm_up,
+    )
+    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.scan.surface import Surface
 
     _check_port(port)
-    side = Follower(_epoch(), patient_surface(), prepared(prior))
-    start = examination(1.0)
+    if recording is None and (surface is not None or probe != PROBE):
+        raise InputError("--surface and --probe are those of a --recording: give it")
+    skin = patient_surface() if surface is None else Surface.load(surface)
+    law = TORSO_LAW if recording is None else USUAL_LAW
+    content = prepared(prior, law, skin, shell_of(probe))
+    side, start = Follower(_epoch(), skin, content), examination(1.0)
+    patient: Patient = SimulatedPatient(friction=friction)
+    if recording is not None:
+        start, safety = read_trajectory(recording), side.peer.safety
+        patient = RecordedPatient(start, lambda: safety.state is State.NORMAL)
     warm_up()
     promptly()
     link = SocketLink(read_key(key), host, port, calls=False)
@@ -229,7 +256,7 @@ def follower(
         ended = run_follower(
             side,
             link,
-            SimulatedPatient(friction=friction),
+            patient,
             start.rotation[0],
             start.position[0],
             seconds=seconds,
@@ -244,6 +271,7 @@ def operator(
     host: str = "127.0.0.1",
     port: int = PORT,
     seconds: float = 20.0,
+    probe: str = PROBE,
     recording: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -257,6 +285,7 @@ def operator(
         host: Address of the follower.
         port: Its UDP and TCP port.
         seconds: Length of the session [s].
+        probe: The follower's probe, ellipsoid:a,b,c [m] or a mesh.
         recording: Record the session here (.mcap); the haptic loop then shares a
             process with the rest, so that every frame is in the file.
 
@@ -273,15 +302,15 @@ def operator(
     link = SocketLink(opened, host, port, calls=True)
     try:
         if recording is None:
-            side, ended = _operate(link, path, seconds)
+            side, ended = _operate(link, path, seconds, probe)
         else:
-            side, ended = _record(link, path, seconds, recording)
+            side, ended = _record(link, path, seconds, probe, recording)
     finally:
         link.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
 
 
-def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
+def _operate(link: Any, path: Any, seconds: float, probe: str) -> tuple[Any, Any]:
     """The haptic loop in a process of its own; the operator, and how it ended."""
     from dataclasses import replace
     from functools import partial
@@ -290,28 +319,27 @@ def _operate(link: Any, path: Any, seconds: float) -> tuple[Any, Any]:
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.operator import Operator
     from ttus_opt.live.real_time import promptly, run_operator_apart
-    from ttus_opt.live.trial import probe_shell
+    from ttus_opt.live.trial import shell_of
 
-    start = path.rotation[0], path.position[0]
-    with HapticProcess(LoopPlan(probe_shell(), partial(Hand, path))) as loop:
-        side = Operator(
-            _epoch(), probe_shell(), feedback=lambda model: loop.begin(model.field)
-        )
+    start, shell = (path.rotation[0], path.position[0]), shell_of(probe)
+    with HapticProcess(LoopPlan(shell, partial(Hand, path))) as loop:
+        side = Operator(_epoch(), shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         ended = run_operator_apart(side, link, start, seconds=seconds)
     return side, replace(ended, lateness=loop.lateness or ended.lateness)
 
 
-def _record(link: Any, path: Any, seconds: float, file: Path) -> tuple[Any, Any]:
+def _record(
+    link: Any, path: Any, seconds: float, probe: str, file: Path
+) -> tuple[Any, Any]:
     """All in one process, so that every frame is recorded."""
     from ttus_opt.live.hand import Hand
     from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.recording import Description, Recorder
-    from ttus_opt.live.trial import made_operator, probe_shell
 
-    epoch = _epoch()
-    side, hand = made_operator("model", probe_shell(), epoch), Hand(path)
-    with Recorder(file, Description(epoch=epoch)) as recorder:
+    described = Description(probe=probe, epoch=_epoch())
+    side, hand = described.operator(), Hand(path)
+    with Recorder(file, described) as recorder:
         watch = recorder.watch
         promptly()
         ended = run_operator(side, link, hand, seconds=seconds, watch=watch)

@@ -1,4 +1,4 @@
-"""The simulated patient: the finite-element torso pressed by a probe, which breathes.
+"""Patients: the finite-element torso pressed by a probe, which breathes; a recording.
 
 The torso's compliance (`ttus_opt.phantom`) is a response at poses: a contact takes less
 than a millisecond and no mesh. The bundled one was made on a mesh twice as coarse as
@@ -8,6 +8,7 @@ that of the example's recordings. Breathing moves all skin of the front to and f
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Protocol
@@ -16,12 +17,13 @@ import numpy as np
 
 from ttus_opt import example
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.live.messages import Sample
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import CoulombDrag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import FORCE_NOISE, TORQUE_NOISE
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
 #: Direction of the front, in which breathing moves the skin
@@ -42,6 +44,49 @@ class Patient(Protocol):
         Returns:
             Where the probe is and what it feels.
         """
+
+
+class RecordedPatient:
+    """A recording of a pressed probe that plays in time.
+
+    It obeys no target: the probe is where it was, and measured what it measured. The
+    operator's model learns from it as from a robot, and its own poses are answered by
+    that model alone.
+
+    Attributes:
+        seconds: Length [s].
+        played: Time of the recording that was sensed last [s].
+    """
+
+    def __init__(self, recorded: Trajectory, begins: Callable[[], bool]) -> None:
+        """A recording at its first frame.
+
+        Args:
+            recorded: One recording with force and torque.
+            begins: Whether it may begin; asked until it says so once.
+
+        Raises:
+            InputError: No force, no torque, or several recordings.
+        """
+        if recorded.force is None or recorded.torque is None:
+            raise InputError("a recording to replay needs force and torque")
+        if recorded.segment[-1] != recorded.segment[0]:
+            raise InputError("replay one recording, not several in one file")
+        self._recorded, self._begins, self._start = recorded, begins, math.nan
+        self._wrench = np.hstack([recorded.force, recorded.torque])
+        self._times = recorded.time - recorded.time[0]
+        self.seconds, self.played = float(self._times[-1]), 0.0
+
+    def sense(self, time: float, rotation: Array, position: Array) -> Sample:
+        """The newest frame by now, the first before it begins, the last after it."""
+        if math.isnan(self._start) and self._begins():
+            self._start = time
+        begun = 0.0 if math.isnan(self._start) else time - self._start
+        k = int(np.searchsorted(self._times, begun + 1e-9, side="right")) - 1
+        self.played = float(self._times[k])
+        taken = time if math.isnan(self._start) else self._start + self.played
+        R, at = self._recorded.rotation[k], self._recorded.position[k]
+        return Sample(taken, R, at, self._wrench[k])
 
 
 @dataclass(frozen=True)

@@ -172,16 +172,33 @@ def patient_surface() -> Surface:
 @cache
 def probe_shell() -> PointShell:
     """The example's probe."""
-    return PointShell.from_spec(example.PROBE, n_points=N_POINTS)
+    return shell_of(example.PROBE)
 
 
-def prepared(prior: float = 1.0, law: DepthProfile = TORSO_LAW) -> tuple[bytes, bytes]:
-    """Messages of the example's surface, and of a prior too stiff by a factor."""
-    sent = encode(patient_surface())
+def shell_of(probe: str) -> PointShell:
+    """A probe as `PointShell.from_spec` takes it, with the points of a live session."""
+    return PointShell.from_spec(probe, n_points=N_POINTS)
+
+
+def prepared(
+    prior: float = 1.0,
+    law: DepthProfile = TORSO_LAW,
+    surface: Surface | None = None,
+    shell: PointShell | None = None,
+) -> tuple[bytes, bytes]:
+    """Messages of a surface, and of a prior too stiff by a factor.
+
+    Args:
+        prior: The factor [–].
+        law: What it is counted from.
+        surface: The patient's skin; by default the example's.
+        shell: The probe of both sides; by default the example's.
+    """
+    sent = encode(surface or patient_surface())
     seen = decode(sent)
     assert isinstance(seen, Surface)
     scaled = replace(law, coefficients=(prior * law.coefficients[0],))
-    model = LiveModel(seen, probe_shell(), ModelPlan(law=scaled))
+    model = LiveModel(seen, shell or probe_shell(), ModelPlan(law=scaled))
     return sent, encode_model(model)
 
 
