@@ -14,5 +14,10 @@ setup(
     ],
     install_requires=["setuptools", "ttus-opt"],
     zip_safe=True,
-    entry_points={"console_scripts": [f"wrench_node = {NAME}.wrench_node:main"]},
+    entry_points={
+        "console_scripts": [
+            f"wrench_node = {NAME}.wrench_node:main",
+            f"follower_node = {NAME}.follower_node:main",
+        ]
+    },
 )

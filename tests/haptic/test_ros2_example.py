@@ -138,10 +138,10 @@ class Node:
     def create_publisher(self, kind, topic, depth):
         return SimpleNamespace(publish=self.sent.append)
 
-    def create_subscription(self, kind, topic, call, depth, callback_group):
+    def create_subscription(self, kind, topic, call, depth, callback_group=None):
         self.calls[topic] = call
 
-    def create_timer(self, period, call, callback_group):
+    def create_timer(self, period, call, callback_group=None):
         self.calls[period] = call
 
     def create_service(self, kind, name, call, callback_group):
@@ -202,6 +202,47 @@ def test_the_node(node, files, pose, monkeypatch):
         assert swap(Message(), Message()).success is success
 
 
+def test_the_follower_node(node, files, tmp_path, monkeypatch):
+    """Pose and wrench become the follower's sample; its target goes to the robot."""
+    pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
+    from ttus_opt import example
+    from ttus_opt.live.safety import State
+    from ttus_opt.live.sealing import write_key
+
+    write_key(tmp_path / "key")
+    given = {"key": str(tmp_path / "key"), "host": "127.0.0.1", "port": 0}
+    given["surface_file"] = str(example.path("surface.nc"))
+    monkeypatch.setattr(Node, "given", given)
+    started = importlib.import_module("ttus_wrench.follower_node").FollowerNode()
+    names = "robot_pose", "robot_wrench", 0.01
+    pose, wrench, tick = (started.calls[name] for name in names)
+    tick()
+    assert started.sent == []  # nothing is known of the robot
+    message = Message()
+    message.header.frame_id = "patient"
+    at, quaternion = (0.0, 0.2, 0.15), (0.0, 0.0, 0.6, 0.8)
+    message.pose.position = Message(**dict(zip("xyz", at, strict=True)))
+    message.pose.orientation = Message(**dict(zip("xyzw", quaternion, strict=True)))
+    force = Message()
+    for part in (force.wrench.force, force.wrench.torque):
+        part.x, part.y, part.z = 0.01, 0.02, 0.03
+    pose(message)
+    wrench(force)
+    tick()
+    (target,) = started.sent
+    p, q = target.pose.position, target.pose.orientation
+    np.testing.assert_allclose([p.x, p.y, p.z], at, atol=1e-12)
+    np.testing.assert_allclose([q.x, q.y, q.z, q.w], quaternion, atol=1e-12)
+    assert started.side.peer.safety.state is State.HOLD  # no operator yet
+    message.header.frame_id = "map"
+    pose(message)
+    assert "map" in started.sent[-1]
+    started.patient.silence = -1.0  # as if long ago
+    tick()
+    assert started.side.peer.safety.state is State.STOP
+    started.link.close()
+
+
 def test_the_names_agree():
     """package.xml, setup.py, resource and module, as colcon looks for them."""
     name = ElementTree.parse(FOLDER / "package.xml").findtext("name")
@@ -213,7 +254,9 @@ def test_the_names_agree():
     )
     assert call.func.id == "setup"
     settings = (FOLDER / "setup.py").read_text()
-    assert f'NAME = "{name}"' in settings and "{NAME}.wrench_node:main" in settings
+    assert f'NAME = "{name}"' in settings
     assert f"lib/{name}" in (FOLDER / "setup.cfg").read_text()
-    node = ast.parse((FOLDER / name / "wrench_node.py").read_text())
-    assert "main" in [f.name for f in node.body if isinstance(f, ast.FunctionDef)]
+    for script in ("wrench_node", "follower_node"):
+        assert f"{{NAME}}.{script}:main" in settings
+        node = ast.parse((FOLDER / name / f"{script}.py").read_text())
+        assert "main" in [f.name for f in node.body if isinstance(f, ast.FunctionDef)]
