@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.blas_threads import one_blas_thread
-from ttus_opt.fitting.weights.weight_choice import likely_sampling, resampled
+from ttus_opt.fitting.weights.weight_choice import likely_sampling
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
@@ -63,7 +63,7 @@ class Model:
         """The likeliest sampling, and what is to be fitted in it."""
         with one_blas_thread():
             sampling = self.sampling or likely_sampling(scene)
-        own = scene if scene.sampling == sampling else resampled(scene, sampling)
+        own = scene if scene.sampling == sampling else scene.resampled(sampling)
         return own, self.built(own)
 
     def built(self, scene: Scene) -> Formulation:

@@ -8,6 +8,7 @@ import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.refusals import refuses
 from ttus_opt.contact import scene as scene_module
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.probe.trajectory import Trajectory
@@ -28,6 +29,40 @@ def test_shapes(scene):
     assert scene.f.shape == scene.tau.shape == (3 * T,)
     np.testing.assert_array_equal(scene.f[3:6], scene.trajectory.force[1])
     assert scene.torque_length == scene.shell.rms_radius
+
+
+@pytest.mark.parametrize("before", ["trilinear", "contact-size", "voxel-mean"])
+@pytest.mark.parametrize("after", ["trilinear", "contact-size:0.012"])
+def test_another_sampling_is_that_of_an_assembly(before, after):
+    force = np.linspace(0.5, 3.0, 12)[:, None] * [-1.0, 0.2, 0.1]
+    measured = replace(TRAJECTORY, force=np.abs(TRAJECTORY.position) * 30.0 * force)
+    given = (VOXMAP, SHELL, measured)
+    first = Scene.assemble(*given, inner=2.0, outer=3.0, sampling=before)
+    _ = first.point_drag
+    found = first.resampled(after)
+    whole = Scene.assemble(*given, inner=2.0, outer=3.0, sampling=after)
+    drag = point_drag_rows(*given, sampling=after)
+    for mine, other in (
+        (found.N, whole.N),
+        (found.W, whole.W),
+        (found.point_drag.force, drag.force),
+        (found.point_drag.torque, drag.torque),
+    ):
+        scale = abs(other).max()
+        assert scale > 0.0
+        assert abs(mine - other).max() <= 1e-12 * scale
+    assert (found.sampling, found.inner, found.outer) == (after, 2.0, 3.0)
+
+
+def test_another_sampling_fits_a_fitted_scale_again(scene):
+    fitted = {"inner": "fit", "outer": 0.75}
+    given = (scene.voxmap, scene.shell, scene.trajectory)
+    found = Scene.assemble(*given, **fitted).resampled("contact-size")
+    whole = Scene.assemble(*given, **fitted, sampling="contact-size")
+    assert found.parameters == pytest.approx(whole.parameters)
+    assert found.standard_errors == pytest.approx(whole.standard_errors)
+    np.testing.assert_allclose(found.b, whole.b)
+    refuses(InputError, "sampling must be one of", found.resampled, "nearest")
 
 
 def test_boundary_values_reach_b(scene):

@@ -106,3 +106,17 @@ def test_other_weights_and_values_are_compressed_again(monkeypatch):
     fitter.update(other)
     again, fresh = fitter.solve(), tt.fit(scene, other)
     assert again.objective == pytest.approx(fresh.objective, rel=1e-9)
+
+
+def test_a_motion_that_returns_to_its_places_is_compressed_like_one_that_does_not():
+    """Blocks of rows in the order of time would touch all columns and stay."""
+    rng = np.random.default_rng(5)
+    n_places, visits, width = 200, 60, 12
+    place = np.tile(rng.permutation(n_places), visits)
+    columns = (12 * place[:, None] + np.arange(width)).ravel()
+    starts = width * np.arange(len(place) + 1)
+    shape = (len(place), 12 * n_places)
+    M = sp.csr_array((rng.standard_normal(len(columns)), columns, starts), shape=shape)
+    R, c = compressed_rows(M, rng.standard_normal(len(place)))
+    assert len(c) <= 1.5 * shape[1]
+    assert abs(R.T @ R - M.T @ M).max() <= 1e-10 * abs(M.T @ M).max()

@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.contact.contact_size import Patches, patches_of
-from ttus_opt.contact.rows import ContactRows, checked_poses
+from ttus_opt.contact.rows import ContactRows, by_pose, checked_poses
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
@@ -203,6 +203,10 @@ class DragRows:
 
     force: sp.csr_array = field(repr=False)
     torque: sp.csr_array = field(repr=False)
+
+    def scaled(self, factor: Array) -> DragRows:
+        """The rows of every pose times a factor, shape (T,)."""
+        return DragRows(by_pose(self.force, factor), by_pose(self.torque, factor))
 
 
 def coulomb_rows(

@@ -18,7 +18,7 @@ beyond the grid's ends in z or θ, sample nothing; depths fade over the last vox
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -75,11 +75,29 @@ class ContactRows:
         """Frames in contact, shape (T,)."""
         return np.asarray(self.contact_points > 0)
 
+    def scaled(self, factor: Array) -> ContactRows:
+        """The rows of every pose times a factor, shape (T,)."""
+        N, W = by_pose(self.N, factor), by_pose(self.W, factor)
+        return replace(self, N=N, W=W)
+
     def __repr__(self) -> str:
         return (
             f"ContactRows({len(self.in_grid)} poses, {self.touching.sum()} in contact, "
             f"{self.N.shape[1]:,} voxels)"
         )
+
+
+def by_pose(matrix: sp.csr_array, factor: Array) -> sp.csr_array:
+    """Three rows per pose, times a factor per pose.
+
+    Args:
+        matrix: Shape (3T, n).
+        factor: Shape (T,).
+    """
+    data = matrix.data * np.repeat(np.repeat(factor, 3), np.diff(matrix.indptr))
+    out = sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    out.has_sorted_indices = matrix.has_sorted_indices
+    return out
 
 
 def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
@@ -139,11 +157,6 @@ def contact_rows(
             break
         rows = rows.grown(3 * done, len(position) / (done + 1))
     used = rows.row_ptr[-1]
-    if least:
-        factor = size_factors(voxmap, shell, rotation, position, least)
-        entries = np.repeat(np.repeat(factor, 3), np.diff(rows.row_ptr))
-        for data in (rows.force, rows.torque):
-            data[:used] *= entries
     matrices = []
     columns = rows.columns[:used].copy()
     for data in (rows.force, rows.torque):
@@ -151,4 +164,7 @@ def contact_rows(
         matrix.has_sorted_indices = True
         matrices.append(matrix)
     counts = (rows.contact_points, rows.in_grid, rows.beyond_inner)
-    return ContactRows(matrices[0], matrices[1], *counts)
+    found = ContactRows(matrices[0], matrices[1], *counts)
+    if not least:
+        return found
+    return found.scaled(size_factors(voxmap, shell, rotation, position, least))

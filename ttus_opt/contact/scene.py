@@ -17,10 +17,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
-from ttus_opt.contact.boundary_scale import Identified, identified_scale
-from ttus_opt.contact.contact_size import Patches, patches_of
+from ttus_opt.contact.boundary_scale import identified_scale
+from ttus_opt.contact.contact_size import Patches, patch_factors, patches_of
 from ttus_opt.contact.cut_off import cut_off
+from ttus_opt.contact.friction import DragRows
 from ttus_opt.contact.places import places, runs
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array, IntArray, Mask
@@ -33,7 +35,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.sampling import check_sampling
+from ttus_opt.voxmap.sampling import check_sampling, least_length
 from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -136,34 +138,15 @@ class Scene:
         rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
         _report_contact(rows, voxmap.grid.r_inner)
         _report_cut_off(cut_off(voxmap, shell, *poses))
-        known = Identified({}, {}, {})
-        asked = inner is not None
+        asked, ratio = inner is not None, outer
         if inner is None:
-            known_scale = rows.touching.any() and trajectory.has_wrench
-            inner = "fit" if known_scale else 1.0
+            inner = "fit" if rows.touching.any() and trajectory.has_wrench else 1.0
+        values = (1.0, 1.0) if isinstance(inner, str) else (float(inner), float(outer))
+        b = laplace.right_side(*values)
+        scene = cls(voxmap, shell, trajectory, sampling, laplace, rows, *values, b)
         if isinstance(inner, str):
-            force = _measured(trajectory.force, FORCES)
-            press = runs(rows.touching, trajectory.segment)
-            place = np.where(rows.touching, places(press, trajectory.position), -1)
-            known = identified_scale(laplace, rows.N, place, force, outer, asked)
-            inner = known.parameters[BOUNDARY_SCALE]
-            outer = inner * outer
-        scene = cls(
-            voxmap,
-            shell,
-            trajectory,
-            sampling,
-            laplace,
-            rows,
-            float(inner),
-            float(outer),
-            laplace.right_side(float(inner), float(outer)),
-            known.parameters,
-            watch.seconds,
-            known.standard_errors,
-            known.not_identified,
-            watch.compile,
-        )
+            scene = scene._with_fitted_boundary(ratio, asked)
+        scene = replace(scene, seconds=watch.seconds, compile_seconds=watch.compile)
         LOG.info("%r in %.2f s, %d values in N", scene, watch.seconds, rows.N.nnz)
         return scene
 
@@ -206,6 +189,54 @@ class Scene:
             not_identified={},
         )
 
+    def _with_fitted_boundary(self, ratio: float, asked: bool) -> Scene:
+        """The same with the boundary values that match the measured forces best.
+
+        Args:
+            ratio: p_out / p_in.
+            asked: Whether forces that push into the patient are an error.
+        """
+        place = np.where(self.touching, self.places, -1)
+        known = identified_scale(self.laplace, self.N, place, self.f, ratio, asked)
+        inner = known.parameters[BOUNDARY_SCALE]
+        return replace(
+            self.with_boundary(inner, inner * ratio),
+            parameters=known.parameters,
+            standard_errors=known.standard_errors,
+            not_identified=known.not_identified,
+        )
+
+    def resampled(self, sampling: str) -> Scene:
+        """The same contacts in another sampling; a fitted scale is fitted again.
+
+        Rows of ``trilinear`` and ``contact-size`` differ by a factor per pose only.
+
+        Raises:
+            InputError: An unknown sampling.
+        """
+        check_sampling(sampling)
+        scene = replace(self, sampling=sampling)
+        known: dict[str, Patches | DragRows] = {}
+        if "voxel-mean" in (sampling, self.sampling):
+            rows = scene.rows_along(self.trajectory)
+        else:
+            factor = self._sizes(sampling) / self._sizes(self.sampling)
+            rows, known["patches"] = self.rows.scaled(factor), self.patches
+            if "point_drag" in vars(self):
+                known["point_drag"] = self.point_drag.scaled(factor)
+        scene = replace(scene, rows=rows)
+        if BOUNDARY_SCALE in self.parameters:
+            scene = scene._with_fitted_boundary(self.outer / self.inner, True)
+        vars(scene).update(known)
+        return scene
+
+    def _sizes(self, sampling: str) -> Array:
+        """Factors on trilinear rows, shape (T,) [–]."""
+        least = least_length(sampling)
+        if not least:
+            return np.ones(len(self.trajectory))
+        return patch_factors(self.patches.spread, least)
+
     def rows_along(self, trajectory: Trajectory) -> ContactRows:
         """N and W of other poses of the same probe on the same patient."""
         poses = trajectory.rotation, trajectory.position
@@ -224,7 +255,7 @@ class Scene:
         """
         return runs(self.touching, self.trajectory.segment)
 
-    @property
+    @cached_property
     def places(self) -> IntArray:
         """Number of every frame's place, shape (T,) (`ttus_opt.contact.places`)."""
         return places(self.presses, self.trajectory.position)
@@ -235,6 +266,12 @@ class Scene:
         trajectory = self.trajectory
         poses = trajectory.rotation, trajectory.position
         return patches_of(self.voxmap, self.shell, *poses)
+
+    @cached_property
+    def point_drag(self) -> DragRows:
+        """Rows of drag of every point, at the usual deadband, shape (3T, V)."""
+        where = self.voxmap, self.shell, self.trajectory
+        return point_drag_rows(*where, sampling=self.sampling)
 
     @property
     def n_voxels(self) -> int:

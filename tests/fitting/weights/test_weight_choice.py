@@ -23,7 +23,6 @@ from ttus_opt.fitting.weights.weight_choice import (
     choice_of,
     has_choice,
     has_weights,
-    resampled,
     word_for,
 )
 from ttus_opt.problem.formulation import Formulation
@@ -149,7 +148,7 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
     assert choice.as_dict()["by"] == "marginal likelihood"
     found = choice.scene.sampling
     likely = {
-        each: estimate_depth_map(resampled(drawn(), each)).log_evidence
+        each: estimate_depth_map(drawn().resampled(each)).log_evidence
         for each in (found, "contact-size", "trilinear")
     }
     # forces of a field that is sampled by no size: nearly as likely, for ℓ₀'s prior

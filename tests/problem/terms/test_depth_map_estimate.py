@@ -14,7 +14,6 @@ from scipy.stats import multivariate_normal
 from tests.conftest import small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
-from ttus_opt.fitting.weights.weight_choice import resampled
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -212,10 +211,10 @@ def test_what_is_given_is_not_estimated(name, value):
 def test_another_length_of_contacts_is_another_assembly(sampling):
     """Whatever the rows, evidence and coefficient are those of rows with ℓ₀."""
     scene, chosen = (
-        resampled(drawn(0, 40), sampling),
+        drawn(0, 40).resampled(sampling),
         CHOSEN._replace(least_length=0.02),
     )
-    other = resampled(scene, "contact-size:0.02")
+    other = scene.resampled("contact-size:0.02")
     problem = _Problem.of(scene, scene.N)
     expected = _Problem.of(other, other.N)
     assert problem.mean(chosen)[0] == pytest.approx(expected.mean(CHOSEN)[0])
@@ -227,12 +226,12 @@ def test_it_finds_the_length_of_contacts_that_forces_have():
     """Forces of a field sampled with ℓ₀ of 4 mm and 40 mm, about a probe of 20 mm."""
     found = []
     for least in ("0.004", "0.04"):
-        scene = resampled(drawn(3), f"contact-size:{least}")
+        scene = drawn(3).resampled(f"contact-size:{least}")
         depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
         noise = np.random.default_rng(1).normal(0.0, 0.02, len(scene.f))
         pressed = with_forces(scene, scene.N @ (400.0 * depth) + noise)
         found.append(estimate_depth_map(pressed, resampled=True))
-        again = resampled(pressed, sized(found[-1].least_length))
+        again = pressed.resampled(sized(found[-1].least_length))
         same = estimate_depth_map(again)
         assert same.profile(0.01) == pytest.approx(found[-1].profile(0.01), rel=0.02)
         assert same.least_length == 0.0

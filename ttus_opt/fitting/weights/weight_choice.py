@@ -270,7 +270,7 @@ def default_model(
             if sampling is None:
                 told("sampling")
                 sampling = likely_sampling(scene, given)
-            place = scene if scene.sampling == sampling else resampled(scene, sampling)
+            place = scene if scene.sampling == sampling else scene.resampled(sampling)
             drag = estimate_drag(place)
             given = {"acts_at": drag.acts_at} | given if drag.is_shown else given
             name = DEPTH_MAPS[drag.is_shown]
@@ -296,7 +296,7 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
         UnusableForcesError: No depth map explains the forces.
     """
     if scene.sampling == "voxel-mean":
-        scene = resampled(scene, "trilinear")
+        scene = scene.resampled("trilinear")
     drag = estimate_drag(scene)
     mu = min(drag.friction_coefficient, 1.0) if drag.is_shown else 0.0
     rows = sp.csr_array(scene.N - mu * drag.drag.rows.force)
@@ -331,23 +331,6 @@ def described(model: Formulation) -> tuple[str, ...]:
             f"{1e3 * least:.1f} mm"
         )
     return tuple(lines)
-
-
-def resampled(scene: Scene, sampling: str) -> Scene:
-    """The scene in another sampling; a fitted boundary scale is fitted again.
-
-    Raises:
-        InputError: An unknown sampling.
-    """
-    fitted = BOUNDARY_SCALE in scene.parameters
-    return Scene.assemble(
-        scene.voxmap,
-        scene.shell,
-        scene.trajectory,
-        inner="fit" if fitted else scene.inner,
-        outer=scene.outer / scene.inner if fitted else scene.outer,
-        sampling=sampling,
-    )
 
 
 def _own(scene: Scene, declared: Formulation, reason: str) -> WeightChoice:

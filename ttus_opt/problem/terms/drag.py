@@ -41,6 +41,8 @@ AT_REST = 1e-3
 
 def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRows:
     """Rows of Coulomb drag in a scene, with drag = −F (μ p)."""
+    if sliding.acts_at == "points" and deadband == friction.DEADBAND:
+        return scene.point_drag  # the same for every model
     where = (scene.voxmap, scene.shell, scene.trajectory)
     how = {"sampling": scene.sampling, "deadband": deadband}
     return drag_rows(scene.rows, sliding, *where, **how)  # type: ignore[arg-type]
