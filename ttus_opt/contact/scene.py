@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.contact.boundary_scale import identified_scale
@@ -24,10 +23,16 @@ from ttus_opt.contact.friction import DragRows
 from ttus_opt.contact.places import places, runs
 from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.scene_warnings import (
+    warn_contact,
+    warn_cut_off,
+    warn_misplaced,
+    warn_size,
+)
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.compiled import Stopwatch
-from ttus_opt.core.errors import InputError, MistakeWarning, warn
+from ttus_opt.core.errors import InputError
 from ttus_opt.core.html_card import card, sections_svg
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
@@ -131,13 +136,13 @@ class Scene:
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
         for name, value in (("inner", inner), ("outer", outer)):
             _check_boundary(name, value)
-        _report_misplaced(voxmap)
-        _report_size(voxmap, shell)
+        warn_misplaced(voxmap)
+        warn_size(voxmap, shell)
         laplace = LaplaceSystem.assemble(voxmap)
         poses = trajectory.rotation, trajectory.position
         rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
-        _report_contact(rows, voxmap.grid.r_inner)
-        _report_cut_off(cut_off(voxmap, shell, *poses))
+        warn_contact(rows, voxmap.grid.r_inner)
+        warn_cut_off(cut_off(voxmap, shell, *poses))
         asked, ratio = inner is not None, outer
         if inner is None:
             inner = "fit" if rows.touching.any() and trajectory.has_wrench else 1.0
@@ -406,66 +411,3 @@ def _measured(values: Array | None, what: str) -> Array:
             f"the trajectory has no measured {what}: add them, or fit laplace_only"
         )
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
-
-
-def _report_misplaced(voxmap: Voxmap) -> None:
-    """Warn where regions do not match the surface."""
-    misplaced = voxmap.cut_links.misplaced
-    if misplaced:
-        warn(
-            f"at {misplaced} links of voxels the region is not that of the surface, "
-            "which is taken to lie a quarter of a layer beyond: lay the grid over the "
-            "surface with Voxmap.from_surface",
-            2,
-        )
-
-
-def _report_size(voxmap: Voxmap, shell: PointShell) -> None:
-    """Warn of a probe that is larger than the patient."""
-    probe = float(np.ptp(shell.points, axis=0).max())
-    patient = 2.0 * float(voxmap.surface.radius.max())
-    if probe > patient:
-        warn(
-            f"the probe is {probe:.3g} m long, the patient {patient:.3g} m wide: check "
-            "the unit of both",
-            2,
-            MistakeWarning,
-        )
-
-
-def _report_contact(rows: ContactRows, r_inner: float) -> None:
-    """Warn of poses that measure nothing, or reach below the inner layer."""
-    n_poses = len(rows.in_grid)
-    off = int(n_poses - rows.in_grid.sum())
-    if off:
-        warn(
-            f"{off} of {n_poses} poses lie outside the grid and give zero force: "
-            "check the trajectory's frame and unit",
-            2,
-            MistakeWarning,
-        )
-    if not rows.touching.any():
-        warn(
-            f"the probe touches the patient in none of {n_poses} poses: the fit is "
-            "the Laplace field alone",
-            2,
-        )
-    deep = int((rows.beyond_inner > 0).sum())
-    if deep:
-        warn(
-            f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
-            f"in all) beyond the inner layer at {r_inner:.4g} m, where that layer's "
-            "values continue: choose a smaller r_inner",
-            2,
-        )
-
-
-def _report_cut_off(cut: NDArray[np.bool_]) -> None:
-    """Warn of poses that touch beyond the sides or ends of the grid."""
-    if cut.any():
-        warn(
-            f"{cut.sum()} of {len(cut)} poses touch the patient beyond the grid's "
-            "sector or ends too, where nothing pushes back: widen the sector, or leave "
-            "them out",
-            2,
-        )
