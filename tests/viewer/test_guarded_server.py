@@ -22,7 +22,7 @@ from websockets.sync.client import connect  # noqa: E402
 
 @pytest.fixture(scope="module")
 def link() -> Iterator[str]:
-    server, link = guard.guarded_server(0, "test")
+    server, link = guard.guarded_server(0)
     yield link
     with guard.quiet():
         server.stop()
@@ -76,7 +76,7 @@ def test_only_this_machine_is_listened_to(link: str) -> None:
 def test_a_port_in_use_gives_the_next_and_links_differ(link: str) -> None:
     port = urlsplit(link).port
     assert port is not None
-    server, other = guard.guarded_server(port, "test")
+    server, other = guard.guarded_server(port)
     assert urlsplit(other).port != port
     assert urlsplit(other).path != urlsplit(link).path
     with guard.quiet():
@@ -99,10 +99,10 @@ def test_a_viser_that_cannot_be_guarded_is_not_started(
 
     monkeypatch.setattr(viser, "ViserServer", Elsewhere)
     threads = threading.active_count()
-    refuses(InputError, "cannot be guarded", guard.guarded_server, 0, "test")
+    refuses(InputError, "cannot be guarded", guard.guarded_server, 0)
     assert threading.active_count() <= threads + 1
     assert sockets.serve is own
 
 
 def test_a_port_that_is_none_is_refused() -> None:
-    refuses(InputError, "0 to 65535", guard.guarded_server, 70_000, "test")
+    refuses(InputError, "0 to 65535", guard.guarded_server, 70_000)

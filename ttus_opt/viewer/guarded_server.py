@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 
 Check = Callable[["ServerConnection", "Request"], "Response | None"]
 
+#: Where a page is looked for first
+PORT = 8050
+
+#: Title of the page
+TITLE = "ttus-opt"
+
 #: Only this machine
 HOST = "127.0.0.1"
 
@@ -53,12 +59,11 @@ HEADERS = {
 REFUSAL = "this page opens with the link that ttus-opt view printed\n"
 
 
-def guarded_server(port: int, label: str) -> tuple[viser.ViserServer, str]:
+def guarded_server(port: int) -> tuple[viser.ViserServer, str]:
     """Start a server.
 
     Args:
         port: Where to listen; the next free one if it is taken, 0 for any.
-        label: Title of the page.
 
     Returns:
         The server and the link to its page.
@@ -83,7 +88,7 @@ def guarded_server(port: int, label: str) -> tuple[viser.ViserServer, str]:
     with quiet():
         sockets.serve = guarded_serve
         try:
-            server = viser.ViserServer(HOST, port, label=label, verbose=False)
+            server = viser.ViserServer(HOST, port, label=TITLE, verbose=False)
         finally:
             sockets.serve = serve
         if not guarded:

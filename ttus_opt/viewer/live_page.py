@@ -6,10 +6,11 @@ import time
 
 from ttus_opt.core.optional import load
 from ttus_opt.live.trial import Trial, probe_shell
+from ttus_opt.viewer.guarded_server import PORT
 from ttus_opt.viewer.live_session import LiveSession
 from ttus_opt.viewer.live_tab import LiveTab
 from ttus_opt.viewer.state import ViewState
-from ttus_opt.viewer.viewer import PORT, Viewer
+from ttus_opt.viewer.viewer import Viewer
 
 #: Time between updates of numbers, and of the field that colours the skin [s]
 WRITING, COLOURING = 0.2, 3.0

@@ -14,16 +14,15 @@ from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.viewer.guarded_server import guarded_server, quiet
+from ttus_opt.viewer.guarded_server import PORT, guarded_server, quiet
 from ttus_opt.viewer.page import Page
 from ttus_opt.viewer.state import ViewState
 from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
-    from ttus_opt.viewer.skin_tab import Stated
+    import viser
 
-#: Where a page is looked for first
-PORT = 8050
+    from ttus_opt.viewer.skin_tab import Stated
 
 #: Time between frames while something moves, and while nothing does [s]
 MOVING, IDLE = 1.0 / 60.0, 1.0 / 20.0
@@ -51,6 +50,8 @@ class Viewer:
         mesh: The probe's own mesh, probe frame; None for the hull of its points.
         uncertainty: Of the first field's fit, for where to press next.
         port: Where to serve; the next free one if it is taken.
+        server: One that listens already, with its link, in place of a port: a browser
+            loads the page's scripts while the patient is drawn.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -64,9 +65,10 @@ class Viewer:
         mesh: TriangleMesh | None = None,
         uncertainty: Stated | None = None,
         port: int = PORT,
+        server: tuple[viser.ViserServer, str] | None = None,
     ) -> None:
         self.state = state
-        self._server, self.url = guarded_server(port, "ttus-opt")
+        self._server, self.url = server or guarded_server(port)
         self.page = Page(self._server, state, names, mesh, uncertainty)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -168,6 +170,7 @@ def view(
     mesh: TriangleMesh | None = None,
     uncertainty: Stated | None = None,
     port: int = PORT,
+    server: tuple[viser.ViserServer, str] | None = None,
 ) -> Viewer:
     """Open a page that shows a field and lets one press it.
 
@@ -184,6 +187,7 @@ def view(
         uncertainty: Of the first field's fit (`ttus_opt.uncertainty`), for where to
             press next; or a function that gives it, called when somebody looks.
         port: Where to serve; the next free one if it is taken.
+        server: One that listens already, with its link, in place of a port.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -198,7 +202,9 @@ def view(
     named = list(names) or ["felt", "other"][: len(fields)]
     if len(named) != len(fields):
         raise InputError(f"{len(fields)} fields need as many names, got {len(named)}")
-    return Viewer(state, named, mesh=mesh, uncertainty=uncertainty, port=port)
+    return Viewer(
+        state, named, mesh=mesh, uncertainty=uncertainty, port=port, server=server
+    )
 
 
 def probe_of(field: PotentialField) -> PointShell | None:
