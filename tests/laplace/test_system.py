@@ -1,6 +1,8 @@
 """L and b against analytic fields, a plain reference assembly, and the maximum
 principle."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,8 +11,10 @@ from scipy.special import i0, k0
 
 from tests.conftest import torso
 from tests.refusals import refuses
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.laplace.multigrid import MultigridResult
+from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, SURFACE, Voxmap
 
@@ -214,3 +218,48 @@ def test_couplings_are_the_block_of_free_rows_and_fixed_columns():
     np.testing.assert_array_equal(back.toarray(), expected.T)
     for matrix in (system.L, there, back):  # half the memory of 64 bits
         assert matrix.indices.dtype == matrix.indptr.dtype == np.int32
+
+
+V = 9
+FREE = np.array([0, 1, 1, 0, 1, 1, 1, 0, 1], dtype=bool)
+
+
+@dataclass(frozen=True)
+class Dense:
+    """The block A with zero at fixed voxels."""
+
+    A: Array
+
+    def preconditioner(self, near):
+        raise NotImplementedError
+
+    def solve(self, rhs, *, rtol):
+        x = np.zeros(V)
+        x[FREE] = np.linalg.solve(self.A, rhs[FREE])
+        return MultigridResult(x, 1, rtol)
+
+    def solve_adjoint(self, rhs, *, rtol):
+        return Dense(self.A.T).solve(rhs, rtol=rtol)
+
+
+def square(symmetric):
+    """L with identity rows at fixed voxels, and its parts."""
+    rng = np.random.default_rng(0)
+    radii = rng.uniform(0.5, 2.0, V)
+    A = rng.normal(size=(FREE.sum(), FREE.sum()))
+    A = A @ A.T + np.eye(len(A)) if symmetric else A + 5.0 * np.eye(len(A))
+    L = np.eye(V)
+    L[FREE] = rng.normal(size=(FREE.sum(), V)) * ~FREE
+    L[np.ix_(FREE, FREE)] = -A / radii[FREE][:, None]
+    own = sp.csr_array(np.where(FREE[:, None] & ~FREE, L, 0.0))
+    system = BlockSystem(FREE, radii, (own, sp.csr_array(own.T)), Dense(A))
+    return system, L
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_solves_are_those_with_L_and_its_adjoint(symmetric):
+    system, L = square(symmetric)
+    g = np.random.default_rng(1).normal(size=V)
+    np.testing.assert_allclose(system.solve(g), np.linalg.solve(L, g), atol=1e-12)
+    adjoint = np.linalg.solve(L.T, g)
+    np.testing.assert_allclose(system.solve_adjoint(g), adjoint, atol=1e-12)

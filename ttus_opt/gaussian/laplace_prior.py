@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.gaussian.prior import Prior
-from ttus_opt.laplace.square_system import RTOL, SquareSystem
+from ttus_opt.laplace.system import RTOL, SquareSystem
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -65,6 +66,47 @@ class ProgramTerm:
     def cost(self, x: Array) -> float:
         """Weighted penalty w φ(M x - t)."""
         return self.weight * self.penalty.value(self.residual(x))
+
+
+@dataclass(frozen=True)
+class StackedTerms:
+    """Rows of several terms, one below the other.
+
+    Attributes:
+        matrix: Rows without weights, shape (m, n).
+        target: Targets likewise, shape (m,).
+        root: Square roots of the weights, shape (m,) [–].
+    """
+
+    matrix: sp.csr_array = field(repr=False)
+    target: Array = field(repr=False)
+    root: Array = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, terms: Sequence[ProgramTerm], n: int, over: float = 1.0
+    ) -> StackedTerms:
+        """Stack the rows of terms, which may be none.
+
+        Args:
+            terms: The terms.
+            n: Number of variables [–].
+            over: What the weights are divided by [–].
+        """
+        roots = [np.full(len(t.target), np.sqrt(t.weight / over)) for t in terms]
+        matrices, targets = [t.matrix for t in terms], [t.target for t in terms]
+        return cls(
+            sp.csr_array(sp.vstack([sp.csr_array((0, n)), *matrices], format="csr")),
+            np.concatenate([np.zeros(0), *targets]),
+            np.concatenate([np.zeros(0), *roots]),
+        )
+
+    @property
+    def weighted(self) -> sp.csr_array:
+        """Rows times their roots, shape (m, n)."""
+        M = self.matrix
+        data = M.data * np.repeat(self.root, np.diff(M.indptr))
+        return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from ttus_opt.problem.members import (
     ProgramCones,
     ProgramConstraint,
     ProgramTerm,
+    StackedTerms,
 )
 from ttus_opt.problem.stacking import stacked, variable_sizes
 from ttus_opt.problem.terms.base import Term
@@ -301,14 +302,9 @@ class Program:
         """The QP over (x, u) that minimises ½ ‖√2 u‖² with u = √w (M x - t)."""
         self._require_quadratic()
         n = self.n_variables
-        squares = [t for t in self.terms if t.is_squares]
-        root = [np.sqrt(term.weight) for term in squares]
-        blocks = [w * s.matrix for w, s in zip(root, squares, strict=True)]
-        rows = [*blocks, *(c.matrix for c in self.constraints), sp.csr_array((0, n))]
-        t = np.concatenate(
-            [*(w * s.target for w, s in zip(root, squares, strict=True)), np.zeros(0)]
-        )
-        m = len(t)
+        squares = StackedTerms.of([t for t in self.terms if t.is_squares], n)
+        rows = [squares.weighted, *(c.matrix for c in self.constraints)]
+        t, m = squares.root * squares.target, len(squares.target)
         lower, upper = self._limits()
         # one format per stacking: scipy converts mixed ones through coordinates
         left = sp.csc_array(sp.vstack(rows, format="csr"))

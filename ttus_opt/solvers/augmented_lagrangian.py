@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.problem.members import StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.terms.penalties.absolute import Absolute
@@ -138,19 +139,15 @@ class _Loaded(Prepared):
         program, laplace = problem.program, problem.program.laplace
         pairs = zip(problem.blocks, problem.declared, strict=True)
         own, rows = next((b, tag) for b, tag in pairs if tag is not None)
-        few = [b for b in problem.blocks if b is not own]
+        few = [t for t in program.terms if t.weight and t.name != own.name]
         free = np.flatnonzero(laplace.free)
         scale = np.ones(len(free)) if rows.scale is None else rows.scale[free]
         side = problem.values.copy()
         side[free] = own.target / scale
         charge = np.full(len(side), np.inf)
         charge[free] = own.weight * scale
-        roots = [np.full(len(b.target), np.sqrt(2.0 * b.weight)) for b in few]
-        root = np.concatenate([*roots, np.zeros(0)])
-        empty = sp.csr_array((0, len(side)))
-        D = sp.csr_array(sp.vstack([empty, *(b.matrix for b in few)]))
-        D = sp.csr_array(sp.diags_array(root) @ D)
-        t = root * np.concatenate([*(b.target for b in few), np.zeros(0)])
+        stacked = StackedTerms.of(few, len(side), over=0.5)
+        D, t = stacked.weighted, stacked.root * stacked.target
         exchange = SourceExchange(laplace, D, t, charge, laplace.solve(side))
         for tight in (False, True):
             if tight:

@@ -22,18 +22,19 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, cg
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
-from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
     KnownCovariance,
     known_covariance,
 )
-from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.dual.data import duals_without_limits, terms_beside
 
 #: Most voxels that measured rows may touch, the size of dense matrices
 LARGEST = 12_000
@@ -109,19 +110,15 @@ class _Loaded(Prepared):
         prior = _prior(program)
         assert prior is not None
         V = len(prior.target)
-        measured = _measured(program, prior)
-        roots = [np.sqrt(t.weight / prior.weight) for t in measured]
-        empty = sp.csr_array((0, program.n_variables))
-        rows = [t.matrix * root for t, root in zip(measured, roots, strict=True)]
-        stacked = sp.csr_array(sp.vstack([empty, *rows], format="csr"))
-        targets = [t.target * root for t, root in zip(measured, roots, strict=True)]
-        self._target = np.concatenate([*targets, np.zeros(0)])
-        self._beside = stacked[:, V:].toarray()
+        measured = terms_beside(program, prior)
+        stacked = StackedTerms.of(measured, program.n_variables, prior.weight)
+        self._target, rows = stacked.root * stacked.target, stacked.weighted
+        self._beside = rows[:, V:].toarray()
         self._bounds = tuple(bound[V:] for bound in program.box)
         self._take_prior(prior, _touched(program, prior))
-        self._rows = sp.csr_array(stacked[:, :V])
+        self._rows = sp.csr_array(rows[:, :V])
         self._touching = sp.csr_array(self._rows.tocsc()[:, self._columns.voxels])
-        self._program, self._V = program, V
+        self._program = program
         self._factorise()
 
     def _take_prior(self, prior: ProgramTerm, voxels: IntArray) -> None:
@@ -149,20 +146,14 @@ class _Loaded(Prepared):
         """S⁻¹ of every column, shape (m,) or (m, k), by preconditioned CG."""
         if right_side.ndim == 2:
             return np.stack([self._inverse(column) for column in right_side.T], axis=1)
-        y, r = np.zeros_like(right_side), right_side.copy()
-        z = d = self._nearly.solve(r)
-        size, square = float(np.linalg.norm(r)), float(r @ z)
-        for _ in range(MOST_STEPS):
-            if np.linalg.norm(r) <= ACCURACY * size:
-                return y
-            Sd = d + self._touching @ (self._columns.among @ (self._touching.T @ d))
-            step = square / float(d @ Sd)
-            y, r = y + step * d, r - step * Sd
-            z = self._nearly.solve(r)
-            before, square = square, float(r @ z)
-            d = z + square / before * d
-        if self._neglected == NEGLECTED[-1]:
-            return y
+        m, D, C = len(right_side), self._touching, self._columns.among
+        S = LinearOperator(
+            (m, m), matvec=lambda y: y + D @ (C @ (D.T @ y)), dtype=float
+        )
+        nearly = LinearOperator((m, m), matvec=self._nearly.solve, dtype=float)
+        y, short = cg(S, right_side, rtol=ACCURACY, maxiter=MOST_STEPS, M=nearly)
+        if not short or self._neglected == NEGLECTED[-1]:
+            return np.asarray(y)
         self._take_root(NEGLECTED[-1])
         self._factorise()
         return self._inverse(right_side)
@@ -175,7 +166,7 @@ class _Loaded(Prepared):
         y = self._inverse(misfit)
         p = self._mean + self._columns.times(self._touching.T @ y)
         x = np.concatenate([p, c])
-        return Candidate(x, self._duals(x))
+        return Candidate(x, duals_without_limits(self._program, x))
 
     def _parameters(self, misfit: Array) -> Array:
         """Minimise (misfit − E c)ᵀ S⁻¹ (misfit − E c) within bounds."""
@@ -199,18 +190,6 @@ class _Loaded(Prepared):
         c[moving] = found.x
         return np.asarray(c)
 
-    def _duals(self, x: Array) -> Duals:
-        """Multipliers of the parameters' bounds."""
-        program = self._program
-        if not program.bounds:
-            return Duals()
-        slope = -np.add(*program.gradient(x))
-        lower, upper = program.box
-        z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
-        z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
-        z[: self._V] = 0.0
-        return Duals(bounds=z)
-
 
 def _prior(program: Program) -> ProgramTerm | None:
     """The term over p alone whose covariance is known."""
@@ -218,14 +197,10 @@ def _prior(program: Program) -> ProgramTerm | None:
     return next(known, None)
 
 
-def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
-    return [t for t in program.terms if t is not prior and t.weight > 0.0]
-
-
 def _touched(program: Program, prior: ProgramTerm) -> IntArray:
     """Voxels that the measured rows touch, in order."""
     V = len(prior.target)
-    columns = [t.matrix.indices for t in _measured(program, prior)]
+    columns = [t.matrix.indices for t in terms_beside(program, prior)]
     touched = np.unique(np.concatenate([*columns, np.zeros(0, dtype=np.int64)]))
     return np.asarray(touched[touched < V], dtype=np.int64)
 

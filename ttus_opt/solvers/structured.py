@@ -33,8 +33,9 @@ from ttus_opt.solvers.dual.data import (
     duals_without_limits,
     refusal_of_terms,
     refusal_of_unknowns,
+    second_field,
 )
-from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
+from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters

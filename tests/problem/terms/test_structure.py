@@ -19,7 +19,7 @@ from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags
 from ttus_opt.problem.terms.volume_weighted import VolumeWeightedTerm
-from ttus_opt.solvers.dual.field_pair import second_field
+from ttus_opt.solvers.dual.data import second_field
 from ttus_opt.solvers.registry import solvers
 
 SCENE = small_scene("trilinear", shape=(7, 12, 8), n_poses=8)

@@ -7,13 +7,14 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
+from ttus_opt.laplace.system import BlockSystem
+from ttus_opt.solvers.dual.pair_laplace import PairBlock
 
 LAPLACE = small_scene("trilinear", shape=(6, 10, 6), n_poses=4).laplace
 FREE, RADII, V = LAPLACE.free, LAPLACE.radii, len(LAPLACE.free)
 
 
-def made() -> tuple[PairLaplace, Array]:
+def made() -> tuple[BlockSystem, Array]:
     """Some free rows of the second field take from free columns of the first."""
     rng = np.random.default_rng(0)
     free = np.flatnonzero(FREE)
@@ -22,7 +23,7 @@ def made() -> tuple[PairLaplace, Array]:
     own, _ = LAPLACE.coupling
     coupling = sp.csr_array(sp.block_diag([own, own]))
     block = PairBlock(LAPLACE.multigrid, LAPLACE.multigrid, X)
-    system = PairLaplace(
+    system = BlockSystem(
         np.tile(FREE, 2), np.tile(RADII, 2),
         (coupling, sp.csr_array(coupling.T)), block,
     )  # fmt: skip

@@ -11,11 +11,11 @@ import scipy.sparse as sp
 
 from tests.dragging import dragged_scene
 from ttus_opt.core.arrays import Array
+from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.pair_laplace import PairLaplace
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 INF = np.inf
@@ -147,9 +147,9 @@ def test_the_best_beside_two_fields_is_that_of_least_squares() -> None:
         assert replace(silent, bounds=bounds).parameter(x) == nearest
 
 
-def system_of(of: FieldPair, own: WorkingSet) -> PairLaplace:
+def system_of(of: FieldPair, own: WorkingSet) -> BlockSystem:
     laplace = of.subproblem(own).system.laplace
-    assert isinstance(laplace, PairLaplace)
+    assert isinstance(laplace, BlockSystem)
     return laplace
 
 

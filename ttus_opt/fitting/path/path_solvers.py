@@ -17,13 +17,12 @@ from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
-from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.data import DualData, duals_without_limits, root_weights
 from ttus_opt.solvers.dual.weight_sweep import (
     WeightSweep,
     is_limited,
     keeps_limits,
     suits_sweep,
-    value_duals,
 )
 
 #: Energy norm of the error over that of the objective, in units of the KKT tolerance.
@@ -139,7 +138,7 @@ class _CommonBasis(PointSolver):
             late = deadline is not None and time.perf_counter() > deadline
             candidate = Candidate(
                 answer.p,
-                value_duals(program, answer.p),
+                duals_without_limits(program, answer.p),
                 steps,
                 Claim.TIME_LIMIT if late and not answer.settled else Claim.DONE,
             )

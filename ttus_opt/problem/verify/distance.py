@@ -37,7 +37,7 @@ from ttus_opt.core.errors import NumericalError
 from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.gaussian.prior import Prior
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
     LaplaceRows,
@@ -263,8 +263,7 @@ def _beside_parameters(
     """Fields and a few parameters: the second inequality of the module's docstring."""
     known = [one.term for one in fields]
     rest = [t for t in squares if not any(t is mine for mine in known)]
-    scaled = [np.sqrt(2.0 * t.weight) * t.matrix for t in rest]
-    R = sp.csr_array(sp.vstack([sp.csr_array((0, len(r))), *scaled]))
+    R = StackedTerms.of(rest, len(r), over=0.5).weighted
     at = np.flatnonzero(others)
     E, reduced = R[:, at].toarray(), r[at].copy()
     for one in fields:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.system import DualSystem
@@ -45,7 +45,7 @@ class DualData:
         prior = laplace_prior(program)
         assert prior is not None
         if measured is None:
-            measured = _measured(program, prior)
+            measured = terms_beside(program, prior)
         free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
         V = len(free)
         compliance = np.ones(V) if scale is None else 1.0 / scale**2
@@ -53,14 +53,12 @@ class DualData:
         b[stated] = prior.target if scale is None else prior.target / scale[stated]
         if hard is not None:
             b[~free], compliance[~free] = hard, 0.0
-        root = _roots(prior, measured)
-        nothing = sp.csr_array((0, program.n_variables))
-        rows = sp.vstack([nothing, *(t.matrix for t in measured)], format="csr")
-        target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
+        stacked = StackedTerms.of(measured, program.n_variables, prior.weight)
+        rows, root = stacked.matrix, stacked.root
         columns = root[:, None] * rows[:, V:].toarray()
         own = sp.csr_array(rows if rows.shape[1] == V else rows[:, :V])
         system = DualSystem(operator_of(program, prior), compliance, own, root)
-        return cls(system, b, target, columns)
+        return cls(system, b, root * stacked.target, columns)
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
@@ -68,6 +66,16 @@ def laplace_prior(program: Program) -> ProgramTerm | None:
     term = program.laplace_term_of("p")
     rows = None if term is None else term.laplace_rows
     return None if rows is None or rows.beside else term
+
+
+def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
+    """Name and Laplace term of a second field; None without one."""
+    for name in program.variables:
+        term = None if name == "p" else program.laplace_term_of(name)
+        rows = None if term is None else term.laplace_rows
+        if term is not None and rows is not None and rows.scale is None:
+            return name, term
+    return None
 
 
 def row_scale(prior: ProgramTerm) -> Array | None:
@@ -98,18 +106,13 @@ def root_weights(program: Program) -> Array:
     """Square roots of the measured rows' weights over the prior's, shape (m,) [–]."""
     prior = laplace_prior(program)
     assert prior is not None
-    return _roots(prior, _measured(program, prior))
+    measured = terms_beside(program, prior)
+    return StackedTerms.of(measured, program.n_variables, prior.weight).root
 
 
-def _roots(prior: ProgramTerm, measured: Sequence[ProgramTerm]) -> Array:
-    """Square roots of these terms' weights over the prior's, shape (m,) [–]."""
-    roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
-    return np.concatenate([*roots, np.zeros(0)])
-
-
-def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
-    """The terms of positive weight other than the prior."""
-    return [t for t in program.terms if t is not prior and t.weight > 0.0]
+def terms_beside(program: Program, *priors: ProgramTerm) -> list[ProgramTerm]:
+    """The terms of positive weight other than some."""
+    return [t for t in program.terms if not any(t is p for p in priors) and t.weight]
 
 
 def duals_without_limits(program: Program, x: Array) -> Duals:

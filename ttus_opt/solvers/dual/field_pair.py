@@ -17,10 +17,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
+from ttus_opt.problem.members import ProgramConstraint, ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.active_set import LimitedProblem
+from ttus_opt.solvers.dual.data import duals_without_limits, second_field, terms_beside
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
@@ -124,19 +125,9 @@ class FieldPair(LimitedProblem):
         given = self.limits.given
         compliance[given], column[given] = 0.0, 0.0
         b[given] = self.limits.lower[given]
-        measured = [
-            t
-            for t in program.terms
-            if t is not first and t is not prior and t.weight > 0.0
-        ]
-        # so that there is something to stack without measurements
-        nothing = ProgramTerm(
-            "", 0.0, sp.csr_array((0, program.n_variables)), np.zeros(0)
-        )
-        measured.append(nothing)
-        roots = [np.sqrt(t.weight / first.weight) for t in measured]
-        root = np.repeat(roots, [len(t.target) for t in measured])
-        matrix = sp.vstack([t.matrix for t in measured], format="csr")
+        measured = terms_beside(program, first, prior)
+        stacked = StackedTerms.of(measured, len(beside), first.weight)
+        matrix, root = stacked.matrix, stacked.root
         return PairRows(
             laplace,
             sp.csr_array((data, L.indices, L.indptr), shape=L.shape),
@@ -145,7 +136,7 @@ class FieldPair(LimitedProblem):
             column,
             sp.csr_array(matrix[:, self.places] @ sp.diags_array(units)),
             root,
-            root * np.concatenate([t.target for t in measured]),
+            root * stacked.target,
             root * (matrix @ beside),
             self.bounds,
         )
@@ -217,26 +208,15 @@ class FieldPair(LimitedProblem):
             left[at] = 0.0
         z = np.zeros(self.program.n_variables)
         z[self.places] = multipliers.bounds / self.units
-        slope = -np.add(*self.program.gradient(x))[self.others]
-        low, high = (x[self.others] == limit for limit in self.bounds)
-        z[self.others] = np.where(low, np.minimum(slope, 0.0), 0.0)
-        z[self.others] += np.where(high, np.maximum(slope, 0.0), 0.0)
+        beside = duals_without_limits(self.program, x).bounds
+        if beside is not None:
+            z[self.others] = beside[self.others]
         dirichlet = self.program.dirichlet
         if dirichlet is not None:
             fixed = np.flatnonzero(~self.program.laplace.free)
             named[dirichlet.name] = z[fixed]
             z[fixed] = 0.0
         return Duals(named, z if self.program.bounds else None)
-
-
-def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
-    """Name and Laplace term of a second field; None without one."""
-    for name in program.variables:
-        term = None if name == "p" else program.laplace_term_of(name)
-        rows = None if term is None else term.laplace_rows
-        if term is not None and rows is not None and rows.scale is None:
-            return name, term
-    return None
 
 
 def _links(

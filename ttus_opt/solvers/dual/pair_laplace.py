@@ -1,4 +1,4 @@
-"""The Laplace operators of two fields as one square system.
+"""The block A of two fields' Laplace operators, solved as one.
 
 Vectors have 2V entries, the first field before the second, on the same grid. Each field
 has its own free voxels. Rows of the second may contain unknowns of the first that
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.multigrid import Multigrid, MultigridResult, VCycle
-from ttus_opt.laplace.square_system import BlockSolves
 
 
 class PairCycle:
@@ -124,20 +123,3 @@ def _both(x: MultigridResult, y: MultigridResult) -> MultigridResult:
     return MultigridResult(
         np.concatenate([x.x, y.x]), x.iterations + y.iterations, worse
     )
-
-
-@dataclass(frozen=True)
-class PairLaplace(BlockSolves):
-    """Square system of two fields.
-
-    Attributes:
-        free: Voxels with their own unknown, shape (2V,).
-        radii: Factors from rows of L to rows of -A, shape (2V,) [m].
-        coupling: L's entries from fixed voxels to free rows, and their adjoint.
-        multigrid: Solver of the block A.
-    """
-
-    free: NDArray[np.bool_] = field(repr=False)
-    radii: Array = field(repr=False)
-    coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
-    multigrid: PairBlock = field(repr=False)

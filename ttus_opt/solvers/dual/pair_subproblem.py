@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.multigrid import Multigrid
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
+from ttus_opt.solvers.dual.pair_laplace import PairBlock
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.subproblem import selection
 from ttus_opt.solvers.dual.system import DualSystem
@@ -249,7 +249,7 @@ class PairSubproblem:
         return replace(answer, p=p)
 
 
-def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
+def _laplace(whole: PairRows, unknowns: _Unknowns) -> BlockSystem:
     """The square system of a subproblem."""
     one = whole.laplace
     V = len(one.free)
@@ -271,7 +271,7 @@ def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
         _multigrid(one, free[V:]),
         sp.csr_array((entries, (row[across] - V, L.indices[across])), shape=(V, V)),
     )
-    return PairLaplace(free, radii, (coupling, sp.csr_array(coupling.T)), block)
+    return BlockSystem(free, radii, (coupling, sp.csr_array(coupling.T)), block)
 
 
 def _multigrid(laplace: LaplaceSystem, free: Mask) -> Multigrid:

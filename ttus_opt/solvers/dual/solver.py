@@ -2,11 +2,12 @@
 
 The dual is solved by preconditioned conjugate gradients (`conjugate_gradients`,
 `preconditioner`); iterative refinement removes the error of inexact products. The
-bounds of parameters c beside the field are handled by block pivoting (`pivoting`).
+bounds of parameters c beside the field are handled by block pivoting.
 """
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
@@ -20,13 +21,46 @@ from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.pivoting import BlockPivoting
 
 #: Largest relative residual of a solve inside a product, over that of a rough dual [–]
 PRODUCT = 1e-2
 
 #: Most solves with the same parameters at the same bounds [–]
 TWICE = 2
+
+
+class BlockPivoting:
+    """Block principal pivoting: all wrong signs change sides at once.
+
+    For a linear complementarity problem with a positive definite matrix that takes few
+    exchanges, but may cycle; where the number of wrong signs does not fall, the last
+    one alone changes, which cannot (Murty's rule; Júdice and Pires, Comput. Oper. Res.
+    21, 1994).
+
+    Attributes:
+        best: The set with the fewest wrong signs so far; None at first.
+    """
+
+    def __init__(self, tries: int = 0) -> None:
+        """Start.
+
+        Args:
+            tries: Exchanges of all wrong signs allowed without fewer of them [–].
+        """
+        self.best: Mask | None = None
+        self._tries = self._left = tries
+        self._fewest = sys.maxsize
+
+    def following(self, active: Mask, wrong: Mask) -> Mask | None:
+        """The next set after one and its wrong signs; None without any."""
+        count = int(np.count_nonzero(wrong))
+        if count < self._fewest:
+            self.best, self._fewest, self._left = active, count, self._tries
+        elif self._left:
+            self._left -= 1
+        else:
+            wrong = np.arange(len(wrong)) == np.flatnonzero(wrong)[-1]
+        return active ^ wrong if count else None
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.multigrid import AggregatedMultigrid, Grounds, Multigrid
 from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
-from ttus_opt.laplace.square_system import BlockSolves
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.limits import SpokeLimits

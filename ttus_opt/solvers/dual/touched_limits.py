@@ -26,8 +26,8 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.pair_subproblem import PairRows
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
+from ttus_opt.solvers.dual.solver import BlockPivoting
 from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.pivoting import BlockPivoting
 
 #: Most voxels that measured rows may touch: two V-cycles each, and a dense matrix
 MOST_VOXELS = 3000

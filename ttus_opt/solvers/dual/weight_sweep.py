@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
@@ -80,15 +79,6 @@ def keeps_limits(program: Program, x: Array) -> bool:
     slacks = [bound.slack(x) for bound in program.bounds]
     slacks += [c.slack(x) for c in program.constraints if c is not program.dirichlet]
     return all(float(slack.min(initial=0.0)) >= least for slack in slacks)
-
-
-def value_duals(program: Program, x: Array) -> Duals:
-    """Multipliers of hard boundary values at a minimiser, shape (V,)."""
-    given = program.dirichlet
-    if given is None:
-        return Duals()
-    slope = -np.add(*program.gradient(x))
-    return Duals({given.name: slope[~program.laplace.free]})
 
 
 @dataclass(frozen=True)

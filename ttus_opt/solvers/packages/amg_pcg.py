@@ -22,8 +22,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.problem.members import StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.dual.data import terms_beside
 from ttus_opt.solvers.verified import Verified
 
 #: Relative residual of the solves with A over that of u, and its least value
@@ -77,11 +79,9 @@ class _Loaded(Verified):
         assert prior is not None
         if self._laplace is not program.laplace:
             self._set_up(program.laplace)
-        measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
-        pairs = [(np.sqrt(t.weight / prior.weight), t) for t in measured]
-        empty = sp.csr_array((0, program.n_variables))
-        self._D = sp.csr_array(sp.vstack([empty, *(c * t.matrix for c, t in pairs)]))
-        self._t = np.concatenate([np.zeros(0), *(c * t.target for c, t in pairs)])
+        measured = terms_beside(program, prior)
+        stacked = StackedTerms.of(measured, program.n_variables, prior.weight)
+        self._D, self._t = stacked.weighted, stacked.root * stacked.target
         self._b = prior.target
 
     def _set_up(self, laplace: LaplaceSystem) -> None:

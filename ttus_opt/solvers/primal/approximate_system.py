@@ -16,8 +16,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
-from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.laplace.system import RTOL, BlockSystem, LaplaceSystem, SquareSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.elimination import eliminated, factor
@@ -29,27 +28,6 @@ LIGHT = 0.3
 
 #: Largest connected set of voxels that is eliminated as a whole
 FEW_JOINED = 1000
-
-
-@dataclass(frozen=True)
-class ApproximateLaplace(BlockSolves):
-    """A square system (`SquareSystem`) whose solves are one V-cycle each."""
-
-    free: Mask = field(repr=False)
-    radii: Array = field(repr=False)
-    coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
-    multigrid: OneCycle = field(repr=False)
-
-    @classmethod
-    def of(
-        cls, system: SquareSystem, multigrid: OneCycle, more: sp.csr_array
-    ) -> ApproximateLaplace:
-        """The same system with another block A and additional coupling."""
-        coupling = system.coupling
-        if more.nnz:
-            inward = sp.csr_array(coupling[0] + more)
-            coupling = inward, sp.csr_array(inward.T)
-        return cls(system.free, system.radii, coupling, multigrid)
 
 
 @dataclass(frozen=True)
@@ -138,22 +116,36 @@ class ApproximateSystem(DualSystem):
         """
         grid, grounds = laplace.operator_grid, laplace.grounds
         cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
-        approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
-        return cls.of(exact, approximate, wide, unseen)
+        return cls.of(exact, laplace, cycle, root.coupling, wide, unseen)
 
     @classmethod
     def of(
         cls,
         exact: DualSystem,
-        approximate: ApproximateLaplace,
+        square: SquareSystem,
+        cycle: OneCycle,
+        more: sp.csr_array,
         wide: Sequence[ProgramTerm],
         unseen: UnseenFields | None = None,
     ) -> ApproximateSystem:
-        """The rows of an exact system, with approximate solves and wide terms."""
-        compliance = exact.compliance
-        fixed = FixedBlock.of(wide, approximate.free, compliance)
+        """The rows of an exact system over wide terms, each solve with A one V-cycle.
+
+        Args:
+            exact: The dual system.
+            square: Its square system.
+            cycle: The V-cycle of the block A.
+            more: Added to L's entries in free rows and fixed columns, (V, V).
+            wide: The wide terms.
+            unseen: As above.
+        """
+        coupling = square.coupling
+        if more.nnz:
+            inward = sp.csr_array(coupling[0] + more)
+            coupling = inward, sp.csr_array(inward.T)
+        laplace = BlockSystem(square.free, square.radii, coupling, cycle)
+        fixed = FixedBlock.of(wide, square.free, exact.compliance)
         rows = exact.rows, exact.root_weights, exact.n_measured
-        return cls(approximate, compliance, *rows, fixed, unseen)
+        return cls(laplace, exact.compliance, *rows, fixed, unseen)
 
     def prior(self, r: Array, rtol: float = RTOL) -> Array:
         """P⁻¹r by one V-cycle each way, shape (V,)."""

@@ -24,10 +24,7 @@ from ttus_opt.solvers.dual.subproblem import (
     reduced,
 )
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.solvers.primal.approximate_system import (
-    ApproximateLaplace,
-    ApproximateSystem,
-)
+from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.least_squares import INNER, LeastSquares, schur_of
 from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.minimise import Goal, minimise
@@ -86,11 +83,9 @@ class LimitedSum(LimitedProblem):
         kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
         more = sp.csr_array(more @ kept)
         more.eliminate_zeros()
-        approximate = ApproximateLaplace.of(laplace, cycle, more)
-        approximate_system = ApproximateSystem.of(system, approximate, split.wide)
+        near = ApproximateSystem.of(system, laplace, cycle, more, split.wide)
         columns = np.zeros((len(left.t), 0))
-        schur = schur_of(approximate_system)
-        return ConstraintPreconditioner(approximate_system, columns, INNER, schur)
+        return ConstraintPreconditioner(near, columns, INNER, schur_of(near))
 
 
 @dataclass(frozen=True)

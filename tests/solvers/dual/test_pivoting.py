@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.solvers.pivoting import BlockPivoting
+from ttus_opt.solvers.dual.solver import BlockPivoting
 
 
 def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
