@@ -205,7 +205,10 @@ def test_the_unknown_beside_has_a_multiplier_at_its_limits_alone(
     x[at] = c = (slope - of(0.0)) / (of(1.0) - of(0.0))
     found = []
     for limits in ((c, INF), (-INF, c), (-INF, INF)):
-        monkeypatch.setattr(FieldPair, "bounds", limits)
+        box = [bound.copy() for bound in program.box]
+        for bound, limit in zip(box, limits, strict=True):
+            bound[at] = limit
+        monkeypatch.setattr(Program, "box", box)
         z = pair.duals(x, none).bounds
         assert z is not None
         found.append(z[at])
