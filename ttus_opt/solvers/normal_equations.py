@@ -34,9 +34,14 @@ from ttus_opt.solvers.dual.data import (
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
+from ttus_opt.solvers.primal.least_squares import (
+    Goal,
+    LeastSquares,
+    Minimum,
+    minimise,
+    preconditioner,
+)
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
-from ttus_opt.solvers.primal.minimise import Goal, Minimum, minimise
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import FEW_ROWS, Split, wide_terms
 from ttus_opt.solvers.sizes import Sizes

@@ -1,19 +1,36 @@
-"""The objective as a function of the field alone, and its preconditioner.
+"""The objective as a function of the field alone, minimised with its preconditioner.
 
 "Across the columns of c" means projected so that the unknowns c beside the field are
 eliminated (`ttus_opt.solvers.dual.linear_parameters.Complement`).
+
+With multipliers y of the few rows, minus half the gradient of F at p is r + Dᵀs with
+
+    r = Σ w Mᵀ(t - M p) + Dᵀy,    s = (t - D p) - y.
+
+A step changes p and y together; a point, a step and a residual are vectors (p, y),
+(z, y) and (r, s) of V + m entries. A constraint preconditioner keeps s = 0 once it
+holds, so that heavy rows cancel exactly, before rounding, at any weight (Gould, Hribar
+and Nocedal, SIAM J. Sci. Comput. 23, 2001). Every round therefore begins with a full
+step. Residuals are computed from the factors M and D, never from MᵀM.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.solvers.conjugate_gradients import Map, inner_product
+from ttus_opt.solvers.conjugate_gradients import (
+    LastDirection,
+    Map,
+    conjugate_gradients,
+    inner_product,
+)
 from ttus_opt.solvers.dual.linear_parameters import Complement
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateSystem,
@@ -24,6 +41,9 @@ from ttus_opt.solvers.primal.unseen_fields import UnseenFields
 
 #: Residual of the preconditioner's dual system over the energy norm of its solution [–]
 INNER = 0.1
+
+#: A run ends where a round leaves more than this part of the gap [–]
+GAIN = 0.5
 
 #: Relative residual of the solve behind `LeastSquares.gap_bound` [–]
 BOUND_RTOL = 1e-2
@@ -81,7 +101,7 @@ class LeastSquares:
         )
 
     def pairing(self, rest: Array, along: Array) -> float:
-        """As in `Quadratic`."""
+        """(r + Dᵀs)ᵀz, minus half the slope of F along a direction (z, y)."""
         (r, s), (z, _) = self._halves(rest), self._halves(along)
         return inner_product(r, z) + float(s @ self.measure(z))
 
@@ -138,3 +158,100 @@ def preconditioner(
 def schur_of(system: ApproximateSystem) -> Map:
     """About S⁻¹."""
     return SchurPreconditioner(system) if system.adjoint.nnz else np.copy
+
+
+@dataclass(frozen=True)
+class Goal:
+    """When to stop.
+
+    Attributes:
+        gap: Estimated gap over F, relative [–].
+        least_gap: Absolute gap that always suffices.
+        gradient: Norm of half the gradient.
+        accuracy: Its deadline.
+        max_steps: Most steps [–].
+    """
+
+    gap: float
+    least_gap: float
+    gradient: float
+    accuracy: Accuracy
+    max_steps: int = 300
+
+    def times(self, factor: float) -> Goal:
+        """The same with both gaps multiplied by a factor."""
+        least = self.least_gap * factor
+        return replace(self, gap=self.gap * factor, least_gap=least)
+
+    def reached(self, gap: float, value: float, gradient: Array) -> bool:
+        """Whether an estimate of the gap and a gradient are small enough."""
+        if gap > max(self.gap * value, self.least_gap):
+            return False
+        return bool(inner_product(gradient, gradient) <= self.gradient**2)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Result of `minimise`.
+
+    Attributes:
+        at: The field and the multipliers, shape (V + m,).
+        steps: Steps taken [–].
+        reached: Whether the goal was reached.
+    """
+
+    at: Array = field(repr=False)
+    steps: int
+    reached: bool
+
+
+def minimise(
+    function: LeastSquares,
+    preconditioner: Callable[[Array], Array],
+    at: Array,
+    goal: Goal,
+    rounds: int = 8,
+) -> Minimum:
+    """Minimise a quadratic function.
+
+    Args:
+        function: The function.
+        preconditioner: From (r, s) to a step (z, y).
+        at: Where to start, shape (V + m,).
+        goal: When to stop.
+        rounds: Most rounds, each from a recomputed residual [–].
+    """
+    steps, before = 0, float("inf")
+    now = 0.0  # F along a run
+
+    def late(y: Array, left: Array) -> bool:
+        nonlocal now
+        now = value - function.pairing(rest + left, y)
+        return goal.accuracy.late
+
+    def step(left: Array) -> Array | None:
+        """The next step; None where the estimated gap is small enough."""
+        found = preconditioner(left)
+        gap = function.pairing(left, found)
+        enough = not gap > 0.0 or goal.reached(gap, now, function.gradient(left))
+        return None if enough else found
+
+    for _ in range(rounds):
+        rest = function.residual(at)
+        full = preconditioner(rest)
+        gap, value = function.pairing(rest, full), function.value(at)
+        if goal.reached(gap, value, function.gradient(rest)):
+            return Minimum(at, steps, True)
+        if not gap < GAIN * before or steps >= goal.max_steps or goal.accuracy.late:
+            break
+        at, before = at + full, gap
+        rest, value = function.residual(at), function.value(at)
+        run = conjugate_gradients(
+            LastDirection(function.image, function.pairing),
+            rest,
+            step,
+            late,
+            goal.max_steps - steps,
+        )
+        at, steps = at + run.y, steps + run.steps + 1
+    return Minimum(at, steps, False)

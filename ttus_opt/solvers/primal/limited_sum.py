@@ -25,9 +25,14 @@ from ttus_opt.solvers.dual.subproblem import (
 )
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
-from ttus_opt.solvers.primal.least_squares import INNER, LeastSquares, schur_of
+from ttus_opt.solvers.primal.least_squares import (
+    INNER,
+    Goal,
+    LeastSquares,
+    minimise,
+    schur_of,
+)
 from ttus_opt.solvers.primal.matching import Root
-from ttus_opt.solvers.primal.minimise import Goal, minimise
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 
