@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -76,18 +76,24 @@ class Search:
         return replace(self, build=lambda value: change(build(value)))
 
 
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class Formulation:
     """Minimise the sum of the terms subject to the constraints.
 
     A formulation is immutable; ``+`` and the methods ``with_…`` return new ones.
 
-    Args:
+    Attributes:
         terms: Weighted terms of the objective. One without a scene gets that of the
             others.
         constraints: Constraints.
         name: For reports.
         search: A parameter to search for; the terms are those of a first guess.
     """
+
+    terms: tuple[Term, ...]
+    constraints: tuple[Constraint, ...]
+    name: str
+    search: Search | None
 
     def __init__(
         self,
@@ -101,9 +107,9 @@ class Formulation:
         Raises:
             InputError: No terms, names used twice, or members of different scenes.
         """
-        self._terms = _placed(terms)
-        self._constraints = tuple(constraints)
-        self._name, self._search = name, search
+        given = (_placed(terms), tuple(constraints), name, search)
+        for part, value in zip(fields(self), given, strict=True):
+            object.__setattr__(self, part.name, value)
         members: list[Term | Constraint] = [*self.terms, *self.constraints]
         names = [member.name for member in members]
         twice = sorted({n for n in names if names.count(n) > 1})
@@ -114,26 +120,6 @@ class Formulation:
             )
         if any(member.scene is not self.scene for member in members):
             raise InputError("all terms and constraints must be of the same scene")
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Terms of the objective."""
-        return self._terms
-
-    @property
-    def constraints(self) -> tuple[Constraint, ...]:
-        """Constraints."""
-        return self._constraints
-
-    @property
-    def name(self) -> str:
-        """For reports."""
-        return self._name
-
-    @property
-    def search(self) -> Search | None:
-        """The parameter to search for, if there is one."""
-        return self._search
 
     @property
     def scene(self) -> Scene:
@@ -174,11 +160,11 @@ class Formulation:
 
     def named(self, name: str) -> Formulation:
         """Under another name."""
-        return Formulation(self.terms, self.constraints, name, self.search)
+        return replace(self, name=name)
 
     def with_search(self, search: Search) -> Formulation:
         """The formulation with a parameter to search for."""
-        return Formulation(self.terms, self.constraints, self.name, search)
+        return replace(self, search=search)
 
     def _changed(
         self,

@@ -22,7 +22,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint
+from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint, LinearRows
 from ttus_opt.problem.members import (
     ProgramBounds,
     ProgramCones,
@@ -30,10 +30,13 @@ from ttus_opt.problem.members import (
     ProgramTerm,
     StackedTerms,
 )
-from ttus_opt.problem.stacking import stacked, variable_sizes
-from ttus_opt.problem.terms.base import Term
+from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.declared_rows import stacked
 from ttus_opt.problem.terms.penalties.linear import Linear
 from ttus_opt.problem.terms.structure import Tag
+
+#: Name and rows of a member
+_Named = tuple[str, AffineRows | LinearRows | ConeRows | Bounds]
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,8 @@ class Program:
         stated = tuple(terms)
         held = [(member.name, member.assembled) for member in constraints]
         held += [pair for term in stated for pair in term.requires.items()]
-        sizes = variable_sizes(scene.n_voxels, stated, held)
+        own = [(term.name, term.assembled) for term in stated]
+        sizes = _variable_sizes(scene.n_voxels, [*own, *held])
         n = sum(sizes.values())
         ends = np.cumsum(list(sizes.values())).tolist()
         variables = {
@@ -341,6 +345,31 @@ class Program:
                 f"{', '.join(others)} is not a sum of squares: reduce() the program "
                 "first, or choose a cone solver"
             )
+
+
+def _variable_sizes(n_voxels: int, members: Iterable[_Named]) -> dict[str, int]:
+    """Number of entries of every variable, the field p first.
+
+    Args:
+        n_voxels: V, the entries of p [–].
+        members: Names and rows of terms and constraints.
+
+    Raises:
+        InputError: Two members give a variable different sizes.
+    """
+    sizes = {"p": n_voxels}
+    for owner, rows in members:
+        if isinstance(rows, Bounds):
+            given = {rows.variable: len(rows.lower)}
+        else:
+            given = {name: M.shape[1] for name, M in rows.blocks.items()}
+        for name, size in given.items():
+            if sizes.setdefault(name, size) != size:
+                raise InputError(
+                    f"{owner} gives variable {name!r} {size} entries, others "
+                    f"{sizes[name]}"
+                )
+    return sizes
 
 
 def _program_term(term: Term, sizes: Mapping[str, int]) -> ProgramTerm:

@@ -1,4 +1,4 @@
-"""What a user's `rows()` may give, and what is told of the rest, by its line."""
+"""What a user's `rows()` may give, what is told of the rest, and where rows go."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.formulation import load
+from ttus_opt.problem.terms.declared_rows import stacked
 
 SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
 V = SCENE.n_voxels
@@ -150,3 +151,25 @@ def test_a_class_without_a_name_is_told():
 
     with pytest.raises(InputError, match="Nameless has no name: add name"):
         load("eq10", SCENE) + Nameless(SCENE)
+
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    "names", [["a"], ["b"], ["c"], ["a", "c"], ["b", "c"], ["c", "a"], ["a", "b", "c"]]
+)
+def test_blocks_lie_where_their_variables_do(names):
+    sizes = {"a": 3, "b": 4, "c": 2}
+    dense = {name: RNG.normal(size=(5, sizes[name])) for name in names}
+    for block in dense.values():
+        block[RNG.random(block.shape) < 0.4] = 0.0
+    blocks = {name: sp.csr_array(block) for name, block in dense.items()}
+    nothing = {name: np.zeros((5, size)) for name, size in sizes.items()}
+    expected = np.hstack([(nothing | dense)[name] for name in sizes])
+    found = stacked(blocks, sizes, 5)
+    np.testing.assert_array_equal(found.toarray(), expected)
+    assert found.nnz == np.count_nonzero(expected)
+    for name, block in dense.items():  # which others may still use
+        np.testing.assert_array_equal(blocks[name].toarray(), block)
+    assert stacked({}, sizes, 5).shape == (5, 9)

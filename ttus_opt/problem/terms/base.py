@@ -13,33 +13,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Self
 
-import scipy.sparse as sp
-
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.declared_rows import uniform_blocks, uniform_vector
-from ttus_opt.problem.terms.limits import ConeRows, LinearRows
-from ttus_opt.problem.terms.member import Member
+from ttus_opt.problem.terms.member import AffineRows as AffineRows
+from ttus_opt.problem.terms.member import ConeRows, LinearRows, Member
 from ttus_opt.problem.terms.penalties.base import Penalty
 from ttus_opt.problem.terms.penalties.squares import Squares
 from ttus_opt.problem.terms.replaced import replaced
-from ttus_opt.problem.terms.structure import Tags, check_structure
-
-
-@dataclass(frozen=True)
-class AffineRows:
-    """Named rows r = Σ_k M_k x_k - t over the variables x_k they touch.
-
-    Attributes:
-        blocks: Matrix per variable, each of shape (m, size of the variable).
-        target: t, shape (m,).
-        tags: Structure that solvers may use, see `ttus_opt.problem.terms.structure`.
-    """
-
-    blocks: Mapping[str, sp.csr_array]
-    target: Array
-    tags: Tags = frozenset()
+from ttus_opt.problem.terms.structure import check_structure
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Validation of the rows that terms and constraints declare.
+"""The rows that terms and constraints declare: validated, and placed in a program.
 
 Sparse matrices of any format become ``csr_array`` of floats, lists of numbers arrays.
 """
@@ -115,3 +115,36 @@ def _described(value: Any) -> str:
         sort = "a sparse matrix" if sp.issparse(value) else "an array"
         return f"{sort} of {value.dtype} of shape {value.shape}"
     return "None" if value is None else f"a {type(value).__name__}"
+
+
+def stacked(
+    blocks: Mapping[str, sp.csr_array], sizes: Mapping[str, int], n_rows: int
+) -> sp.csr_array:
+    """Blocks side by side in the order of the variables, zero where absent.
+
+    Args:
+        blocks: Matrix per variable, each of shape (m, size of the variable).
+        sizes: Entries of every variable, in their order.
+        n_rows: m [–].
+
+    Returns:
+        Shape (m, n); with a single variable its block itself, not a copy.
+    """
+    if len(sizes) == 1:  # no copy in the usual case of p alone
+        return blocks["p"]
+    starts = np.concatenate([[0], np.cumsum(list(sizes.values()))])
+    placed = dict(zip(sizes, starts, strict=False))
+    some = [(placed[name], blocks[name]) for name in sizes if name in blocks]
+    if not some:
+        return sp.csr_array((n_rows, int(starts[-1])))
+    # absent blocks move columns; to stack them too takes five times as long
+    matrix = some[0][1] if len(some) == 1 else sp.hstack([b for _, b in some], "csr")
+    widths = [block.shape[1] for _, block in some]
+    before = np.concatenate([[0], np.cumsum(widths)[:-1]])
+    index = sp.get_index_dtype(maxval=int(starts[-1]))
+    moved = np.repeat(np.array([s for s, _ in some]) - before, widths).astype(index)
+    columns = matrix.indices.astype(index)
+    if moved.any():
+        columns += moved[matrix.indices]
+    parts = (matrix.data, columns, matrix.indptr.astype(index))
+    return sp.csr_array(parts, shape=(n_rows, int(starts[-1])))

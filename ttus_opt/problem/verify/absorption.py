@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -36,7 +36,7 @@ from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties.linear import Linear
-from ttus_opt.problem.verify.distance import CLOSE, RTOL, field_of
+from ttus_opt.problem.verify.distance import CLOSE, RTOL, field_of, steps
 
 _Map = Callable[[Array], Array]
 
@@ -139,14 +139,15 @@ class _Rows:
         """Conjugate gradients until the last summand is negligible."""
         apart, best = self._apart(matrix.theta), math.inf
         taken, close = np.zeros_like(r), False
-        for step in matrix.steps(r, most):
+        for step in steps(matrix.image, matrix.precondition, r, most):
             left = math.sqrt(step.rho) * GENEROUS * apart if step.rho else 0.0
-            own = self._fenchel(step.shares)
+            shares = matrix.shares(step.e)
+            own = self._fenchel(shares)
             if matrix.theta:
-                own += 0.5 * matrix.theta * float(step.d @ matrix.squares(step.d))
+                own += 0.5 * matrix.theta * float(step.e @ matrix.squares(step.e))
             total = max(own, 0.0) + left
             if total < best:
-                best, taken = total, matrix.adjoint(step.shares)
+                best, taken = total, matrix.adjoint(shares)
             close = left <= max(enough, CLOSE * own)
             if close or not np.isfinite(total):
                 break
@@ -175,21 +176,6 @@ class _Rows:
         return math.sqrt(square)
 
 
-@dataclass(frozen=True)
-class _Step:
-    """An iterate of conjugate gradients.
-
-    Attributes:
-        d: Shape (n,).
-        shares: M_k d by term.
-        rho: Squared norm of the residual in the preconditioner.
-    """
-
-    d: Array
-    shares: list[Array]
-    rho: float
-
-
 class _Matrix:
     """Σ MᵀM + θ P over the free variables."""
 
@@ -202,7 +188,7 @@ class _Matrix:
         self._inverse = np.where(
             fixed | (diagonal <= 0.0), 0.0, 1.0 / np.where(diagonal > 0, diagonal, 1.0)
         )
-        self._precondition = self._preconditioner()
+        self.precondition = self._preconditioner()
 
     def squares(self, d: Array) -> Array:
         """Θ P d, shape (n,)."""
@@ -215,31 +201,17 @@ class _Matrix:
             out += term.matrix.T @ s
         return out
 
-    def steps(self, r: Array, most: int) -> Iterator[_Step]:
-        """Conjugate gradients from zero."""
-        d, shares = np.zeros_like(r), [np.zeros(len(t.target)) for t in self._terms]
-        z = self._precondition(r)
-        rho, direction = float(r @ z), z
-        for _ in range(most):
-            if not (np.isfinite(rho) and rho >= 0.0):
-                return
-            yield _Step(d, shares, rho)
-            images = [t.matrix @ direction for t in self._terms]
-            image = self.adjoint(images)
-            if self.theta:
-                image += self.squares(direction)
-            image[self._fixed] = 0.0
-            curvature = float(direction @ image)
-            if not curvature > 0.0:
-                return
-            alpha = rho / curvature
-            d, rest = d + alpha * direction, r - alpha * image
-            shares = [s + alpha * v for s, v in zip(shares, images, strict=True)]
-            z = self._precondition(rest)
-            before, rho = rho, float(rest @ z)
-            # Polak and Ribière's rule, as preconditioners may be slightly nonlinear
-            direction = z + (float(z @ (rest - r)) / before) * direction
-            r = rest
+    def shares(self, d: Array) -> list[Array]:
+        """M_k d by term."""
+        return [t.matrix @ d for t in self._terms]
+
+    def image(self, d: Array) -> Array:
+        """The matrix times a direction, shape (n,)."""
+        image = self.adjoint(self.shares(d))
+        if self.theta:
+            image += self.squares(d)
+        image[self._fixed] = 0.0
+        return image
 
     def _preconditioner(self) -> _Map:
         """An approximate inverse: a factor, L, a network, or the diagonal."""

@@ -199,9 +199,9 @@ def _by_steps(
             out[one.part] = one.inverse(values, RTOL)
         return out
 
-    for known, rho in _steps(program, fixed, r, precondition):
-        if 0.5 * (known + rho) <= enough or rho <= CLOSE * known:
-            return 0.5 * (known + rho)
+    for step in _steps(program, fixed, r, precondition):
+        if 0.5 * (step.known + step.rho) <= enough or step.rho <= CLOSE * step.known:
+            return 0.5 * (step.known + step.rho)
     return None
 
 
@@ -228,33 +228,68 @@ def _by_solving(
         return np.where(diagonal > 0.0, values / np.maximum(diagonal, _TINY), 0.0)
 
     first = None
-    for known, rho in _steps(program, fixed, r, precondition):
-        first = rho if first is None else first
-        if rho <= NOTHING * first:
-            return 0.5 * known * (1.0 + CLOSE)
+    for step in _steps(program, fixed, r, precondition):
+        first = step.rho if first is None else first
+        if step.rho <= NOTHING * first:
+            return 0.5 * step.known * (1.0 + CLOSE)
     return None
 
 
 def _steps(
     program: Program, fixed: Mask, r: Array, precondition: _Map
-) -> Iterator[tuple[float, float]]:
-    """Conjugate gradients on P e = r: the sum towards rᵀP⁻¹r, and ρ, at each step."""
-    z = np.where(fixed, 0.0, precondition(r))
-    rho, known, direction = float(r @ z), 0.0, z
-    for _ in range(MAX_STEPS):
+) -> Iterator[Step]:
+    """Conjugate gradients on P e = r over the free variables."""
+
+    def image(direction: Array) -> Array:
+        return np.where(fixed, 0.0, program.curvature_times(direction))
+
+    def inverse(rest: Array) -> Array:
+        return np.where(fixed, 0.0, precondition(rest))
+
+    return steps(image, inverse, r, MAX_STEPS)
+
+
+@dataclass(frozen=True)
+class Step:
+    """An iterate of conjugate gradients on H e = r.
+
+    Attributes:
+        e: Shape (n,).
+        known: The accumulated sum towards rᵀH⁻¹r.
+        rho: Squared norm of the residual in the preconditioner.
+    """
+
+    e: Array = field(repr=False)
+    known: float
+    rho: float
+
+
+def steps(product: _Map, precondition: _Map, r: Array, most: int) -> Iterator[Step]:
+    """Conjugate gradients from zero, until H or the preconditioner is not positive.
+
+    Args:
+        product: v ↦ H v, in a new array.
+        precondition: v ↦ about H⁻¹v.
+        r: Right-hand side, shape (n,).
+        most: Most steps [–].
+    """
+    e, known, z = np.zeros_like(r), 0.0, precondition(r)
+    rho, direction = float(r @ z), z
+    for _ in range(most):
         if not (np.isfinite(rho) and rho >= 0.0):
             return
-        yield known, rho
-        image = program.curvature_times(direction)
-        image[fixed] = 0.0
+        yield Step(e, known, rho)
+        image = product(direction)
         curvature = float(direction @ image)
         if not curvature > 0.0:
             return
         alpha = rho / curvature
-        known, r = known + alpha * rho, r - alpha * image
-        z = np.where(fixed, 0.0, precondition(r))
-        before, rho = rho, float(r @ z)
-        direction = z + (rho / before) * direction
+        e, known, rest = e + alpha * direction, known + alpha * rho, r - alpha * image
+        z = precondition(rest)
+        before, rho = rho, float(rest @ z)
+        # Polak and Ribière's rule, as preconditioners may be slightly nonlinear
+        direction = z + (float(z @ (rest - r)) / before) * direction
+        r = rest
 
 
 def _beside_parameters(
