@@ -10,7 +10,8 @@ from ttus_opt.live.feedback import ModelFeedback
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.model import USUAL_LAW, LiveModel, ModelPlan, _twist
 from ttus_opt.live.patient import SimulatedPatient
-from ttus_opt.live.trial import examination, patient_surface, probe_shell
+from ttus_opt.live.subject import example_subject, patient_surface, probe_shell
+from ttus_opt.live.tissue import ElasticTorso
 
 #: The hand gives way, so that it is not as deep as it intends [m]
 FRICTION, LIFTED = 0.25, np.array([0.0, 0.008, 0.0])
@@ -20,8 +21,8 @@ def test_presses_alone_tell_friction_from_stiffness():
     # a press is a tenth larger than its release: drag along the probe's flanks
     law = replace(USUAL_LAW, coefficients=(1.6 * USUAL_LAW.coefficients[0],))
     model = LiveModel(patient_surface(), probe_shell(), ModelPlan(law=law))
-    patient, still = SimulatedPatient(friction=FRICTION), SimulatedPatient(noise=0.0)
-    path = examination(7.0)
+    patient, still = SimulatedPatient(ElasticTorso(FRICTION)), ElasticTorso()
+    path = example_subject().examination()
     samples = []
     for time, R, p in zip(path.time, path.rotation, path.position, strict=True):
         samples.append(patient.sense(time, R, p + LIFTED))
@@ -30,7 +31,7 @@ def test_presses_alone_tell_friction_from_stiffness():
     feel = ModelFeedback(model.field, probe_shell())
     for sample in samples[-60::5]:
         place = sample.rotation, sample.position
-        true = np.linalg.norm(still.wrench(0.0, *place, np.zeros(3))[:3])
+        true = np.linalg.norm(still.wrench(*place, np.zeros(3))[:3])
         if true > 2.0:
             assert np.linalg.norm(feel.at(*place)[:3]) == pytest.approx(true, rel=0.06)
 

@@ -15,13 +15,8 @@ from ttus_opt.live.model import USUAL_LAW
 from ttus_opt.live.patient import RecordedPatient
 from ttus_opt.live.safety import State
 from ttus_opt.live.simulation import CLOCKS_APART, Simulation
-from ttus_opt.live.trial import (
-    examination,
-    made_operator,
-    patient_surface,
-    prepared,
-    probe_shell,
-)
+from ttus_opt.live.subject import MEETING, example_subject
+from ttus_opt.live.trial import made_operator, prepared
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +54,12 @@ def test_refuses_what_cannot_teach(press):
 
 @pytest.mark.slow
 def test_what_is_felt_was_learned_from_the_recording(press):
-    shell, content = probe_shell(), prepared(1.6, USUAL_LAW)
-    follower = Follower(3, patient_surface(), content)
+    who, content = example_subject(), prepared(1.6, USUAL_LAW)
+    follower, shell = Follower(3, who.surface, content), who.shell
     safety = follower.peer.safety
     patient = RecordedPatient(press, lambda: safety.state is State.NORMAL)
-    operator, hand = made_operator("model", shell), Hand(examination(23.0))
+    operator = made_operator("model", shell)
+    hand = Hand(who.examination(), again=MEETING)
     session = Simulation(operator, follower, hand, patient, Impairment(delay=0.5))
     unseen, errors = tt.read_trajectory(example.path("press_test.csv")), {}
     for moment in session.run(23.0):

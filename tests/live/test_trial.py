@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.live.trial import Trial, examination, run
+from ttus_opt.live.hand import Hand
+from ttus_opt.live.subject import MEETING, ROUND, example_subject
+from ttus_opt.live.trial import Trial, run
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +56,18 @@ def test_figures_are_plain_numbers(delayed):
 
 
 def test_the_hand_begins_and_moves_between_places_lifted():
-    path = examination(12.0)
+    path = example_subject().examination()
     speed = np.linalg.norm(path.velocity(), axis=1)
     assert speed[0] < 1e-6
     assert speed.max() < 0.4
+    hand = Hand(path, again=MEETING)
+    for time in (MEETING + 0.3, ROUND - 1e-4, ROUND + 1.7):
+        later = time + 5 * (ROUND - MEETING)
+        np.testing.assert_allclose(
+            hand.wanted(later)[0], hand.wanted(time)[0], atol=1e-9
+        )
+    still = Hand(path)  # stays at its end
+    np.testing.assert_allclose(still.wanted(99.0)[0], path.position[-1], atol=1e-9)
 
 
 @pytest.mark.parametrize(

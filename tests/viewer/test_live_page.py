@@ -48,6 +48,9 @@ def test_a_session_without_a_page() -> None:
     session.hand.lead = session.hand.rotation, lifted
     run(session, 2.0)
     np.testing.assert_allclose(session.hand.position, lifted, atol=1e-3)
+    session._measured[:] = 1.0  # one side has contact: the other is armed already
+    refuses(InputError, "at zero contact only", session.rearm)
+    run(session, 1.0)
     session.rearm()
     run(session, 1.0)
     assert session.view().state == "NORMAL"

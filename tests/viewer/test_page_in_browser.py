@@ -361,3 +361,35 @@ def test_a_page_whose_viewer_has_ended_says_so(browser: sync_api.Browser) -> Non
         left.until(lambda: len(one._server.get_clients()) > 0)
     left.page.get_by_text("the viewer has ended").wait_for()
     left.page.close()
+
+
+def test_a_live_session_is_stopped_armed_again_and_delayed(
+    browser: sync_api.Browser,
+) -> None:
+    pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
+    from ttus_opt.live.trial import Trial
+    from ttus_opt.viewer.live_page import LivePage
+
+    with LivePage(Trial(round_trip=0.1), port=0) as live:
+        session, visit = live.session, Visit(browser, live.viewer.url, DESK)
+        visit.tab("Live")
+        visit.page.get_by_text("NORMAL", exact=True).wait_for()
+        visit.until(lambda: np.linalg.norm(session.view().force) > 1.0)
+        visit.page.get_by_role("button", name="STOP", exact=True).click()
+        visit.page.get_by_text("STOP: the operator's button").wait_for()
+        visit.until(lambda: not np.any(session.view().force))
+        visit.page.get_by_text("the simulated hand presses").click()
+        live.viewer.state.press(-0.02)  # lifted
+        again = visit.page.get_by_role("button", name="re-arm, at zero contact")
+
+        def armed() -> bool:  # refused, with a word, until there is no contact
+            again.click()
+            visit.page.wait_for_timeout(1000)
+            return session.view().state == "NORMAL"
+
+        visit.until(armed)
+        visit.field(live.tab.delay).fill("800")
+        visit.until(lambda: abs(session.view().round_trip - 0.8) < 0.1)
+        visit.page.get_by_text(re.compile(r"^[78]\d\d ms, 0 %")).wait_for()
+        visit.page.close()
+        assert visit.faults == []

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.core.errors import InputError
 from ttus_opt.example import PROBE
 
+if TYPE_CHECKING:  # needs the extra live
+    from ttus_opt.live.subject import Subject
+
 #: Port that sessions use unless told otherwise
 PORT = 7411
+
+#: How a probe is held: its axes into the patient, and to the head
+HELD = "z,-y"
 
 
 def demo(
@@ -51,6 +57,9 @@ def demo(
 def page(
     delay: float = 200.0,
     prior: float = 1.6,
+    surface: Path | None = None,
+    probe: str = PROBE,
+    probe_axes: str = HELD,
     port: int = 8050,
     no_browser: bool = False,
     json: bool = False,
@@ -63,19 +72,27 @@ def page(
     Args:
         delay: Round trip at first [ms].
         prior: Factor by which the first model is too stiff.
+        surface: Skin (.nc) with made-up tissue below it; by default the example.
+        probe: ellipsoid:a,b,c [m] or a mesh [mm].
+        probe_axes: Its axes that point into the patient and to the head.
         port: Where to serve on this machine; the next free one if it is taken.
         no_browser: Print the link only.
 
     Example:
-        ttus-opt live page --delay 1000
+        ttus-opt live page --surface torso.nc --probe probe.stl --probe-axes=-y,z
     """
     import sys
 
     from ttus_opt.cli.view_command import open_browser
     from ttus_opt.live.trial import Trial
+    from ttus_opt.probe.mesh import read_mesh
     from ttus_opt.viewer.live_page import LivePage
 
-    with LivePage(Trial(round_trip=1e-3 * delay, prior=prior), port=port) as shown:
+    trial = Trial(round_trip=1e-3 * delay, prior=prior)
+    mesh = None if ":" in probe else read_mesh(probe, unit="mm")
+    with LivePage(
+        trial, _subject(surface, probe, probe_axes), mesh=mesh, port=port
+    ) as shown:
         url = shown.viewer.url
         tell({"url": url}, url, "open this link; Ctrl-C ends it", json=json)
         sys.stdout.flush()
@@ -200,7 +217,7 @@ def follower(
     seconds: float = math.inf,
     json: bool = False,
 ) -> None:
-    """Be the patient's side over UDP, with the simulated torso or a recording.
+    """Be the patient's side over UDP, with a simulated patient or a recording.
 
     A recording plays in time once the operator has its model: it obeys no pose, and
     the operator feels what is learned from it. Not a medical device. A robot takes the
@@ -213,8 +230,9 @@ def follower(
         prior: Factor by which the first model is too stiff.
         friction: Coulomb coefficient of the simulated skin.
         recording: Recording (.csv) with force and torque that plays in time.
-        surface: Its patient's surface (.nc); by default the example's.
-        probe: Its probe, ellipsoid:a,b,c [m] or a mesh; the operator's as well.
+        surface: Skin (.nc), by default the example's; without a recording made-up
+            tissue lies below it.
+        probe: ellipsoid:a,b,c [m] or a mesh [mm]; the operator's as well.
         seconds: Length of the session [s].
 
     Example:
@@ -222,31 +240,26 @@ def follower(
     """
     from ttus_opt.live.follower import Follower
     from ttus_opt.live.model import USUAL_LAW
-    from ttus_opt.live.patient import Patient, RecordedPatient, SimulatedPatient
+    from ttus_opt.live.patient import Patient, RecordedPatient
     from ttus_opt.live.real_time import promptly, run_follower
     from ttus_opt.live.safety import State
     from ttus_opt.live.sealing import read_key
     from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.trial import (
-        TORSO_LAW,
-        examination,
-        patient_surface,
-        prepared,
-        shell_of,
-        warm_up,
-    )
+    from ttus_opt.live.subject import example_subject
+    from ttus_opt.live.tissue import TORSO_LAW
+    from ttus_opt.live.trial import Trial, prepared, simulated_patient, warm_up
     from ttus_opt.probe.trajectory import read_trajectory
-    from ttus_opt.scan.surface import Surface
 
     _check_port(port)
-    if recording is None and (surface is not None or probe != PROBE):
-        raise InputError("--surface and --probe are those of a --recording: give it")
-    skin = patient_surface() if surface is None else Surface.load(surface)
+    given = _subject(surface, probe, HELD)
+    who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
-    content = prepared(prior, law, skin, shell_of(probe))
-    side, start = Follower(_epoch(), skin, content), examination(1.0)
-    patient: Patient = SimulatedPatient(friction=friction)
-    if recording is not None:
+    content = prepared(prior, law, who.surface, who.shell)
+    side, start = Follower(_epoch(), who.surface, content), who.examination()
+    patient: Patient
+    if recording is None:
+        patient = simulated_patient(Trial(friction=friction), given)
+    else:
         start, safety = read_trajectory(recording), side.peer.safety
         patient = RecordedPatient(start, lambda: safety.state is State.NORMAL)
     warm_up()
@@ -271,7 +284,9 @@ def operator(
     host: str = "127.0.0.1",
     port: int = PORT,
     seconds: float = 20.0,
+    surface: Path | None = None,
     probe: str = PROBE,
+    probe_axes: str = HELD,
     recording: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -285,7 +300,10 @@ def operator(
         host: Address of the follower.
         port: Its UDP and TCP port.
         seconds: Length of the session [s].
-        probe: The follower's probe, ellipsoid:a,b,c [m] or a mesh.
+        surface: Skin (.nc) that the simulated hand presses, the follower's; by default
+            the example's.
+        probe: The follower's probe, ellipsoid:a,b,c [m] or a mesh [mm].
+        probe_axes: Its axes that point into the patient and to the head.
         recording: Record the session here (.mcap); the haptic loop then shares a
             process with the rest, so that every frame is in the file.
 
@@ -294,23 +312,25 @@ def operator(
     """
     from ttus_opt.live.sealing import read_key
     from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.trial import examination, warm_up
+    from ttus_opt.live.subject import example_subject
+    from ttus_opt.live.trial import warm_up
 
     _check_port(port)
-    opened, path = read_key(key), examination(seconds)
+    opened = read_key(key)
+    who = _subject(surface, probe, probe_axes) or example_subject()
     warm_up()
     link = SocketLink(opened, host, port, calls=True)
     try:
         if recording is None:
-            side, ended = _operate(link, path, seconds, probe)
+            side, ended = _operate(link, who, seconds)
         else:
-            side, ended = _record(link, path, seconds, probe, recording)
+            side, ended = _record(link, who, seconds, probe, recording)
     finally:
         link.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
 
 
-def _operate(link: Any, path: Any, seconds: float, probe: str) -> tuple[Any, Any]:
+def _operate(link: Any, who: Subject, seconds: float) -> tuple[Any, Any]:
     """The haptic loop in a process of its own; the operator, and how it ended."""
     from dataclasses import replace
     from functools import partial
@@ -319,10 +339,11 @@ def _operate(link: Any, path: Any, seconds: float, probe: str) -> tuple[Any, Any
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.operator import Operator
     from ttus_opt.live.real_time import promptly, run_operator_apart
-    from ttus_opt.live.trial import shell_of
+    from ttus_opt.live.subject import MEETING
 
-    start, shell = (path.rotation[0], path.position[0]), shell_of(probe)
-    with HapticProcess(LoopPlan(shell, partial(Hand, path))) as loop:
+    path, shell = who.examination(), who.shell
+    start = path.rotation[0], path.position[0]
+    with HapticProcess(LoopPlan(shell, partial(Hand, path, again=MEETING))) as loop:
         side = Operator(_epoch(), shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         ended = run_operator_apart(side, link, start, seconds=seconds)
@@ -330,15 +351,16 @@ def _operate(link: Any, path: Any, seconds: float, probe: str) -> tuple[Any, Any
 
 
 def _record(
-    link: Any, path: Any, seconds: float, probe: str, file: Path
+    link: Any, who: Subject, seconds: float, probe: str, file: Path
 ) -> tuple[Any, Any]:
     """All in one process, so that every frame is recorded."""
     from ttus_opt.live.hand import Hand
     from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.recording import Description, Recorder
+    from ttus_opt.live.subject import MEETING
 
-    described = Description(probe=probe, epoch=_epoch())
-    side, hand = described.operator(), Hand(path)
+    described = Description(probe=probe, points=len(who.shell), epoch=_epoch())
+    side, hand = described.operator(), Hand(who.examination(), again=MEETING)
     with Recorder(file, described) as recorder:
         watch = recorder.watch
         promptly()
@@ -369,6 +391,20 @@ def _tell_end(
         f"trip {1e3 * quality.round_trip:.1f} ms",
         json=json,
     )
+
+
+def _subject(surface: Path | None, probe: str, probe_axes: str) -> Subject | None:
+    """Who is examined with what; None for the example."""
+    from ttus_opt.live.subject import Subject, patient_surface, shell_of
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.sensors.probe_axis import hold
+
+    if surface is None and probe == PROBE:
+        return None
+    into, _, head = probe_axes.partition(",")
+    held = hold((into.strip(), head.strip()))
+    skin = patient_surface() if surface is None else Surface.load(surface)
+    return Subject(skin, shell_of(probe), held)
 
 
 def _check_port(port: int) -> None:

@@ -63,6 +63,7 @@ class ModelFeedback:
     def __init__(self, field: PotentialField, shell: PointShell) -> None:
         self.renderer = PatientRenderer(_held(field), shell, blend=LIVE_BLEND)
         reach = float(np.linalg.norm(shell.points - shell.reference, axis=1).max())
+        self._reference = shell.reference
         self._stop = DepthStop(field.voxmap.grid.r_inner + reach)
         self.limited_by = ""
 
@@ -93,7 +94,9 @@ class ModelFeedback:
 
     def felt(self, now: float, rotation: Array, position: Array) -> Array:
         """Force, then torque, shape (6,) [N, N·m]."""
-        wrench = self.renderer.render(rotation, self._stop(position), time=now)
+        lever = rotation @ self._reference
+        place = self._stop(position + lever) - lever
+        wrench = self.renderer.render(rotation, place, time=now)
         self.limited_by = wrench.limited_by
         return np.concatenate([wrench.force, wrench.torque])
 

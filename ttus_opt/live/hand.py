@@ -8,6 +8,7 @@ M. Okamura, IEEE World Haptics 2013).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,8 +41,23 @@ class Hand:
         velocity: Shape (3,) [m/s].
     """
 
-    def __init__(self, path: Trajectory, dynamics: HandDynamics | None = None) -> None:
+    def __init__(
+        self,
+        path: Trajectory,
+        dynamics: HandDynamics | None = None,
+        *,
+        again: float = math.inf,
+    ) -> None:
+        """A hand at the start of a path.
+
+        Args:
+            path: What it intends.
+            dynamics: Of hand and device.
+            again: Time from the start to which it returns at the path's end [s]; by
+                default it stays there.
+        """
         self._path, self._dynamics = path, dynamics or HandDynamics()
+        self._again, self._ends = again, float(path.time[-1] - path.time[0])
         self.position, self.velocity = path.position[0].copy(), np.zeros(3)
         self.rotation = path.rotation[0].copy()
         self._steps = np.diff(path.time)
@@ -64,7 +80,7 @@ class Hand:
     def wanted(self, time: float) -> tuple[Array, Array]:
         """Intended position and velocity; the hand turns as it intends."""
         path = self._path
-        at = float(path.time[0]) + time
+        at = float(path.time[0]) + self._within(time)
         k = int(np.searchsorted(path.time, at, side="right")) - 1
         k = min(max(k, 0), len(path) - 2)
         step = self._steps[k]
@@ -75,3 +91,9 @@ class Hand:
             u, _, vt = np.linalg.svd(mean)  # the nearest rotation
             self.rotation, self._turned = u @ vt, time
         return path.position[k] + share * way, way / step
+
+    def _within(self, time: float) -> float:
+        """Time on the path [s]."""
+        if time < self._ends or self._again >= self._ends:
+            return time
+        return self._again + (time - self._again) % (self._ends - self._again)

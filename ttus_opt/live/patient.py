@@ -1,8 +1,6 @@
-"""Patients: the finite-element torso pressed by a probe, which breathes; a recording.
+"""Patients: a recording that plays, and simulated tissue that breathes.
 
-The torso's compliance (`ttus_opt.phantom`) is a response at poses: a contact takes less
-than a millisecond and no mesh. The bundled one was made on a mesh twice as coarse as
-that of the example's recordings. Breathing moves all skin of the front to and fro.
+Breathing moves all skin of the front to and fro.
 """
 
 from __future__ import annotations
@@ -10,18 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Protocol
 
 import numpy as np
 
-from ttus_opt import example
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.core.errors import InputError
 from ttus_opt.live.messages import Sample
-from ttus_opt.phantom.elasticity import SkinPatch
-from ttus_opt.phantom.press import CoulombDrag, Motion, press
-from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.live.tissue import Tissue
 from ttus_opt.phantom.recording import FORCE_NOISE, TORQUE_NOISE
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -102,49 +96,33 @@ class Breathing:
         return self.amplitude * math.sin(phase) * FRONT
 
 
-@cache
-def bundled_patch() -> SkinPatch:
-    """The bundled torso's skin and compliance."""
-    with np.load(example.path("skin.npz")) as stored:
-        lower, n = stored["compliance"], len(stored["points"])
-        compliance = np.zeros((n, n))
-        compliance[np.tril_indices(n)] = lower
-        compliance += np.tril(compliance, -1).T
-        return SkinPatch(stored["points"], stored["normals"], stored["rim"], compliance)
-
-
 class SimulatedPatient:
-    """The torso, a probe that follows its target, and a noisy sensor.
+    """Tissue that breathes, a probe that follows its target, and a noisy sensor.
 
     Attributes:
+        tissue: What answers the probe.
         breathing: How the skin moves.
-        touched: Whether the probe touched anything in the last step.
     """
 
     def __init__(
         self,
+        tissue: Tissue,
         *,
-        friction: float = 0.0,
         breathing: Breathing | None = None,
         noise: float = 1.0,
         lag: float = 0.01,
         seed: int = 0,
-        probe: EllipsoidProbe | None = None,
     ) -> None:
         """A patient at rest.
 
         Args:
-            friction: Coulomb coefficient [–].
+            tissue: What answers the probe.
             breathing: How the skin moves; at rest by default.
             noise: Of the sensor, in units of the example's [–].
             lag: Time constant with which the probe follows its target [s].
             seed: Of the noise.
-            probe: The probe; by default the example's.
         """
-        self._patch = bundled_patch()
-        self._probe = probe or EllipsoidProbe((0.030, 0.0125, 0.018))
-        self._drag = CoulombDrag(friction)
-        self.breathing = breathing or Breathing()
+        self.tissue, self.breathing = tissue, breathing or Breathing()
         self._noise, self._lag = noise, lag
         self._rng = np.random.default_rng(seed)
         self._at: Sample | None = None
@@ -173,18 +151,7 @@ class SimulatedPatient:
     ) -> Array:
         """Force, then torque without noise, shape (6,) [N, N·m]."""
         still = position - self.breathing.shift(time)
-        try:
-            contact = press(
-                self._patch,
-                self._probe,
-                rotation,
-                still,
-                motion=Motion(velocity, np.zeros(3)),
-                drag=self._drag,
-            )
-        except GeometryError:  # beside the patch, or too deep
-            return np.zeros(6)
-        return np.concatenate([contact.force, contact.torque])
+        return self.tissue.wrench(rotation, still, velocity)
 
     def surface(self, time: float, still: Surface) -> Surface:
         """What a camera sees of the skin at some time: a surface, shifted."""

@@ -27,7 +27,8 @@ from ttus_opt.core.errors import FileError
 from ttus_opt.core.optional import load
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.simulation import Moment
-from ttus_opt.live.trial import N_POINTS, made_operator
+from ttus_opt.live.subject import N_POINTS
+from ttus_opt.live.trial import made_operator
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import to_quaternions
 

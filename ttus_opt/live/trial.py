@@ -7,14 +7,14 @@ torso's forces are at the hand's own pose at that moment, which no link can know
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ttus_opt import example
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
@@ -27,12 +27,16 @@ from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Breathing, SimulatedPatient
 from ttus_opt.live.simulation import Moment, Simulation
 from ttus_opt.live.skin_motion import SkinMotion
+from ttus_opt.live.subject import (
+    MEETING,
+    Subject,
+    example_subject,
+    patient_surface,
+    probe_shell,
+)
+from ttus_opt.live.tissue import TORSO_LAW, ElasticTorso, FieldTissue, Tissue
 from ttus_opt.message import decode, encode
-from ttus_opt.phantom.examination import Handling
-from ttus_opt.phantom.probe import EllipsoidProbe
-from ttus_opt.phantom.torso import Torso
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 from ttus_opt.scan.surface import Surface
 
@@ -44,21 +48,11 @@ COMPARATORS = {
     "passive": "the same with time-domain passivity control",
 }
 
-#: Law of the torso's mean force below this probe, as a fit of its recordings gives it:
-#: what a prior's error is counted from
-TORSO_LAW = DepthProfile((1.1,), (1.5,))
-
-#: Points of the probe's shell
-N_POINTS = 1000
-
-#: Time before the first press, in which both sides meet; of a press [s]
-MEETING, PRESS = 2.0, 2.0
-
 #: Age of what a camera tells of the skin [s]; its images a second [Hz]
 CAMERA, IMAGES = 0.05, 30.0
 
-#: Places that are pressed in turn [–]
-PLACES = 3
+#: Of so many frames one is compared with the truth [–]
+KEPT = 20
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,8 @@ class TrialResult:
         trial: What was simulated.
         time: Of the frames kept, shape (n,) [s].
         felt: Size of the force that the hand felt, shape (n,) [N].
-        true: Size of the torso's force at the hand's pose then, shape (n,) [N].
+        true: Size of the torso's force at the hand's pose then, at rest and so without
+            friction, shape (n,) [N].
         error: Mean of their difference in contact, once it has settled [N].
         largest: Largest felt force [N].
         energy: Most energy that the hand had got by any time [J]; a passive patient
@@ -163,23 +158,6 @@ class TrialResult:
         return {**asdict(self.trial), **figures, **told}
 
 
-@cache
-def patient_surface() -> Surface:
-    """The example's skin."""
-    return Surface.load(example.path("surface.nc"))
-
-
-@cache
-def probe_shell() -> PointShell:
-    """The example's probe."""
-    return shell_of(example.PROBE)
-
-
-def shell_of(probe: str) -> PointShell:
-    """A probe as `PointShell.from_spec` takes it, with the points of a live session."""
-    return PointShell.from_spec(probe, n_points=N_POINTS)
-
-
 def prepared(
     prior: float = 1.0,
     law: DepthProfile = TORSO_LAW,
@@ -212,20 +190,35 @@ def made_operator(comparator: str, shell: PointShell, epoch: int = 2) -> Operato
     return Operator(epoch, shell, feedback=kinds.get(comparator), learns=learns)
 
 
-def simulation(trial: Trial) -> Simulation:
-    """A session that has not begun."""
-    operator = made_operator(trial.comparator, probe_shell())
-    patient = SimulatedPatient(
-        friction=trial.friction,
-        breathing=Breathing(trial.breathing),
-        seed=trial.seed,
+def simulation(trial: Trial, subject: Subject | None = None) -> Simulation:
+    """A session that has not begun.
+
+    Args:
+        trial: What is simulated.
+        subject: Who is examined; by default the example's torso.
+    """
+    who, patient = subject or example_subject(), simulated_patient(trial, subject)
+    content = prepared(trial.prior, surface=who.surface, shell=who.shell)
+    session = Simulation(
+        made_operator(trial.comparator, who.shell),
+        Follower(3, who.surface, content),
+        Hand(who.examination(), again=MEETING),
+        patient,
+        trial.impairment(),
     )
-    follower = Follower(3, patient_surface(), prepared(trial.prior))
-    hand = Hand(examination(trial.seconds))
-    session = Simulation(operator, follower, hand, patient, trial.impairment())
     if trial.camera and trial.breathing:
         session.skin = partial(_seen_skin, SkinMotion(), patient.breathing)
     return session
+
+
+def simulated_patient(trial: Trial, subject: Subject | None = None) -> SimulatedPatient:
+    """The patient of a trial, see `simulation`."""
+    tissue: Tissue = ElasticTorso(trial.friction)
+    if subject is not None:
+        own = subject.surface, subject.shell
+        tissue = FieldTissue.below(*own, friction=trial.friction)
+    breathing = Breathing(trial.breathing)
+    return SimulatedPatient(tissue, breathing=breathing, seed=trial.seed)
 
 
 def _seen_skin(motion: SkinMotion, breathing: Breathing, now: float) -> Array:
@@ -252,34 +245,22 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
         watch: Called with every frame.
     """
     session = simulation(trial)
-    moments = list(_watched(session, trial.seconds, watch))
-    felt = np.array([m.felt[:3] for m in moments])
-    place = np.array([m.position for m in moments])
-    size = np.linalg.norm(felt, axis=1)
-    work = np.sum(0.5 * (felt[1:] + felt[:-1]) * np.diff(place, axis=0), axis=1)
-    kept = np.arange(0, len(moments), 20)
-    still = SimulatedPatient(noise=0.0)
-    true = np.array(
-        [
-            np.linalg.norm(
-                still.wrench(0.0, moments[k].rotation, place[k], np.zeros(3))[:3]
-            )
-            for k in kept
-        ]
-    )
-    time = np.array([moments[k].time for k in kept])
-    counted = (np.maximum(true, size[kept]) > 0.5) & (time > trial.settled)
-    difference = np.abs(size[kept] - true)[counted]
+    figures = _Figures(ElasticTorso(), trial.settled)
+    for moment in session.run(trial.seconds):
+        figures.add(moment)
+        if watch is not None:
+            watch(moment)
     sides = session.operator.peer, session.follower.peer
+    time, felt, true = (np.array(curve) for curve in figures.curves)
     return TrialResult(
         trial,
         time,
-        size[kept],
+        felt,
         true,
-        float(difference.mean()) if counted.any() else math.nan,
-        float(size.max()),
-        float(np.cumsum(work).max(initial=0.0)),
-        float(np.linalg.norm(np.diff(felt, axis=0), axis=1).max()),
+        figures.error,
+        figures.largest,
+        figures.energy,
+        figures.step,
         next((s.safety.cause for s in sides if s.safety.state == 2), ""),
         max(s.rate.sent_packets for s in sides) / trial.seconds,
         8.0 * max(s.rate.sent_bytes for s in sides) / trial.seconds,
@@ -287,24 +268,42 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
     )
 
 
-def _watched(
-    session: Simulation, seconds: float, watch: Callable[[Moment], None] | None
-) -> Iterator[Moment]:
-    for moment in session.run(seconds):
-        if watch is not None:
-            watch(moment)
-        yield moment
+class _Figures:
+    """Figures of frames as they come: of an hour, 4 MB of curves are kept."""
 
+    def __init__(self, truth: Tissue, settled: float) -> None:
+        self._truth, self._settled = truth, settled
+        self.curves = array("d"), array("d"), array("d")  # time, felt, true
+        self.largest = self.energy = self.step = 0.0
+        self._work = self._missed = 0.0
+        self._frames = self._counted = 0
+        self._felt = self._place = np.zeros(3)
 
-def examination(seconds: float) -> Trajectory:
-    """What the hand intends: presses at three places, again and again."""
-    time = np.arange(0.0, seconds + 0.05, 0.05)
-    phase = np.maximum(time - MEETING, 0.0) / PRESS
-    number = phase.astype(int) % PLACES
-    depth = -0.006 + 0.026 * np.sin(np.pi * phase) ** 2
-    # places change while the probe is lifted
-    across = np.array([0.0, 0.008, -0.008])[number]
-    along = np.array([0.13, 0.145, 0.14])[number]
-    none = np.zeros_like(time)
-    handling = Handling(time, across, along, depth, none, none, none)
-    return handling.poses(Torso(), EllipsoidProbe((0.030, 0.0125, 0.018)))
+    def add(self, moment: Moment) -> None:
+        """Take a frame."""
+        felt, place = moment.felt[:3], moment.position
+        size = float(np.linalg.norm(felt))
+        self.largest = max(self.largest, size)
+        if self._frames:
+            self._work += 0.5 * float((felt + self._felt) @ (place - self._place))
+            self.energy = max(self.energy, self._work)
+            self.step = max(self.step, float(np.linalg.norm(felt - self._felt)))
+        if self._frames % KEPT == 0:
+            self._compare(moment, size)
+        self._felt, self._place = felt, place
+        self._frames += 1
+
+    def _compare(self, moment: Moment, size: float) -> None:
+        """With what the patient at rest would answer at the hand's pose."""
+        still = self._truth.wrench(moment.rotation, moment.position, np.zeros(3))
+        true = float(np.linalg.norm(still[:3]))
+        for curve, value in zip(self.curves, (moment.time, size, true), strict=True):
+            curve.append(value)
+        if moment.time > self._settled and max(true, size) > 0.5:
+            self._missed += abs(size - true)
+            self._counted += 1
+
+    @property
+    def error(self) -> float:
+        """Mean difference of felt and true force in contact [N]."""
+        return self._missed / self._counted if self._counted else math.nan

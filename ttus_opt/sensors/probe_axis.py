@@ -87,6 +87,22 @@ def axis_from_probe(
     return Axis(at + (skin + depth) * inward, turn, plane)
 
 
+def hold(held: tuple[str, str] = USUAL) -> Array:
+    """Orientation of a held probe relative to the skin's frame, shape (3, 3).
+
+    Its columns are the probe's axes, its rows outward, around and along the body, as
+    `ttus_opt.contact.standing` takes it.
+
+    Args:
+        held: The probe's axes that point into the patient and to the head.
+
+    Raises:
+        InputError: Unknown or equal axes.
+    """
+    into, head = _axes(held)
+    return np.stack([-into, np.cross(head, -into), head])
+
+
 def read_axis(
     path: str | os.PathLike[str],
     cloud: Array,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 
 from ttus_opt.core.optional import load
-from ttus_opt.live.trial import Trial, probe_shell
+from ttus_opt.live.subject import Subject
+from ttus_opt.live.trial import Trial
+from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer.guarded_server import PORT
 from ttus_opt.viewer.live_session import LiveSession
 from ttus_opt.viewer.live_tab import LiveTab
@@ -29,18 +31,28 @@ class LivePage:
 
     Args:
         trial: What is simulated at first.
+        subject: Who is examined; by default the example.
+        mesh: The probe's own mesh, probe frame; None for the hull of its points.
         port: Where to serve; the next free one if it is taken.
 
     Raises:
         MissingPackageError: viser is not installed.
     """
 
-    def __init__(self, trial: Trial = FIRST, *, port: int = PORT) -> None:
+    def __init__(
+        self,
+        trial: Trial = FIRST,
+        subject: Subject | None = None,
+        *,
+        mesh: TriangleMesh | None = None,
+        port: int = PORT,
+    ) -> None:
         load("viser", "viewer")  # before anything that takes long
-        self.session = LiveSession(trial)
-        state = ViewState([self.session.field], probe_shell())
+        self.session = LiveSession(trial, subject)
+        who = self.session.subject
+        state = ViewState([self.session.field], who.shell, usual=who.hold)
         self._follow(state)
-        self.viewer = Viewer(state, ["felt"], port=port)
+        self.viewer = Viewer(state, ["felt"], mesh=mesh, port=port)
         page = self.viewer.page
         with page.tabs.add_tab("Live"):
             self.tab = LiveTab(page.stage, self.session)

@@ -19,7 +19,8 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.safety import State
-from ttus_opt.live.trial import MEETING, PLACES, PRESS, Trial, examination, simulation
+from ttus_opt.live.subject import MEETING, Subject, example_subject
+from ttus_opt.live.trial import Trial, simulation
 from ttus_opt.voxmap.field import PotentialField
 
 #: Time between batches of frames, and how far the session may fall behind [s]
@@ -46,7 +47,7 @@ class LedHand(Hand):
         if self.lead is not None:
             self.rotation, place = self.lead
             return place, np.zeros(3)
-        return super().wanted(min(time, MEETING + (time - MEETING) % (PLACES * PRESS)))
+        return super().wanted(time)
 
 
 class LiveSession:
@@ -54,13 +55,15 @@ class LiveSession:
 
     Attributes:
         trial: What is simulated.
+        subject: Who is examined.
         speed: Of the session's time over that on the wall [–].
         samples: Time [s], measured force, and the force that the hand's model gives at
             the same pose [N], of the last samples.
     """
 
-    def __init__(self, trial: Trial) -> None:
-        """A session that has met, and has its model."""
+    def __init__(self, trial: Trial, subject: Subject | None = None) -> None:
+        """A session that has met, and has its model; by default with the example."""
+        self._given, self.subject = subject, subject or example_subject()
         self.samples: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED)
         self._lock, self._closing = threading.RLock(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -69,8 +72,8 @@ class LiveSession:
 
     def restart(self, trial: Trial) -> None:
         """Begin again, with the prior of a trial."""
-        begun = simulation(trial)
-        begun.hand = hand = LedHand(examination(MEETING + PLACES * PRESS))
+        begun = simulation(trial, self._given)
+        begun.hand = hand = LedHand(self.subject.examination(), again=MEETING)
         for _ in begun.run(5.0):
             if begun.operator.model is not None:
                 break
@@ -93,16 +96,18 @@ class LiveSession:
             self._session.operator.stop()
 
     def rearm(self) -> None:
-        """Re-arm both sides.
+        """Re-arm the sides that have stopped.
 
         Raises:
-            InputError: There is contact, or nothing to re-arm.
+            InputError: There is contact, on either side, or nothing to re-arm.
         """
         with self._lock:
-            session = self._session
-            session.operator.rearm(self.hand.rotation, self.hand.position)
-            if session.follower.peer.safety.state is State.STOP:
-                session.follower.rearm(float(np.linalg.norm(self._measured)))
+            operator, follower = self._session.operator, self._session.follower
+            waits = follower.peer.safety.state is State.STOP
+            if operator.peer.safety.state is State.STOP or not waits:
+                operator.rearm(self.hand.rotation, self.hand.position)
+            if waits:
+                follower.rearm(float(np.linalg.norm(self._measured)))
 
     @property
     def field(self) -> PotentialField:

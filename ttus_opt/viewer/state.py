@@ -29,16 +29,13 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, pose_of
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors.probe_axis import hold
 from ttus_opt.viewer.hand_motion import HandMotion
 from ttus_opt.viewer.recording import Recording
 from ttus_opt.viewer.touch import Touch, touch_at
 from ttus_opt.voxmap.field import PotentialField
 
 Source = Literal["hand", "recording", "outside"]
-
-#: Orientation without recordings: the probe's z axis points into the patient, its x
-#: axis around the body; columns are the probe's axes, rows outward, around, along
-USUAL = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 #: Depth of the first pose, and the range of depths that a hand may ask for [m]
 FIRST, LEAST, MOST = 0.005, -0.03, 0.04
@@ -56,7 +53,10 @@ class ViewState:
     Args:
         fields: One field, or two on the same patient to compare.
         shell: The probe; None to look only.
-        trajectory: Recordings to show, in the patient's frame.
+        trajectory: Recordings to show, in the patient's frame; they tell how the probe
+            is held.
+        usual: How it is held without (`probe_axis.hold`); by default its z axis points
+            into the patient, its x axis around the body.
 
     Raises:
         InputError: No field or more than two, or two of different patients.
@@ -67,6 +67,7 @@ class ViewState:
         fields: Sequence[PotentialField],
         shell: PointShell | None,
         trajectory: Trajectory | None = None,
+        usual: Array | None = None,
     ) -> None:
         self.fields, self.shell = list(fields), shell
         self.surface = _one_patient(fields)
@@ -76,7 +77,7 @@ class ViewState:
         self.recording: Recording | None = None
         self.frame = 0
         self.measured: Array | None = None
-        self.hold = USUAL
+        self.hold = hold() if usual is None else usual
         self._clock, self._left = 0.0, REST
         self._known: tuple[object, tuple[float, float]] = (None, (0.0, 0.0))
         self._renderers: tuple[Renderer, ...] = ()
@@ -319,7 +320,7 @@ class ViewState:
         poses = trajectory.rotation, trajectory.position
         touching = depth_of(self.surface, shell, *poses) > 0.0
         if not touching.any():
-            return USUAL
+            return self.hold
         return usual_hold(self.surface, shell, *(one[touching] for one in poses))
 
     def _first_place(self) -> tuple[float, float]:

@@ -81,15 +81,18 @@ def haptic_loop(seconds: float) -> Lateness:
     from ttus_opt.live.model_codec import decode_model
     from ttus_opt.live.real_time import Metronome
     from ttus_opt.live.safety import State
-    from ttus_opt.live.trial import examination, prepared, probe_shell
+    from ttus_opt.live.subject import MEETING, example_subject
+    from ttus_opt.live.trial import prepared
     from ttus_opt.message import decode
 
     sent, content = prepared()
-    seen, shell = decode(sent), probe_shell()
+    who = example_subject()
+    seen, shell = decode(sent), who.shell
     assert isinstance(seen, Surface)
     first = decode_model(content, seen, shell).field
     fields = first, replace(first, values=0.9 * first.values)
-    with HapticProcess(LoopPlan(shell, partial(Hand, examination(seconds)))) as process:
+    hand = partial(Hand, who.examination(), again=MEETING)
+    with HapticProcess(LoopPlan(shell, hand)) as process:
         process.begin(first)
         while process.frames == 0 and process.alive:
             process.tell(0.0, State.NORMAL)
