@@ -30,9 +30,8 @@ def test_the_residual_and_its_norm(small, is_zero):
 
 def test_add_brings_a_correction_back(small):
     x, e = noise(small.free, 3), noise(small.free, 4)
-    layout = small.hierarchy.levels[0].layout
-    correction = split(layout, e)
-    sum_of_squares = add(x, correction, 0.5, (*small.grid.shape[1:], layout.pitch))
+    correction = split(small.hierarchy.levels[0].layout, e)
+    sum_of_squares = add(x, correction, 0.5, operator(small))
     expected = noise(small.free, 3) + 0.5 * e
     np.testing.assert_allclose(x, expected, atol=1e-6)
     assert sum_of_squares == pytest.approx(float(x @ x), rel=1e-12)

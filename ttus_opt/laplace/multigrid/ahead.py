@@ -15,10 +15,10 @@ import numpy as np
 
 from ttus_opt.core.child_process import environment, python_module
 from ttus_opt.core.compiled import is_cached
-from ttus_opt.laplace.multigrid.cycle import v_cycle
 from ttus_opt.laplace.multigrid.pcg import operate
-from ttus_opt.laplace.multigrid.refinement import add_flat
+from ttus_opt.laplace.multigrid.refinement import add, add_flat
 from ttus_opt.laplace.multigrid.solver import Multigrid
+from ttus_opt.laplace.multigrid.workspace import v_cycle
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: The functions that are compiled last, or take longest
@@ -58,7 +58,7 @@ def compile_multigrid() -> None:
     multigrid = Multigrid(grid, free)
     multigrid.preconditioner().run()
     work = multigrid._borrow()
-    multigrid._add(np.zeros(grid.n_voxels), work, 1.0)
+    add(np.zeros(grid.n_voxels), work.answer, 1.0, multigrid._operator)
     work._step(1.0)
     work._operate()
     multigrid.solve(np.ones(grid.n_voxels))

@@ -59,10 +59,9 @@ class OneCycle:
         mask = np.ascontiguousarray(grid.unflatten(free))
         self._hierarchy = Hierarchy.build(grid, mask, blocks, added)
         pitch = self._hierarchy.levels[0].layout.pitch
-        self._sizes = (*grid.shape[1:], pitch)
         # of the plain operator, of which only the way to red-black order is used
         steps = conductances(grid)
-        self._order = refinement.Operator.of(free, steps, self._sizes)
+        self._order = refinement.Operator.of(free, steps, (*grid.shape[1:], pitch))
         self._idle: deque[Workspace] = deque()
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
@@ -89,7 +88,7 @@ class OneCycle:
                 work.b, rhs, rhs, self._order, 1.0 / largest, is_zero=True
             )
             work.v_cycle(sweeps=SWEEPS)
-            refinement.add(x, work.x, largest, self._sizes)
+            refinement.add(x, work.x, largest, self._order)
             self._idle.append(work)
         if self._leads is not None:
             x[~self._leads] = 0.0

@@ -91,28 +91,31 @@ class Vectors(Workspace):
         self.answer.fill(0.0)
         self._direction.fill(0.0)
         if not self._is_odd:  # the effect of red loads on black nodes
-            self._relax_red(self._x, self.index.zeros, self._b[RED])
+            self._sweep(0, RED, self._x[RED], self.index.zeros, self._b[RED])
             self._flow(0, self._b[BLACK], self._x[RED], 1.0)
-        self._pool()
+        if self._blocks is not None:
+            pool(self.values, *self._blocks)
         first = self._dot(self._b, self._b)
         spent, before = 0, math.inf
         while first > 0.0 and spent < limit:
             spent += 1
             self.v_cycle(has_red=self._is_odd)
             rz = self._dot(self._b, self._x)
-            self._extend(rz / before)
+            for c in self._colours:  # p = x + β p
+                vectors = self._p[c], self._x[c], rz / before
+                self._run(extend, self.values, *vectors, self._sums.size * self._width)
             pq = self._operate()
             if not (pq > 0.0 and rz > 0.0):  # down to rounding
                 break
             now = self._step(rz / pq)
             if self._blocks is not None:
-                self._pool()
+                pool(self.values, *self._blocks)
                 now = self._dot(self._b, self._b)
             if now <= goal**2 * first:
                 break
             before = rz
         if not self._is_odd:
-            self._relax_red(self._e, self._e[BLACK], self._b[RED])
+            self._sweep(0, RED, self._e[RED], self._e[BLACK], self._b[RED])
         return spent
 
     def _operate(self) -> float:
@@ -121,7 +124,7 @@ class Vectors(Workspace):
             others = self._p
         else:  # red values that follow from black ones
             others = self._x
-            self._relax_red(self._x, self._p[BLACK], self.index.zeros)
+            self._sweep(0, RED, self._x[RED], self._p[BLACK], self.index.zeros)
         total, row, fields = 0.0, self._hierarchy.table[0], self._hierarchy.fields
         self._sums.fill(0.0)  # the first layer and the last have none
         for c in self._colours:
@@ -140,12 +143,6 @@ class Vectors(Workspace):
             total += math.fsum(self._sums)
         return total
 
-    def _extend(self, beta: float) -> None:
-        """Set p = x + β p."""
-        size = self._sums.size * self._width
-        for c in self._colours:
-            self._run(extend, self.values, self._p[c], self._x[c], beta, size)
-
     def _dot(self, a: tuple[int, int], b: tuple[int, int]) -> float:
         total = 0.0
         for c in self._colours:
@@ -156,13 +153,6 @@ class Vectors(Workspace):
     def _run(self, kernel: Callable[..., None], *args: object) -> None:
         """Call a kernel of the finest level, on several cores if that is large."""
         in_parts(partial(kernel, *args), self._parts[0])
-
-    def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
-        self._sweep(0, RED, x[RED], opposite, load)
-
-    def _pool(self) -> None:
-        if self._blocks is not None:
-            pool(self.values, *self._blocks)
 
 
 # Loops run over ghost rows too: there, b and q are zero and p is a copy.

@@ -243,7 +243,7 @@ def add(
     x: Array,
     correction: Single,
     scale: float,
-    sizes: tuple[int, int, int],
+    a: Operator,
     *,
     parts: int = 1,
 ) -> float:
@@ -253,13 +253,14 @@ def add(
         x: Values, shape (V,).
         correction: In red-black order, zero at fixed voxels, shape (2, n_r, width).
         scale: Factor [–].
-        sizes: Spokes, slices and pitch of the red-black order [–].
+        a: The operator.
         parts: How many cores share it.
     """
     _, n_r, width = correction.shape
     flat = correction.reshape(-1, copy=False)
     sums = np.zeros(n_r)
-    in_parts(partial(add_flat, x, flat, scale, sums, (*sizes, width)), parts)
+    sizes = (a.n_theta, a.n_z, a.pitch, width)
+    in_parts(partial(add_flat, x, flat, scale, sums, sizes), parts)
     return math.fsum(sums)
 
 

@@ -3,7 +3,7 @@
 On the free voxels of a cylindrical grid, A is r times the negative stencil of
 `laplace`: symmetric positive definite. A solve is iterative refinement (`refinement`):
 residuals and x in double precision, each correction by conjugate gradients in single
-precision (`pcg`), preconditioned by a V-cycle (`cycle`) with red-black zebra line
+precision (`pcg`), preconditioned by a V-cycle (`workspace`) with red-black zebra line
 relaxation (`line_smoother`) on levels that keep the surface closed (`coarsening`).
 """
 
@@ -118,10 +118,9 @@ class Multigrid:
         self._pooled = pooled
         self._added = Added.in_layers(screening, grid.shape, grounds)
         self.hierarchy = Hierarchy.build(grid, free, pooled, self._added)
-        #: Spokes, slices and pitch
-        self._sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
+        sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
         self._operator = refinement.Operator.of(
-            self.free, (r, t, z), self._sizes, own, grounds
+            self.free, (r, t, z), sizes, own, grounds
         )
         self._idle: deque[Vectors] = deque()
         self._parts = parts_of(self.free.size, LARGE)
@@ -255,7 +254,8 @@ class Multigrid:
                 )
             goal = max(REDUCTION, 0.5 * target / now)
             iterations += work.correct(goal, limit - iterations)
-            norm_x = math.sqrt(self._add(x, work, 1.0 / scale))
+            part = work.answer, 1.0 / scale, self._operator
+            norm_x = math.sqrt(refinement.add(x, *part, parts=self._parts))
             before, scale = now, 1.0 / now
             now = self._residual(work, x, b, scale)
             failures = failures + 1 if now > 0.5 * before else 0
@@ -306,10 +306,6 @@ class Multigrid:
         args = work.b, given, b, self._operator, scale
         square = refinement.residual(*args, is_zero=x is None, parts=self._parts)
         return math.sqrt(square)
-
-    def _add(self, x: Array, work: Vectors, scale: float) -> float:
-        """Correct x by scale · ``work.answer``; returns ‖x‖²."""
-        return refinement.add(x, work.answer, scale, self._sizes, parts=self._parts)
 
 
 def largest_size(values: Array) -> float:
