@@ -16,7 +16,7 @@ SEED = 20261122
 
 #: How many lines: a few each time, 300 with the slow tests, 10,000 with the long ones
 LINES = [
-    pytest.param(0, 10),
+    pytest.param(0, 4),
     pytest.param(10, 300, marks=pytest.mark.slow),
     *(
         pytest.param(i, 1000, marks=[pytest.mark.slow, pytest.mark.long])
@@ -66,7 +66,7 @@ def sound_lines(files, field):
         ["fit", *surface, *probe, *recording, *small, "--option", "ridge=1e-3"],
         ["evaluate", "--field", str(field), *probe, *recording, "--json"],
         ["render", "--field", str(field), *probe, *recording, "-o", "r.csv"],
-        ["surface", str(files / "scan.npy"), "--unit", "m", "-o", "s.nc"],
+        ["surface", str(files / "scan.npy"), "--no-support", "-o", "s.nc"],
         ["solvers"],
         ["formulations", "--json"],
     ]

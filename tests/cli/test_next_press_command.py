@@ -7,7 +7,7 @@ from tests.cli.conftest import scene_words
 
 
 def words(files, more=""):
-    return f"next-press {scene_words(files)} --spacing 0.06 {more}"
+    return f"next-press {scene_words(files, '8,12,6', 100)} --spacing 0.06 {more}"
 
 
 def test_it_names_places_and_writes_them(run, files, output):
@@ -20,6 +20,7 @@ def test_it_names_places_and_writes_them(run, files, output):
     read = tt.read_trajectory(poses)
     assert read.position.tolist() == [p["position_m"] for p in told["presses"]]
     assert picture.stat().st_size > 10_000
-    plain = run(words(files, "--count 2 --angles 90,200"))
+    eq10 = "--formulation eq10 --option force_weight=0.1"
+    plain = run(words(files, f"--count 2 --angles 90,200 {eq10}"))
     lines = plain.out.splitlines()
     assert len(lines) == 4 and lines[-1].startswith("a press of")

@@ -39,8 +39,9 @@ def as_ros(source, target):
 def words(recording, output, more=""):
     return (
         f"fit --surface {example.path('surface.nc')} --probe {example.PROBE} "
-        f"--trajectory {recording} --shape 16,36,16 --points 300 --inner 10 "
-        f"--sampling trilinear -o {output} --columns t=__time {more}"
+        f"--trajectory {recording} --shape 16,36,16 --points 150 --inner 10 "
+        f"--sampling trilinear --formulation eq10 --weights own -o {output} "
+        f"--columns t=__time {more}"
     )
 
 

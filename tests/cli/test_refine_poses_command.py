@@ -12,7 +12,7 @@ from ttus_opt.fitting.poses.pose_error_step import Check
 
 
 def words(files, output, more=""):
-    return f"refine-poses {scene_words(files)} -o {output} {more}"
+    return f"refine-poses {scene_words(files, '8,12,6', 100)} -o {output} {more}"
 
 
 def test_it_writes_recordings_for_fit(run, files, tmp_path, monkeypatch):

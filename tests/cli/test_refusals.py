@@ -214,12 +214,14 @@ def test_field_of_another_version(run, files, field, tmp_path):
 
 def test_no_solution_writes_no_field(run, files, output, monkeypatch):
     monkeypatch.setattr(fit_command, "SOLVING", 0.0)  # nothing is left of the time
-    words = fit_words(files, output / "f.nc", "--solver osqp --tolerance 1e-13")
+    words = fit_words(
+        files, output / "f.nc", "--formulation eq10 --solver osqp --tolerance 1e-13"
+    )
     answer = run(f"{words} --json")
     assert answer.status == 2
     told = json.loads(answer.out)
     assert told["status"] != "solved" and told["output"] is None
-    assert answer.errors[-1].startswith("error: osqp on depth_map: ")
+    assert answer.errors[-1].startswith("error: osqp on eq10: ")
     assert empty(output)
 
 

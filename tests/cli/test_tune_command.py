@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 import ttus_opt as tt
 from tests.cli.conftest import scene_words
 from ttus_opt import example
+from ttus_opt.cli import tune_command
 
 
 def words(files, command, more=""):
@@ -62,6 +65,23 @@ def test_a_wrong_sign_is_told_with_its_option(run, tmp_path, command):
     assert "forces of the opposite sign?" in told.err
     assert "read them with --flip-wrench" in told.err
     assert "opposite" not in run(f"{command} {given} {shared}/w.csv --flip-wrench").err
+
+
+def test_models_that_were_not_chosen_are_told_with_their_errors():
+    chosen: Any = SimpleNamespace(
+        formulation=SimpleNamespace(name="b"),
+        candidates={"a": 2.0, "b": 1.0, "c": 3.0},
+        weights={},
+        scene=SimpleNamespace(inner=1.0, outer=1.0),
+        shape=(1, 1, 1),
+        hyperparameters=(),
+        comparisons=(),
+        seconds=1.0,
+        noise=1.0,
+        left_out_force_error=1.0,
+    )
+    told = [line.split(":")[0] for line in tune_command._lines(chosen)]
+    assert told[:4] == ["b", "a", "c", "error of a force component"]
 
 
 def test_weights_that_fit_would_not_choose_are_said_to_be_so(run, files, tmp_path):

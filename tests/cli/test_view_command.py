@@ -24,6 +24,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
 
+@pytest.mark.slow
 def test_it_serves_until_it_is_interrupted(field: Path, files: Path) -> None:
     words = f"view {field} --probe {PROBE} --trajectory {files / 'press.csv'}".split()
     process = subprocess.Popen(

@@ -22,6 +22,8 @@ class Recordings:
         near = np.exp(-0.5 * (at[:, None] - at) ** 2)
         self.field = 0.5 * signal * near * np.outer(depth, depth)
         lean = np.tile(np.linspace(-0.15, 0.15, FRAMES), n_places)
+        variances, axes = np.linalg.eigh(self.field)
+        self.root = axes * np.sqrt(np.maximum(variances, 0.0))
         self.rows = np.concatenate([np.eye(len(at)), np.diag(lean)])
         sense = np.tile(np.repeat([1.0, -1.0], FRAMES // 2), n_places)
         self.drag = np.concatenate([depth * sense, 3.0 * depth * (-1.0) ** own])
@@ -33,7 +35,7 @@ class Recordings:
 
     def drawn(self, shared, rng):
         """Measurements at μ = 0; errors in proportion to force, alike in a place."""
-        field = rng.multivariate_normal(np.zeros(len(self.field)), self.field)
+        field = self.root @ rng.standard_normal(len(self.field))
         n = len(self.drag)
         kind = 2 * self.place + (np.arange(n) >= n // 2)
         alike = rng.standard_normal(2 * n)[kind] * self.depth

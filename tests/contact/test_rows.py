@@ -123,7 +123,7 @@ def test_a_linear_pressure_lifts_like_archimedes():
     grid = fine.grid
     x = grid.r[:, None, None] * np.cos(grid.theta)[None, :, None]
     p = np.broadcast_to(x, grid.shape).reshape(-1) * 1e4  # N/cm² per m → N/m² per m
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=3000)
+    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=1200)
     rows = contact_rows(
         fine, shell, np.eye(3)[None], np.array([[0.0, 0.06, 0.1]]), sampling="trilinear"
     )

@@ -48,7 +48,7 @@ def test_all_points_of_the_probe_count_for_its_depth(depth):
 
 def test_a_ball_on_a_cylinder_stands_one_radius_off():
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
-    ball = ellipsoid(3000, (0.02, 0.02, 0.02))
+    ball = ellipsoid(1200, (0.02, 0.02, 0.02))
     rotation, position = standing(cylinder, ball, np.eye(3), THETA, Z, 0.004)
     off = np.linalg.norm(position[:, :2], axis=1)
     # the ball's points are not everywhere

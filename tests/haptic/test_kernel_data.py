@@ -29,7 +29,9 @@ def test_points_and_levers_are_the_shells_in_block_order(trilinear):
 @pytest.mark.parametrize("n_points", [4, RUN * BLOCK * BLOCK + BLOCK])
 def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(n_points):
     """Compiled code writes there without a check."""
-    shell = ellipsoid(n_points)
+    per_point = ("points", "normals", "areas")
+    each = np.resize(np.arange(len(SHELL)), n_points)
+    shell = replace(SHELL, **{name: getattr(SHELL, name)[each] for name in per_point})
     data = FrameData.of(VOXMAP, shell, trilinear=True)
     least = max(RUN * BLOCK, len(ShellBlocks.of(shell).reach))
     for name in ("place", "node"):

@@ -227,8 +227,9 @@ def test_out_must_hold_a_wrench(scene):
         renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))
 
 
-def test_a_pickled_renderer_gives_the_same_in_another_process(scene, tmp_path):
+def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
     """The newest field, settled, with its limits: as a renderer built of it."""
+    scene = small_scene("trilinear")
     field = random_field(scene)
     renderer = Renderer(field, scene.shell, force_limit=0.5)
     renderer.render(scene.trajectory.rotation[0], scene.trajectory.position[0])

@@ -30,7 +30,7 @@ NAMES = [info.name for info in available()]
 
 #: Viscous and dry drag, so that every parameter has something to say
 def made():
-    return dragged_scene("contact", 0.3, 40.0, (8, 16, 9), n=30)
+    return dragged_scene("contact", 0.3, 40.0, (7, 12, 7), n=30)
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,12 @@ def test_the_phantoms_errors_have_the_default_noise():
     still = presses(torso(), 3, np.random.default_rng(1))
     rng = np.random.default_rng(2)
     drawn = np.stack(
-        [recording.add_pose_noise(still, rng).position for _ in range(4000)]
+        [recording.add_pose_noise(still, rng).position for _ in range(2000)]
     )
     errors = (drawn - still.position) / noise.position  # (draws, T, 3)
     seen = np.einsum("nti,nui->tu", errors, errors) / (3 * len(errors))
     expected = noise.correlations(still, np.arange(3))
-    np.testing.assert_allclose(seen, expected, atol=0.04)
+    np.testing.assert_allclose(seen, expected, atol=0.055)
 
 
 def test_errors_of_two_recordings_have_nothing_to_do_with_each_other():

@@ -28,7 +28,7 @@ def test_arms_are_left_out_of_the_surface():
     front = column(*HALF, angles=(0.3, np.pi - 0.3))
 
     def radius(cloud):
-        options = {"n_theta": 60, "n_z": 8, "z_range": (-0.1, 0.1)}
+        options = {"n_theta": 60, "n_z": 8, "z_range": (-0.1, 0.1), "support": None}
         return extract_surface(cloud, axis=AXIS, **options).radius
 
     found = radius(np.concatenate([front, arms()]))
@@ -49,7 +49,7 @@ def test_what_is_a_limb():
 
 def test_a_radius_that_no_trunk_has_is_told():
     with pytest.warns(TtusWarning, match=r"R reaches 36 cm.*100 % of the nodes"):
-        extract_surface(column(0.36, 0.36), axis=AXIS, n_theta=36, n_z=4)
+        extract_surface(column(0.36, 0.36), axis=AXIS, n_theta=36, n_z=4, support=None)
 
 
 def test_a_flat_fronts_edges_are_usable():

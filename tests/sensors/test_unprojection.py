@@ -31,6 +31,15 @@ def test_every_ray_projects_to_its_pixel(distortion):
     assert found.focal == pytest.approx(150.0, rel=0.1)
 
 
+def test_the_focal_length_is_a_median_over_all_rows():
+    """Of a table whose first row alone has other steps."""
+    x, y = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    x[0] *= 3.0
+    rays = np.stack([0.02 * x, 0.02 * y, np.ones_like(x)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    assert Unprojection(rays).focal == pytest.approx(50.0)
+
+
 def test_pixels_where_no_distortion_can_be_undone():
     """Beyond the largest radius that this distortion reaches nothing is seen."""
     D = np.array([-0.8, 0, 0, 0, 0.0])

@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder, stages):
-    return demo.run(folder, shape=(24, 60, 24), progress=stages.append)
+    return demo.run(folder, shape=(16, 40, 16), progress=stages.append)
 
 
 def test_both_fits_hold_their_own_check(result):

@@ -135,7 +135,7 @@ def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     parts = [SimpleNamespace(name="press", fitted=True)]
     told: Any = SimpleNamespace(fit=plan, recordings=parts)
     surface = Surface.load(example.path("surface.nc"))
-    shell = tt.PointShell.from_spec(example.PROBE, n_points=300)
+    shell = tt.PointShell.from_spec(example.PROBE, n_points=120)
     monkeypatch.setattr(model, "fit", no_solve)
     named = re.escape(f"check {KEYS[cause]} in the description")
     with pytest.warns(MistakeWarning, match=named), pytest.raises(JudgedError):

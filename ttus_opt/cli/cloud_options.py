@@ -159,6 +159,7 @@ class AxisOptions:
         from ttus_opt.scan.frame import Axis
         from ttus_opt.scan.supporting_plane import find_supporting_plane
 
+        at = np.array(numbers(origin, 3, "--axis-origin"))
         z = np.array(numbers(direction, 3, "--axis-direction"))
         length = float(np.linalg.norm(z))
         if not (np.isfinite(length) and length > 0):
@@ -181,5 +182,4 @@ class AxisOptions:
                 "direction along the body"
             )
         x /= size
-        at = np.array(numbers(origin, 3, "--axis-origin"))
         return Axis(at, np.stack([x, np.cross(z, x), z], axis=1), plane)

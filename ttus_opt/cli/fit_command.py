@@ -131,6 +131,7 @@ def fit(
 
     if weighting.paper and weighting.weights == "auto":
         raise InputError("--paper sets the weights: leave --weights out")
+    problem.check()
     deadline = time.monotonic() + SOLVING * time_limit
     options = weighting.options(problem, torque_length)
     if weighting.paper:
@@ -160,14 +161,13 @@ def fit(
         scene = built_scene(plan, (patient, shell, recorded), (as_written, conventions))
         if word != OWN:
             begin("choosing weights")
-        strict = weighting.weights is not None
         choice = choice_of(
             word,
             scene,
             problem.formulation,
             options,
             sampling=grid.sampling,
-            strict=strict,
+            strict=weighting.weights is not None,
         )
         begin("solving")
         solution = _solved(choice, problem, deadline)

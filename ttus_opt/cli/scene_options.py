@@ -52,6 +52,19 @@ class ProblemOptions:
         """
         return further_options(self.option or ())
 
+    def check(self) -> None:
+        """Refuse a mistyped solver or tolerance before weights are chosen.
+
+        Raises:
+            InputError: There is no such solver, or no such tolerance.
+        """
+        from ttus_opt.solvers import registry
+        from ttus_opt.solvers.base import Request
+
+        Request(self.tolerance)
+        if self.solver != "auto":
+            registry.asked_for(self.solver)
+
 
 @dataclass(frozen=True)
 class SceneOptions:

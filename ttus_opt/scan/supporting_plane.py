@@ -143,12 +143,13 @@ def _refine(sample: Array, normal: Array, offset: float) -> tuple[Array, float]:
         near, last = sample[within], within
         if len(near) < 10:
             break
-        centre = np.median(near, axis=0)
-        _, vectors = np.linalg.eigh(np.cov((near - centre).T))
+        centre = near.mean(axis=0)
+        off = near - centre
+        _, vectors = np.linalg.eigh(off.T @ off)
         refined = vectors[:, 0] * np.sign(vectors[:, 0] @ normal)
         if refined @ normal < 0.95:
             break
-        normal, offset = refined, float(np.mean(near @ refined))
+        normal, offset = refined, float(centre @ refined)
     return normal, offset
 
 

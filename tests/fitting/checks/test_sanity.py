@@ -27,7 +27,7 @@ SWAP = [1, 0, 2]
 def geometry():
     surface = tt.Surface.load(example.path("surface.nc"))
     voxmap = tt.Voxmap.from_surface(surface, shape=(20, 48, 24), r_inner=0.03)
-    return voxmap, tt.PointShell.from_spec(example.PROBE, n_points=400)
+    return voxmap, tt.PointShell.from_spec(example.PROBE, n_points=150)
 
 
 @functools.cache

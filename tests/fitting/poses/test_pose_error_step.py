@@ -15,7 +15,7 @@ from ttus_opt.probe.trajectory import Trajectory
 
 def test_places_left_out_are_not_known():
     """Predictions equal those of the normal equations without the place's rows."""
-    problem = PoseErrorProblem.of(examined()[0], NOISE)
+    problem = PoseErrorProblem.of(examined(1.0, 60)[0], NOISE)
     state = problem.step(problem.start(), estimate=False)
     found = problem._left_out(state)
     covariance = state.given.factor @ state.given.factor.T
@@ -34,7 +34,7 @@ def test_places_left_out_are_not_known():
 
 def test_the_profile_as_a_whole_varies_too():
     """Against the covariance of all voxels, by the rows of the Matérn field."""
-    problem = PoseErrorProblem.of(examined()[0], NOISE)
+    problem = PoseErrorProblem.of(examined(1.0, 40)[0], NOISE)
     state = problem.start()
     prior, found = state.prior, state.depth_map
     voxmap, mean = problem.scene.voxmap, prior.mean
@@ -51,7 +51,7 @@ def test_the_profile_as_a_whole_varies_too():
 
 
 def test_frames_of_a_press_share_errors():
-    problem = PoseErrorProblem.of(examined()[0], NOISE)
+    problem = PoseErrorProblem.of(examined(1.0, 40)[0], NOISE)
     own = {"shared_error": 0.1, "sensor_noise": 0.2, "relative_noise": 0.01}
     depth_map = replace(problem.start().depth_map, **own)
     force = np.full(len(problem.frames), 5.0)
@@ -69,7 +69,7 @@ def test_one_shift_for_all_frames():
     own = Trajectory.concatenate([sweep(1, 480), sweep(2, 480)])
     force = np.tile([0.0, 3.0, 0.0], (len(own), 1))
     pushed = replace(own, force=force, torque=np.zeros_like(force))
-    small = examined()[0]
+    small = examined(1.0, 40)[0]
     scene = Scene.assemble(small.voxmap, small.shell, pushed)
     problem = PoseErrorProblem.of(scene, NOISE)
     touching = scene.rows.contact_points > 0

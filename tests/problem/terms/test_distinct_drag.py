@@ -86,7 +86,7 @@ def pressed(depth, angles, step=0.05):
         0.0 * force,
         segment=np.repeat(np.arange(len(angles)), len(depth)),
     )
-    shell = tt.PointShell.sphere(0.02, 1500)
+    shell = tt.PointShell.sphere(0.02, 700)
     return Scene.assemble(tube(), shell, poses, inner=3.0)
 
 
@@ -216,7 +216,7 @@ def recordings(shared):
 
 
 def test_recordings_that_press_release_and_slide_tell_friction(shared):
-    shell = tt.PointShell.from_spec(example.PROBE)
+    shell = tt.PointShell.from_spec(example.PROBE, n_points=200)
     for place, recording in recordings(shared):
         voxmap = tt.Voxmap.from_surface(tt.Surface.load(place), shape=(16, 48, 24))
         poses = tt.read_trajectory(recording)

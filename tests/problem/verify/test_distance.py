@@ -23,7 +23,7 @@ SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
 
 
 def sliding():
-    return dragged_scene("contact", mu=0.2, viscous=30.0, shape=(7, 12, 8))
+    return dragged_scene("contact", mu=0.2, viscous=30.0, shape=(6, 9, 7))
 
 
 def compiled(name, **options):

@@ -23,8 +23,8 @@ INF = np.inf
 
 @functools.cache
 def pair(weight: float, smoothness: float, share: float, hard: bool) -> FieldPair:
-    """Three hundred voxels, and measurements that do not fit the prior."""
-    scene = dragged_scene("contact", shape=(6, 10, 5))
+    """A hundred and eighty voxels, and measurements that do not fit the prior."""
+    scene = dragged_scene("contact", shape=(5, 9, 4))
     rng = np.random.default_rng(1)
     trajectory = scene.trajectory
     assert trajectory.force is not None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from ttus_opt.solvers.packages.package import Package
+import math
+
+from tests.solvers.problems import program, term
+from ttus_opt.solvers.packages.package import Package, PackageSolver
 
 PLAIN = Package("a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10)
 
@@ -18,3 +21,10 @@ def test_every_option_has_its_number() -> None:
 def test_options_may_stand_within_another() -> None:
     within = Package("a", "", "a", ("rel",), within="params")
     assert within.options(1e-6, 5.0) == {"params": {"rel": 1e-6}}
+
+
+def test_a_package_without_an_estimate_is_never_the_cheapest() -> None:
+    small = program([term([[1.0]], [1.0])])
+    cheap = Package("b", "", "b", ("rel",), cost=lambda program: 2.0)
+    assert PackageSolver(cheap).cost(small) == 2.0
+    assert PackageSolver(PLAIN).cost(small) == math.inf
