@@ -100,6 +100,7 @@ picture: demo $(DOCS_STAMP)
 docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python docs/first_hour.py
+	$(BIN)/python docs/devices.py
 	$(BIN)/python -m mkdocs build --strict
 	$(BIN)/python docs/browser.py site
 

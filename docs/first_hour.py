@@ -104,6 +104,11 @@ def write_scan_and_probe() -> None:
     """The scan as text and the probe as STL, both in millimetres."""
     cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
     np.savetxt("scan.xyz", 1e3 * cloud, fmt="%.2f")
+    write_probe()
+
+
+def write_probe() -> None:
+    """The example's probe as STL in millimetres."""
     probe = trimesh.creation.icosphere(subdivisions=4)
     probe.apply_scale(PROBE)
     probe.export("probe.stl")

@@ -74,3 +74,23 @@ def test_units_of_a_cloud_and_of_columns(run: Run, tmp_path: Path) -> None:
     assert "likely in mm: px=NAME[mm]" in " ".join(run(f"doctor {file}").out.split())
     told = run(f"doctor {file} --columns px=px[mm],py=py[mm],pz=pz[mm]")
     assert told.status == 0 and "units?" not in told.out
+
+
+def test_one_stream_of_several(run: Run, tmp_path: Path) -> None:
+    """Of poses and of depth images; a name that a file has not is told with those."""
+    file = SAMPLES["toolbox.csv"](tmp_path / "toolbox.csv")
+    answer = run(f"doctor {file} --stream Stylus")
+    assert "Stylus: poses, 8 rows" in answer.out
+    assert "Probe" not in answer.out
+    answer = run(f"doctor {file} --stream Hand")
+    assert answer.status == 2
+    assert "has no tool Hand, but Probe, Stylus" in answer.out
+    pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
+    from tests.sensors.test_depth_bag import ALIGNED, recorded
+
+    bag = recorded(tmp_path / "two.bag", aligned=True)
+    both = run(f"doctor {bag}").out
+    one = run(f"doctor {bag} --stream {ALIGNED}/image_raw").out
+    for said, times in (("32 x 24 pixels", 1), ("image 3 of 5", 2), ("fx 30.00", 1)):
+        assert both.count(said) == times
+    assert "fx 30.00" in one and "32 x 24" not in one

@@ -83,6 +83,36 @@ def test_nanoseconds_of_one_clock_and_columns_of_each_file(run, given, output):
     refused(run(words.partition(" --columns")[0] + " --offset 0"), "no column t")
 
 
+def test_poses_of_a_tracker_on_a_clock_of_its_own(run, given, output):
+    """The surface's frame by a motion; what is missing is named, one by one."""
+    poses = read_trajectory(given / "tracker.csv")
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    to_patient = np.eye(4)
+    to_patient[:3] = np.column_stack([turn.as_matrix(), [0.4, 0.2, -1.0]])
+    np.savetxt(given / "motion.txt", to_patient)
+    based = poses.transformed(np.linalg.inv(to_patient))
+    Trajectory(based.time + 900.0, based.position, based.rotation).save(
+        given / "tracker.csv"
+    )
+    words = (
+        f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} --by "
+        f"contact -o {output / 'both.csv'}"
+    )
+    refused(run(words), "--by contact needs --surface")
+    words += f" --surface {given / 'surface.nc'}"
+    refused(run(words), "--together", "--frame scan", "--base-to-scan")
+    refused(run(f"{words} --together --frame scan"), "are --frame and --base-to-scan")
+    words += f" --base-to-scan {given / 'motion.txt'}"
+    refused(run(words), "--together")
+    assert empty(output)
+    told = json.loads(run(f"{words} --together --json").out)
+    assert told["offset_s"] == pytest.approx(900.6, abs=0.04)
+    joined = read_trajectory(output / "both.csv")  # in the tracker's frame, as it was
+    near = np.interp(joined.time, based.time + 900.0, based.position[:, 0])
+    np.testing.assert_allclose(joined.position[:, 0], near, atol=1e-6)
+    refused(run(f"{words} --offset 1".replace("--by contact", "")), "for --by contact")
+
+
 @pytest.mark.slow
 def test_what_is_refused(run, given, output):
     words = (

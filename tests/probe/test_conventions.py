@@ -124,7 +124,7 @@ def test_recordings_in_the_scan_and_in_the_robots_base():
     )
     told = Conventions(frame="base", wrench_frame="tool", base_to_scan=motions)
     same(told.read(tool, CENTROID, SCAN_TO_PATIENT), OWN)
-    assert told.options == "--frame base --wrench-frame tool --base-to-scan …"
+    assert told.options == "--wrench-frame tool --base-to-scan …"
     with pytest.raises(InputError, match="frame scan needs the surface's place"):
         Conventions(frame="scan").read(scan, CENTROID)
 

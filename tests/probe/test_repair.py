@@ -66,7 +66,7 @@ def test_repair_says_what_it_did(tmp_path):
         "dropped 4 rows with missing values",
         "dropped 1 row without a unit quaternion",
         "sorted 1 row that came late",
-        "dropped 2 rows that repeat a time stamp",
+        "dropped 2 rows with a repeated time stamp",
         "split at jumps (2)",
         "dropped 1 row alone between two splits",
     ):

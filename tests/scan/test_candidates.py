@@ -56,3 +56,15 @@ def test_strays_are_dropped_and_surfaces_kept():
     kept = every[~stray(every)]
     assert (np.hypot(kept[:, 0], kept[:, 1]) < 0.2).all()
     assert len(kept) > 0.999 * len(cloud)
+
+
+@pytest.mark.parametrize("spacing", [0.004, 0.008, 0.012])
+def test_a_sparse_front_is_usable_over_its_whole_height(spacing):
+    """A camera's view from afar holds less than three points a thin section."""
+    x, z = np.meshgrid(np.arange(-0.17, 0.17, spacing), np.arange(0.0, 0.6, spacing))
+    y = 0.11 * np.sqrt(np.maximum(1 - (x / 0.17) ** 2, 0.0))
+    noise = np.random.default_rng(0).normal(0.0, 0.002, y.shape)
+    points = np.stack([x, y + noise, z], axis=-1).reshape(-1, 3)
+    found = usable_range(points)
+    assert found.z_min < 0.06
+    assert found.z_max > 0.52

@@ -11,15 +11,21 @@ import pytest
 
 from tests.hostile import only_our_errors
 from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.sensors.depth import read_depth_image
-from ttus_opt.sensors.depth_files import read_depth
+from ttus_opt.sensors.depth_files import read_depth, read_depth_frame
 from ttus_opt.sensors.intrinsics import read_intrinsics
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
 
 SENSOR = "/device_0/sensor_0"
 K = [60.0, 0.0, 16.0, 0.0, 60.0, 12.0, 0.0, 0.0, 1.0]
+
+#: Another topic of depth images, of half the size
+ALIGNED = "/camera/aligned_depth_to_color"
+
+#: Time from one image to the next [ns]
+FRAME = 33_000_000
 
 #: A depth camera's unit that is not a millimetre, as a D405 has it [m]
 UNIT = 1e-4
@@ -49,6 +55,7 @@ def recorded(
     encoding: str = "mono16",
     unit: bool = True,
     camera: Camera = SMALL,
+    aligned: bool = False,
 ) -> Path:
     from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
@@ -67,6 +74,8 @@ def recorded(
         f"{SENSOR}/Depth_0/info/camera_info": info,
         f"{SENSOR}/option/Depth Units/value": number,
     }
+    if aligned:
+        topics |= {f"{ALIGNED}/image_raw": image, f"{ALIGNED}/camera_info": info}
     with rosbag1.Writer(file) as writer:
         open_ = {
             t: writer.add_connection(t, k, typestore=store) for t, k in topics.items()
@@ -89,7 +98,19 @@ def recorded(
             pixels = whole.view(np.uint8).ravel()
             size = height, width, encoding, 0, 2 * width
             sent = T[image](header(i), *size, pixels)
-            write(f"{SENSOR}/Depth_0/image/data", i, sent)
+            write(f"{SENSOR}/Depth_0/image/data", FRAME * i, sent)
+            if aligned:
+                half = np.ascontiguousarray(whole[::2, ::2])
+                size = height // 2, width // 2, encoding, 0, width
+                sent = T[image](header(i), *size, half.view(np.uint8).ravel())
+                write(f"{ALIGNED}/image_raw", FRAME * i, sent)
+        if aligned:
+            small = np.array(camera.K) / [2, 1, 2, 1, 2, 2, 1, 1, 1]
+            told = T[info](
+                *(header(0), height // 2, width // 2, "Brown Conrady", np.zeros(5)),
+                *(small, np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
+            )
+            write(f"{ALIGNED}/camera_info", 0, told)
     return file
 
 
@@ -109,6 +130,32 @@ def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
 def test_millimetres_where_no_unit_is_stated(tmp_path: Path) -> None:
     file = recorded(tmp_path / "scan.bag", encoding="16UC1", unit=False)
     np.testing.assert_allclose(read_depth(file)[0, 0], 5.002)
+
+
+def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
+    """Each topic has the intrinsics beside it; times count from its first image."""
+    file = recorded(tmp_path / "two.bag", aligned=True)
+    data = f"{SENSOR}/Depth_0/image/data"
+    refuses(FileError, "several topics of depth images: /camera/al", read_depth, file)
+    with pytest.raises(FileError, match="no topic /x of depth images: one of /camera"):
+        read_depth_frame(file, topic="/x")
+    found, frame = read_depth_frame(file, topic=data, at=0.1)
+    assert frame is not None
+    assert frame[:3] == (data, 3, 5)
+    np.testing.assert_allclose(frame[3:], (0.099, UNIT), rtol=1e-6)
+    said = "image 4 of 5, 0.099 s after the first, in units of 0.1 mm"
+    assert str(frame) == f"{data}, {said}"
+    np.testing.assert_allclose(found[0, 0], UNIT * depth(3)[0, 0])
+    for at, number in ((0.0, 0), (0.132, 4), (None, 2)):
+        found, frame = read_depth_frame(file, topic=f"{ALIGNED}/image_raw", at=at)
+        assert frame is not None and frame.number == number
+        np.testing.assert_allclose(found[0, 0], UNIT * depth(number)[0, 0])
+    assert read_intrinsics(file, data).matrix[0, 0] == 60.0
+    small = read_intrinsics(file, f"{ALIGNED}/image_raw")
+    assert small.matrix[0, 0] == 30.0 and small.size == (16, 12)
+    for at in (-0.1, 1.0):
+        with pytest.raises(InputError, match="outside the recording"):
+            read_depth_frame(file, topic=data, at=at)
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

@@ -272,6 +272,6 @@ def test_repeated_wrenches_are_left_out(tmp_path, suffix):
         time_ = "time", twice, {"units": "s"}
         axes = {"time": time_, "axis": list("xyz")}
         written(xr.Dataset({"force": force}, axes), file)
-    with pytest.warns(TtusWarning, match="1 rows repeat the row before"):
+    with pytest.warns(TtusWarning, match="1 row equal to the row before left out"):
         found = read_wrenches(file)
     np.testing.assert_array_equal(found.time, [0.0, 1.0, 2.0])

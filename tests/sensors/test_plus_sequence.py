@@ -55,7 +55,11 @@ def test_several_transforms_are_named(tmp_path):
     [
         ("= OK", "= MISSING", "in view"),
         ("ProbeToTrackerTransform", "Image", "no transforms"),
-        ("Seq_Frame0001_Timestamp", "Other", "no Timestamp"),
+        (
+            "Seq_Frame0001_Timestamp",
+            "Other",
+            "no Timestamp, and the file no frame rate.*FrameRate = 20",
+        ),
         ("= 1.000000", "= 1.0 2.0", "16 numbers"),
         ("= 1.000000", "= nan", "not finite"),
         ("= 1.000000", "= one", "one"),
@@ -68,6 +72,24 @@ def test_what_is_none(tmp_path, old, new, words):
     content = file.read_bytes().replace(old.encode(), new.encode())
     file.write_bytes(content)
     refuses(FileError, words, read_plus_sequence, file)
+
+
+def test_frames_without_times(tmp_path):
+    """By the times that older versions write, else by the file's rate, said."""
+    text = sequence(tmp_path / "s.mha").read_bytes()
+    expected = read_plus_sequence(tmp_path / "s.mha")
+    for old, new, words, begin in (
+        (b"_Timestamp", b"_UnfilteredTimestamp", "times are the Unfiltered", 100.0),
+        (b"_Timestamp", b"_Other", "frame numbers at 20 Hz", 0.0),
+    ):
+        changed = text.replace(old, new)
+        if not begin:
+            changed = changed.replace(b"NDims", b"AcquisitionFrameRate = 20\nNDims")
+        (tmp_path / "t.mha").write_bytes(changed)
+        with pytest.warns(TtusWarning, match=words):
+            found = read_poses(tmp_path / "t.mha")
+        np.testing.assert_allclose(found.time, expected.time - 100.0 + begin)
+        np.testing.assert_array_equal(found.position, expected.position)
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])

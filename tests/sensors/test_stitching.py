@@ -169,3 +169,13 @@ def test_poses_of_a_file(tmp_path):
 def test_mutations(tmp_path, n):
     file = poses_file(tmp_path / "poses.csv")
     only_our_errors([file], lambda path: read_camera_poses(path, 2), n)
+
+
+def test_where_a_body_was_seen_from():
+    """The middle of cameras on one side; nowhere when they stand around."""
+    both = stitch([image(c, "body and bed") for c in CAMERAS], POSES)
+    np.testing.assert_allclose(both.seen_from, [0.0, 0.8, 0.05])
+    opposite = Camera((0.0, -0.8, 0.1), (0.0, 0.1, 0.0))
+    around = [CAMERAS[0], CAMERAS[1], opposite]
+    poses = np.stack([camera.pose for camera in around])
+    assert stitch([image(CAMERAS[0], "body and bed")] * 3, poses).seen_from is None

@@ -101,7 +101,7 @@ def test_a_table_of_wrenches(tmp_path):
     assert found.force.tolist() == [[1, 2, 3], [4, 5, 6]]
 
 
-@pytest.mark.filterwarnings("ignore:.*rows repeat the row before")
+@pytest.mark.filterwarnings("ignore:.*equal to the row before")
 @pytest.mark.parametrize(
     "text", ["t,fx,fy\n0,1,2\n", "t,fx,fy,fz\n0,1,2,3\n0,1,2,4\n", "t,fx,fy,fz\n"]
 )

@@ -87,6 +87,8 @@ class AxisOptions:
         axis_depth: For such poses: depth of the origin below the skin [m]. By default
             half-way to the plane the body lies on.
         support: Find the plane the body lies on and leave it out.
+        seen_from: Where the camera was, x,y,z in the scan [m]. By default as --poses
+            say, and for a cloud that looks like one view from its origin, there.
     """
 
     head: Annotated[str | None, typer.Option(metavar="x,y,z")] = None
@@ -98,6 +100,7 @@ class AxisOptions:
     probe_axes: Annotated[str, typer.Option(metavar="INTO,HEAD")] = "z,-y"
     axis_depth: float | None = None
     support: Annotated[bool, typer.Option("--support/--no-support")] = True
+    seen_from: Annotated[str | None, typer.Option(metavar="x,y,z")] = None
 
     @property
     def are_given(self) -> bool:
@@ -111,11 +114,12 @@ class AxisOptions:
         stated = (self.head, self.axis_from, self.axis_direction)
         return not any(stated) and not self.flip_axis
 
-    def frame(self, cloud: Array) -> Axis:
+    def frame(self, cloud: Array, camera: Array | None = None) -> Axis:
         """The patient frame: from a file, from origin and direction, or estimated.
 
         Args:
             cloud: The scan, shape (n, 3) [m].
+            camera: Where it was seen from, shape (3,) [m]; None where unknown.
 
         Raises:
             InputError: Options that cannot be combined, or are not numbers.
@@ -124,6 +128,9 @@ class AxisOptions:
         from ttus_opt.scan.frame import Axis
         from ttus_opt.sensors.probe_axis import read_axis
 
+        place: Any = camera
+        if self.seen_from is not None:
+            place = numbers(self.seen_from, 3, "--seen-from")
         given = self.axis_origin is not None or self.axis_direction is not None
         lying = self.head is not None or self.flip_axis or self.prone
         if self.axis_from is not None:
@@ -143,6 +150,7 @@ class AxisOptions:
                 flip=self.flip_axis,
                 prone=self.prone,
                 support=self.support,
+                camera=place,
             )
         if self.axis_origin is None or self.axis_direction is None:
             raise InputError(
@@ -150,10 +158,13 @@ class AxisOptions:
             )
         if self.head is not None:
             raise InputError("--axis-direction points to the head: leave --head out")
-        return self._given(cloud, self.axis_origin, self.axis_direction)
+        return self._given(cloud, self.axis_origin, self.axis_direction, place)
 
-    def _given(self, cloud: Array, origin: str, direction: str) -> Axis:
-        """The frame of an origin and a direction; the front is off the support."""
+    def _given(self, cloud: Array, origin: str, direction: str, camera: Any) -> Axis:
+        """The frame of an origin and a direction.
+
+        The front is off the support or, without one, towards a known camera.
+        """
         import numpy as np
 
         from ttus_opt.scan.frame import Axis
@@ -168,18 +179,23 @@ class AxisOptions:
                 "0,0,1"
             )
         z *= (-1.0 if self.flip_axis else 1.0) / length
-        plane = find_supporting_plane(cloud) if self.support else None
-        if plane is None:
+        at = np.array(numbers(origin, 3, "--axis-origin"))
+        plane = find_supporting_plane(cloud, camera=camera) if self.support else None
+        upward = None if camera is None else np.asarray(camera) - at
+        if plane is not None:
+            upward = plane.normal
+        if upward is None:
             # x: the scan's axis that stands across the body most squarely
             x = np.eye(3)[int(np.argmin(np.abs(z)))]
         else:
-            x = (-1.0 if self.prone else 1.0) * np.cross(plane.normal, z)
+            x = (-1.0 if self.prone else 1.0) * np.cross(upward, z)
+            x /= max(float(np.linalg.norm(upward)), 1e-9)
         x = x - (x @ z) * z
         size = float(np.linalg.norm(x))
         if size < 0.1:
             raise GeometryError(
-                f"--axis-direction {direction} points away from the support: give a "
-                "direction along the body"
+                f"--axis-direction {direction} points away from the support or to the "
+                "camera: give a direction along the body"
             )
         x /= size
         return Axis(at, np.stack([x, np.cross(z, x), z], axis=1), plane)

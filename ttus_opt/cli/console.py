@@ -44,6 +44,8 @@ OPTIONS = {
     "camera": "--camera",
     "repair": "--repair",
     "name": "--stream",
+    "at": "--at",
+    "z_range": "--z-range",
     "columns": "--columns",
     "weights": "--weights",
 }

@@ -43,6 +43,9 @@ class DepthOptions:
         pose_quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         refine: Refine the poses by GICP (extra sensors: small_gicp).
         pose_std: Accuracy of the measured poses, for --refine.
+        stream: Topic of the depth images, if a .bag has several.
+        at: Of a .bag, take the image nearest to this time after the first [s]; by
+            default the one in the middle.
     """
 
     intrinsics: list[Path] | None = None
@@ -53,6 +56,8 @@ class DepthOptions:
     pose_quaternion: str = "wxyz"
     refine: bool = False
     pose_std: Annotated[str, typer.Option(metavar="METRES,DEGREES")] = "0.005,0.5"
+    stream: str | None = None
+    at: float | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -78,6 +83,8 @@ class DepthOptions:
                 "--noise, --poses and --refine need depth images: give --intrinsics "
                 "or --rays with them"
             )
+        if self.stream is not None or self.at is not None:
+            raise InputError("--stream and --at are for recordings (.bag)")
         return False
 
     def read(self, cloud: CloudOptions) -> Stitched:
@@ -122,14 +129,24 @@ class DepthOptions:
                 f"got {len(files)} --intrinsics for {len(cloud.scans)} images: give "
                 "one for all or one for each"
             )
-        cameras: list[Any] = [read_intrinsics(file) for file in files]
+        cameras: list[Any] = [
+            read_intrinsics(file, self.stream if file.suffix == RECORDING else None)
+            for file in files
+        ]
         if self.rays is not None:
             cameras = [read_unprojection(self.rays)]
         if len(cameras) == 1:
             cameras *= len(cloud.scans)
         kind: Any = self.depth_kind  # checked there
         return [
-            read_depth_image(scan, camera, depth_kind=kind, unit=cloud.unit)
+            read_depth_image(
+                scan,
+                camera,
+                depth_kind=kind,
+                unit=cloud.unit,
+                topic=self.stream,
+                at=self.at,
+            )
             for scan, camera in zip(cloud.scans, cameras, strict=True)
         ]
 
@@ -163,12 +180,18 @@ def stitched_facts(found: Stitched) -> dict[str, Any]:
             for r in found.refinements
         ],
         "camera_poses": found.poses.tolist(),
+        "images": [frame and frame._asdict() for frame in found.frames],
     }
 
 
 def stitched_lines(found: Stitched) -> list[str]:
     """The same for people."""
     lines = [
+        f"scan {k + 1}: {frame}"
+        for k, frame in enumerate(found.frames)
+        if frame is not None
+    ]
+    lines += [
         f"scan {k + 1}: left out {d.invalid} pixels without depth, {d.flying} flying, "
         f"{d.grazing} grazing"
         for k, d in enumerate(found.cloud.dropped)

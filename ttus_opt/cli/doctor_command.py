@@ -14,6 +14,7 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.core.errors import FileError, InputError, TtusError
 
 if TYPE_CHECKING:
+    from ttus_opt.core.arrays import Array
     from ttus_opt.probe.raw_recording import RawRecording
 
 
@@ -37,10 +38,19 @@ class _Found(NamedTuple):
     streams: dict[str, RawRecording]
 
 
+class _Asked(NamedTuple):
+    """How files are read: columns of tables, unit of clouds, the only stream."""
+
+    columns: str
+    unit: str | None
+    stream: str | None
+
+
 def doctor(
     files: Annotated[list[Path], typer.Argument()],
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     unit: str | None = None,
+    stream: str | None = None,
     picture: Path | None = None,
     force: bool = False,
     json: bool = False,
@@ -56,16 +66,19 @@ def doctor(
         columns: Column names of tables, for instance px=tip_x[mm],t=sec+nanosec.
         unit: Unit of clouds, meshes and depth images: m, cm, mm. By default that of
             their kind, or the likely one.
+        stream: Say only of this topic, transform, tool or body; of /tf two frames,
+            base:tool.
         picture: Draw all recordings over time here.
 
     Example:
         ttus-opt doctor tracker.csv force.csv scan.ply --picture streams.png
     """
     check_outputs([], list(files), force=force, pictures=[picture])
+    asked = _Asked(columns, unit, stream)
     facts, lines, drawn, unreadable, faulty = [], [], {}, False, False
     for file in files:
         try:
-            found = _examined(file, columns, unit)
+            found = _examined(file, asked)
         except TtusError as error:
             unreadable = True
             text = as_options(str(error))
@@ -109,7 +122,7 @@ def _draw(picture: Path, streams: dict[str, RawRecording]) -> None:
     save_picture(stream_picture(streams), picture)
 
 
-def _examined(file: Path, columns: str, unit: str | None) -> _Found:
+def _examined(file: Path, asked: _Asked) -> _Found:
     """What a file holds, by its suffix; a recording is what is nothing else.
 
     Raises:
@@ -120,18 +133,18 @@ def _examined(file: Path, columns: str, unit: str | None) -> _Found:
     suffix = file.suffix.lower()
     for suffixes, examine in EXAMINERS:
         if suffix in suffixes:
-            return examine(file, columns, unit)
-    return _recording(file, columns, unit)
+            return examine(file, asked)
+    return _recording(file, asked)
 
 
-def _recording(file: Path, columns: str, unit: str | None) -> _Found:
+def _recording(file: Path, asked: _Asked) -> _Found:
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.diagnosis import diagnosis
     from ttus_opt.sensors.stream_files import format_of, raw_recordings
 
     kind = format_of(file)
-    told = read_column_map(columns) if kind.has_columns else {}
-    streams = {raw.name: raw for raw in raw_recordings(file, told)}
+    told = read_column_map(asked.columns) if kind.has_columns else {}
+    streams = {raw.name: raw for raw in raw_recordings(file, told, asked.stream)}
     found = [diagnosis(raw) for raw in streams.values()]
     lines = []
     for one in found:
@@ -141,30 +154,34 @@ def _recording(file: Path, columns: str, unit: str | None) -> _Found:
     return _Found(kind.title, lines or ["no poses, no wrenches"], facts, streams)
 
 
-def _bag(file: Path, columns: str, unit: str | None) -> _Found:
+def _bag(file: Path, asked: _Asked) -> _Found:
     """A recording of ROS, and its depth images if it has some."""
-    from ttus_opt.sensors.depth_bag import read_bag_depth
+    from ttus_opt.sensors.depth_bag import depth_topics
+    from ttus_opt.sensors.depth_files import read_depth_frame
 
-    found = _recording(file, columns, unit)
-    try:
-        depth = read_bag_depth(file)
-    except FileError:
-        return found
-    images = _depth(file, columns, unit)
-    number, count = depth.frame
-    line = (
-        f"{count} depth images in units of {1e3 * depth.unit:g} mm, of which number "
-        f"{number + 1} is read"
-    )
-    lines = [line, *images.lines, *_camera_lines(file)]
-    own = found.lines if found.streams else []
-    return found._replace(lines=[*own, *lines], facts={**found.facts, **images.facts})
+    topics = depth_topics(file)
+    found = _Found("recording of ROS", [], {}, {})
+    if asked.stream in topics:
+        topics = [asked.stream]
+    else:
+        found = _recording(file, asked)
+        topics = [] if asked.stream else topics
+    lines = found.lines if found.streams or not topics else []
+    facts = dict(found.facts)
+    for topic in topics:
+        depth, frame = read_depth_frame(file, topic=topic)
+        words, seen = _depth_facts(depth)
+        which = [f"{frame.which}, is read"] if frame else []
+        about = [*which, *words, *_camera_lines(file, topic)]
+        lines += [f"{topic}: depth images", *(f"    {w}" for w in about)]
+        facts |= seen
+    return found._replace(lines=lines, facts=facts)
 
 
-def _camera_lines(file: Path) -> list[str]:
+def _camera_lines(file: Path, topic: str | None = None) -> list[str]:
     from ttus_opt.sensors.intrinsics import read_intrinsics
 
-    camera = read_intrinsics(file)
+    camera = read_intrinsics(file, topic)
     (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
     lines = [f"camera fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} pixels"]
     if camera.size is not None:
@@ -179,11 +196,11 @@ def _camera_lines(file: Path) -> list[str]:
     return [*lines, f"distortion (k1, k2, p1, p2, k3, …): {bent}"]
 
 
-def _camera(file: Path, columns: str, unit: str | None) -> _Found:
+def _camera(file: Path, asked: _Asked) -> _Found:
     return _Found("camera intrinsics", _camera_lines(file), {}, {})
 
 
-def _netcdf(file: Path, columns: str, unit: str | None) -> _Found:
+def _netcdf(file: Path, asked: _Asked) -> _Found:
     """A surface, a field, or a stream."""
     from ttus_opt.core import io
 
@@ -196,7 +213,7 @@ def _netcdf(file: Path, columns: str, unit: str | None) -> _Found:
         from ttus_opt.voxmap.field import PotentialField
 
         return _Found("field", [repr(PotentialField.load(file))], {}, {})
-    return _recording(file, columns, unit)
+    return _recording(file, asked)
 
 
 def _has_radius(file: Path) -> bool:
@@ -208,13 +225,13 @@ def _has_radius(file: Path) -> bool:
         return False
 
 
-def _cloud(file: Path, columns: str, unit: str | None) -> _Found:
+def _cloud(file: Path, asked: _Asked) -> _Found:
     import numpy as np
 
     from ttus_opt.scan.cloud import UNITS, read_cloud
 
-    points, used = None, unit
-    guesses: list[Any] = [unit] if unit else ["m", "mm", "cm"]
+    points, used = None, asked.unit
+    guesses: list[Any] = [asked.unit] if asked.unit else ["m", "mm", "cm"]
     for guess in guesses:
         try:
             points, used = read_cloud(file, unit=guess, drop_nan=True), guess
@@ -229,7 +246,7 @@ def _cloud(file: Path, columns: str, unit: str | None) -> _Found:
         for axis, a, b in zip("xyz", low, high, strict=True)
     )
     lines = [f"{len(points):,} points, {spans} m"]
-    if unit is None and used != "m":
+    if asked.unit is None and used != "m":
         raw = (high - low).max() / UNITS[used or "m"]
         lines.append(
             f"units? it spans {raw:.4g}, so it is likely in {used}: --unit {used}"
@@ -238,68 +255,72 @@ def _cloud(file: Path, columns: str, unit: str | None) -> _Found:
     return _Found("point cloud", lines, facts, {})
 
 
-def _text_or_cloud(file: Path, columns: str, unit: str | None) -> _Found:
+def _text_or_cloud(file: Path, asked: _Asked) -> _Found:
     """A table of poses or wrenches, or of points."""
     try:
-        return _recording(file, columns, unit)
+        return _recording(file, asked)
     except FileError as error:
         try:
-            return _cloud(file, columns, unit)
+            return _cloud(file, asked)
         except TtusError:
             raise error from None
 
 
-def _depth(file: Path, columns: str, unit: str | None) -> _Found:
-    import numpy as np
-
+def _depth(file: Path, asked: _Asked) -> _Found:
     from ttus_opt.sensors.depth_files import read_depth
 
-    depth = read_depth(file, unit)
-    seen = depth[np.isfinite(depth)]
-    low, middle, high = np.quantile(seen, [0.01, 0.5, 0.99])
-    share = len(seen) / depth.size
-    lines = [
-        f"{depth.shape[1]} x {depth.shape[0]} pixels, {100 * share:.0f} % with a "
-        f"depth, {low:.3f} to {high:.3f} m, {middle:.3f} m in the median"
-    ]
-    facts = {"shape": depth.shape, "seen": share, "median_depth_m": middle}
+    lines, facts = _depth_facts(read_depth(file, asked.unit))
     return _Found("depth image", lines, facts, {})
 
 
-def _array(file: Path, columns: str, unit: str | None) -> _Found:
+def _depth_facts(depth: Array) -> tuple[list[str], dict[str, Any]]:
+    """What depths (height, width) [m] say, for people and for machines."""
+    import numpy as np
+
+    seen = depth[np.isfinite(depth)]
+    low, middle, high = np.quantile(seen, [0.01, 0.5, 0.99])
+    share = len(seen) / depth.size
+    line = (
+        f"{depth.shape[1]} x {depth.shape[0]} pixels, {100 * share:.0f} % with a "
+        f"depth, {low:.3f} to {high:.3f} m, {middle:.3f} m in the median"
+    )
+    facts = {"shape": depth.shape, "seen": share, "median_depth_m": middle}
+    return [line], facts
+
+
+def _array(file: Path, asked: _Asked) -> _Found:
     """Points, or a depth image."""
     from ttus_opt.core import io
 
     shape = io.read_npy(file).shape
     three = len(shape) == 2 and shape[1] == 3
-    return (_cloud if three else _depth)(file, columns, unit)
+    return (_cloud if three else _depth)(file, asked)
 
 
-def _mesh(file: Path, columns: str, unit: str | None) -> _Found:
+def _mesh(file: Path, asked: _Asked) -> _Found:
     from ttus_opt.probe.mesh import read_mesh
 
-    mesh = read_mesh(file, unit=unit or "mm")
+    unit = asked.unit or "mm"
+    mesh = read_mesh(file, unit=unit)
     size = 1e3 * (mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0))
     shape = " x ".join(f"{edge:.0f}" for edge in size)
-    lines = [f"{len(mesh.faces):,} faces, {shape} mm read as {unit or 'mm'}"]
+    lines = [f"{len(mesh.faces):,} faces, {shape} mm read as {unit}"]
     return _Found("probe mesh", lines, {"faces": len(mesh.faces)}, {})
 
 
-def _ply(file: Path, columns: str, unit: str | None) -> _Found:
+def _ply(file: Path, asked: _Asked) -> _Found:
     """A mesh where it has faces, points otherwise."""
     with file.open("rb") as stream:
         head = stream.read(100_000).split(b"end_header")[0]
     faces = [line.split()[-1] for line in head.splitlines() if b"element face" in line]
-    found = _cloud(file, columns, unit)
+    found = _cloud(file, asked)
     if faces and faces[0] not in (b"0",):
         found.lines.append(f"{int(faces[0]):,} faces: a mesh too")
     return found
 
 
 #: What is examined how, by suffix
-EXAMINERS: tuple[
-    tuple[tuple[str, ...], Callable[[Path, str, str | None], _Found]], ...
-] = (
+EXAMINERS: tuple[tuple[tuple[str, ...], Callable[[Path, _Asked], _Found]], ...] = (
     ((".nc", ".nc4", ".cdf"), _netcdf),
     ((".ply",), _ply),
     ((".pcd", ".xyz", ".pts", ".asc"), _cloud),

@@ -257,9 +257,9 @@ def _draw_poses(
     names: Sequence[str],
     picture: Path,
 ) -> None:
-    """Draw them; a file of several recordings has more of them than names."""
+    """Draw them; a file may have several recordings."""
+    from ttus_opt.fitting.checks.sanity import recording_names
     from ttus_opt.report import plots
 
-    n_recordings = len(set(recorded.segment.tolist()))
-    own = names if len(names) == n_recordings else ()
+    own = recording_names(names, len(set(recorded.segment.tolist())))
     plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)

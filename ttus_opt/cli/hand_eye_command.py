@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import check_outputs
+from ttus_opt.cli.console import Stages, as_options, tell
+from ttus_opt.cli.options import begin_apart, check_outputs
+from ttus_opt.core.errors import InputError
 
 
 def hand_eye(
@@ -61,6 +62,7 @@ def hand_eye(
     import numpy as np
 
     from ttus_opt.core import io
+    from ttus_opt.sensors.clock import UnlikeSignalsError
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses
     from ttus_opt.sensors.stream_hand_eye import stream_hand_eye
@@ -73,14 +75,23 @@ def hand_eye(
             carried, hand_stream, read_column_map(hand_columns), repair=repair
         )
         begin("clocks, pairs and fit")
-        found = stream_hand_eye(
-            first,
-            second,
-            camera,  # type: ignore[arg-type]  # checked there
-            offset=offset,
-            around=float(first.time[0] - second.time[0]) if together else 0.0,
-            largest=largest_offset,
-        )
+        around = float(first.time[0] - second.time[0]) if together else 0.0
+        try:
+            found = stream_hand_eye(
+                first,
+                second,
+                camera,  # type: ignore[arg-type]  # checked there
+                offset=offset,
+                around=around,
+                largest=largest_offset,
+            )
+        except UnlikeSignalsError as error:
+            search = (around, largest_offset)
+            apart = begin_apart(first.time, second.time, search)
+            raise InputError(f"{error}{apart}") from error
+        except InputError as error:
+            in_words = as_options(str(error), largest="--largest-offset")
+            raise InputError(in_words) from error
     if output is not None:
         io.write_text(output, json_module.dumps(found.camera.tolist()) + "\n")
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
@@ -104,12 +115,12 @@ def hand_eye(
         "median_loop_degrees": float(np.rad2deg(found.median_twist)),
     }
     place = ", ".join(f"{v:.4f}" for v in found.camera[:3, 3])
-    around = " ".join(f"{1e3 * v:.2f}" for v in std)
+    spread = " ".join(f"{1e3 * v:.2f}" for v in std)
     tell(
         facts,
-        f"{name.replace('_', ' ')}: ({place}) m ± ({around}) mm, ± {degrees:.3f}°",
+        f"{name.replace('_', ' ')}: ({place}) m ± ({spread}) mm, ± {degrees:.3f}°",
         f"{found.pairs} pairs, loops close to {1e3 * found.loop.gap:.2f} mm and "
-        f"{np.rad2deg(found.loop.twist):.3f}° on average, {found.outliers} frames and "
+        f"{np.rad2deg(found.loop.twist):.3f}° on average, {found.outliers} frames or "
         "pairs left out",
         f"the hand's clock moved by {found.offset:.4f} "
         + (f"± {found.offset_std:.4f} s" if offset is None else "s, as given"),

@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.core.arrays import Array
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
@@ -58,6 +62,29 @@ def listed(text: str) -> tuple[str, ...]:
     ('eq10', 'robust')
     """
     return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def begin_apart(
+    first: Sequence[float] | Array,
+    second: Sequence[float] | Array,
+    search: tuple[float, float],
+) -> str:
+    """What to try where the clocks of two recordings were not found.
+
+    Args:
+        first: Times of one [s].
+        second: Times of the other [s].
+        search: Middle and half width of the searched offsets [s].
+
+    >>> begin_apart([1000.0], [0.0], (0.0, 5.0))
+    '; give --together if both began at about the same time'
+    >>> begin_apart([1000.0], [0.0], (1000.0, 5.0))
+    ''
+    """
+    around, largest = search
+    if abs(first[0] - second[0] - around) <= largest:
+        return ""
+    return "; give --together if both began at about the same time"
 
 
 def check_outputs(

@@ -116,11 +116,12 @@ def recording_lines(
         judged: Measured and rendered wrenches of all recordings.
         shell: The probe.
         recorded: All recordings as one.
-        names: Names of the recordings; numbers if a file has several.
+        names: Names of the files.
         uncertainty: Uncertainty of the field; None if not requested.
     """
     import numpy as np
 
+    from ttus_opt.fitting.checks.sanity import recording_names
     from ttus_opt.fitting.uncertainty.uncertainty_check import (
         calibration_curve,
         check_uncertainty,
@@ -128,8 +129,7 @@ def recording_lines(
     from ttus_opt.report.hysteresis import hysteresis_share
 
     numbers = np.unique(recorded.segment)
-    if len(names) != len(numbers):
-        names = [f"recording {number}" for number in numbers]
+    names = recording_names(names, len(numbers))
     out = []
     for name, number in zip(names, numbers, strict=True):
         frames = recorded.segment == number

@@ -63,7 +63,7 @@ def surface(
         if update is None:
             found = extract_surface(
                 points,
-                axis=axis.frame(points),
+                axis=axis.frame(points, stitched.seen_from if stitched else None),
                 n_theta=n_theta,
                 n_z=n_z,
                 z_range=heights,  # type: ignore[arg-type]  # two of them
@@ -140,13 +140,8 @@ def _read(
     if not depth.are_given(cloud.scans):
         return cloud.read(), None, None
     found = depth.read(cloud)
-    points, std = found.cloud.points, found.cloud.std
-    if cloud.limits is not None:
-        from ttus_opt.scan.box import inside
-
-        kept = inside(points, cloud.limits)
-        points, std = points[kept], None if std is None else std[kept]
-    return points, std, found
+    seen = found.cloud.of_patient(cloud.scans[0].name, cloud.limits)
+    return seen.points, seen.std, found
 
 
 def _deviations(facts: dict[str, Any]) -> list[str]:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ttus_opt.cli.console import as_options, tell
-from ttus_opt.cli.options import check_outputs
+from ttus_opt.cli.options import begin_apart, check_outputs
 from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.sensors.clock import Offset
+    from ttus_opt.sensors.clock import Offset, Signal
     from ttus_opt.sensors.streams import WrenchStream
 
 
@@ -24,6 +24,8 @@ def synchronise(
     by: str | None = None,
     offset: float | None = None,
     surface: Path | None = None,
+    frame: str = "",
+    base_to_scan: Annotated[str, typer.Option(metavar="FILE|x,y,z,qx,qy,qz,qw")] = "",
     stream: Annotated[
         str | None, typer.Option("--stream", "--transform", "--pose-topic")
     ] = None,
@@ -53,7 +55,12 @@ def synchronise(
             (needs --surface). angular-speed: of the poses and of those in the wrenches'
             file.
         offset: Known offset, added to the wrenches' times [s].
-        surface: Surface file (.nc), in the poses' frame.
+        surface: Surface file (.nc), for --by contact.
+        frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
+            was extracted from) or base (of the robot or tracker). By default patient,
+            or base with --base-to-scan. The trajectory stays in it.
+        base_to_scan: Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV,
+            JSON or NPY file, or seven numbers.
         stream: Name of the topic, transform, tool or body, if the poses' file has
             several, for instance ProbeToTracker; of /tf two frames, base:tool.
         wrench_stream: Name of the topic or device, if the wrenches' file has several.
@@ -67,7 +74,7 @@ def synchronise(
 
     Example:
         ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface
-        surface.nc -o recording.csv
+        surface.nc --base-to-scan base_to_scan.txt -o recording.csv
     """
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses, read_wrenches
@@ -77,6 +84,11 @@ def synchronise(
     check_outputs([output], inputs, force=force)
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
+    if by == "contact" and surface is None:
+        raise InputError("--by contact needs --surface")
+    if by != "contact" and (frame or base_to_scan):
+        raise InputError("--frame and --base-to-scan are for --by contact")
+    place = _Place(surface or Path(), frame, base_to_scan)
     named = read_column_map(wrench_columns)
     track = read_poses(poses, stream, read_column_map(columns), repair=repair)
     try:
@@ -91,7 +103,7 @@ def synchronise(
         robot = None
         if by == "angular-speed":
             robot = read_poses(wrenches, columns=named, repair=repair)
-        found = _found(track, robot or forces, by, surface, search)
+        found = _found(track, robot or forces, by, place, search)
         offset = found.seconds
     assert offset is not None
     joined = with_wrenches(track, forces, offset, largest_gap=largest_gap)
@@ -119,28 +131,66 @@ def synchronise(
     tell(facts, line, json=json)
 
 
+class _Place(NamedTuple):
+    """Where the poses lie against the skin, as typed."""
+
+    surface: Path
+    frame: str
+    base_to_scan: str
+
+    def depths(self, track: Trajectory, share: float) -> Signal:
+        """Contact by the poses, ``share`` of them.
+
+        Raises:
+            InputError: Options that do not go together.
+        """
+        from numpy import zeros
+
+        from ttus_opt.cli.recording_options import RecordingOptions
+        from ttus_opt.scan.surface import Surface
+        from ttus_opt.sensors.clock import contact_of_poses
+
+        told = RecordingOptions([], frame=self.frame, base_to_scan=self.base_to_scan)
+        patient = Surface.load(self.surface)
+        moved = told.conventions.read(track, zeros(3), patient.axis.scan_to_patient)
+        return contact_of_poses(moved, patient, share)
+
+    @property
+    def advice(self) -> str:
+        """What to try where poses and forces show no common contact."""
+        if self.frame or self.base_to_scan:
+            return "; are --frame and --base-to-scan right?"
+        return (
+            "; poses were read in the patient's frame, otherwise give --frame scan, or "
+            "--base-to-scan for a robot's or tracker's"
+        )
+
+
 def _found(
     track: Trajectory,
     other: WrenchStream | Trajectory,
     by: str,
-    surface: Path | None,
+    place: _Place,
     search: tuple[float, float],
 ) -> Offset:
     """The offset by contact with forces, or by angular speed with other poses."""
     from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors import clock
     from ttus_opt.sensors.angular_offset import angular_offset
 
     around, largest = search
-    if isinstance(other, Trajectory):
-        return angular_offset(track, other, around=around, largest=largest)
-    if by == "contact":
-        if surface is None:
-            raise InputError("--by contact needs --surface, in the frame of the poses")
-        second = clock.contact_of_force(other.time, other.force)
-        share = float(second.values.mean())
-        first = clock.contact_of_poses(track, Surface.load(surface), share)
-    else:
+    if not isinstance(other, Trajectory) and by != "contact":
         raise InputError(f"--by takes contact or angular-speed, got {by!r}")
-    return clock.clock_offset(first, second, around=around, largest=largest)
+    advice = begin_apart(track.time, other.time, search)
+    try:
+        if isinstance(other, Trajectory):
+            return angular_offset(track, other, around=around, largest=largest)
+        advice += place.advice
+        second = clock.contact_of_force(other.time, other.force)
+        first = place.depths(track, float(second.values.mean()))
+        return clock.clock_offset(first, second, around=around, largest=largest)
+    except clock.UnlikeSignalsError as error:
+        raise InputError(f"{error}{advice}") from error
+    except InputError as error:
+        told = as_options(str(error), largest="--largest-offset")
+        raise InputError(told) from error

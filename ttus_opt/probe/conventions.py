@@ -106,13 +106,13 @@ class Conventions:
         usual = {**asdict(Conventions()), "wrench_frame": self.frame}
         for name, own in usual.items():
             value = getattr(self, name)
-            if value == own:
-                continue
+            if value == own or (name, value) == ("frame", "base"):
+                continue  # base_to_scan says so
             option = f"--{name.replace('_', '-')}"
             if name == "base_to_scan":
                 value = "…"  # as it was given: a file or numbers
             if isinstance(value, tuple):
-                value = ",".join(map(str, value))
+                value = ",".join(f"{v:g}" for v in value)
             words.append(option if value is True else f"{option} {value}")
         return " ".join(words)
 

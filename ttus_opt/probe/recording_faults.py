@@ -64,7 +64,9 @@ def checked(raw: RawRecording) -> RawRecording:
         raise FileError(f"{raw.title}: {NO_FRAME}")
     new = new_rows(raw)
     if not new.all():
-        warn(f"{raw.title}: {(~new).sum()} rows repeat the row before: left out", 2)
+        n = int((~new).sum())
+        rows = f"{n} row{'s' * (n != 1)} equal to the row before"
+        warn(f"{raw.title}: {rows} left out", 2)
         raw = raw.select(new)
     found = faults(raw)
     if found:

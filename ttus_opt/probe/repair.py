@@ -60,10 +60,10 @@ def repaired(raw: RawRecording) -> Repaired:
 
     raw = kept(raw, ~missing(raw), "with missing values")
     raw = kept(raw, ~bad_quaternions(raw), "without a unit quaternion")
-    raw = kept(raw, new_rows(raw), "that repeat the row before")
+    raw = kept(raw, new_rows(raw), "equal to the row before")
     raw = _split(raw, _resets(raw), "where the clock was set back", done)
     raw = _sorted(raw, done)
-    raw = kept(raw, _first_stamps(raw), "that repeat a time stamp")
+    raw = kept(raw, _first_stamps(raw), "with a repeated time stamp")
     before = len(parts(raw.segment))
     raw = _split(raw, _gaps(raw), "at gaps", done)
     raw = _split(raw, _jumps(raw), "at jumps", done)

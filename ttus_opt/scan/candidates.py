@@ -19,12 +19,15 @@ from ttus_opt.probe.cylindrical import cylindrical
 #: Points closer to the axis than this are inside any torso: outliers [m].
 LEAST_RADIUS = 0.01
 _STRAY_CELL = 0.01  # [m]
-_BIN, _SECTORS = 0.005, 36  # resolution of the search for the usable heights [m], [–]
+_BINS = (0.005, 0.01, 0.02, 0.04)  # thickness of a section, thin ones first [m]
+_SECTORS = 36
 _LEAST_SEEN = 9  # fewest sectors (90°) of a usable section
 _STEEP = 0.010  # deviation of r in a sector that only occurs at a body's ends [m]
 _STEEP_SHARE = 0.25
-_ENOUGH = 20  # bins (100 mm)
-_BRIDGE = 6  # most empty bins (30 mm) within the body
+_ENOUGH = 0.1  # a range that needs no line over the angle [m]
+_LONGER = 1.5  # a range by thicker sections that is so much longer is taken [–]
+_LEAST_LENGTH = 0.015  # of a usable range [m]
+_BRIDGE = 0.03  # most empty height within the body [m]
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,9 @@ def usable_range(points: Array) -> ZRange:
     """The longest range of heights whose sections show the body's side.
 
     A section is left out when it shows less than a quarter turn, or when the radii in a
-    quarter of its sectors scatter as much as at an end of the body (a cut).
+    quarter of its sectors scatter as much as at an end of the body (a cut). Sections
+    are thin; where those hold too few points to show it, as in one view from afar,
+    thicker ones find a range that is clearly longer.
 
     Args:
         points: Body points, patient frame, shape (n, 3) [m].
@@ -89,9 +94,36 @@ def usable_range(points: Array) -> ZRange:
     Raises:
         GeometryError: No section shows a quarter turn around the axis, or too few.
     """
+    best: ZRange | None = None
+    for size in _BINS:
+        found = _usable(points, size)
+        if found is not None and (
+            best is None or _length(found) > _LONGER * _length(best)
+        ):
+            best = found
+    if best is None:
+        raise GeometryError(
+            "no section of the scan shows a quarter turn around the axis: does the "
+            "axis run inside the body and along it? give another axis or estimate it, "
+            "or give z_range=low,high"
+        )
+    if _length(best) < _LEAST_LENGTH:
+        raise GeometryError(
+            f"only {1e3 * _length(best):.0f} mm of the scan show the body's side: show "
+            "more of it, or give z_range=low,high"
+        )
+    return best
+
+
+def _length(found: ZRange) -> float:
+    return found.z_max - found.z_min
+
+
+def _usable(points: Array, size: float) -> ZRange | None:
+    """The same with sections of one thickness [m]; None where none is usable."""
     r, theta, z = cylindrical(points)
     start = z.min()
-    level = ((z - start) / _BIN).astype(np.int64)
+    level = ((z - start) / size).astype(np.int64)
     sector = (theta * (_SECTORS / (2 * np.pi))).astype(np.int64) % _SECTORS
     n = int(level.max()) + 1
     cell = level * _SECTORS + sector
@@ -116,30 +148,25 @@ def usable_range(points: Array) -> ZRange:
     for scatter in (variance, sloped):
         steep = (enough & (scatter > _STEEP**2)).sum(axis=1)
         usable = (n_seen >= _LEAST_SEEN) & (steep <= _STEEP_SHARE * n_seen)
-        runs = _runs(usable, empty=count.sum(axis=1) == 0)
-        if any(last - first >= _ENOUGH for first, last in runs):
+        empty = count.sum(axis=1) == 0
+        runs = _runs(usable, empty, most=round(_BRIDGE / size))
+        if any((last - first) * size >= _ENOUGH for first, last in runs):
             break
     if not runs:
-        raise GeometryError(
-            "no section of the scan shows a quarter turn around the axis: does the "
-            "axis run inside the body and along it? give another axis or estimate it"
-        )
+        return None
     first, last = max(runs, key=lambda run: run[1] - run[0])
-    if last - first < 4:
-        raise GeometryError(
-            f"only {5 * (last - first + 1)} mm of the scan show the body's side: show "
-            "more of it, or give z_range"
-        )
     # The outermost bins are only partly filled.
-    return ZRange(float(start + (first + 1) * _BIN), float(start + last * _BIN))
+    return ZRange(float(start + (first + 1) * size), float(start + last * size))
 
 
-def _runs(usable: NDArray[np.bool_], empty: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of each run of usable bins, across short empty gaps."""
+def _runs(
+    usable: NDArray[np.bool_], empty: NDArray[np.bool_], most: int
+) -> list[tuple[int, int]]:
+    """First and last index of each run of usable bins, across ``most`` empty ones."""
     runs: list[tuple[int, int]] = []
     for k in np.flatnonzero(usable).tolist():
         gap = slice(runs[-1][1] + 1, k) if runs else slice(0)
-        if runs and k - runs[-1][1] <= _BRIDGE and empty[gap].all():
+        if runs and k - runs[-1][1] <= most and empty[gap].all():
             runs[-1] = (runs[-1][0], k)
         else:
             runs.append((k, k))

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ttus_opt.core import io
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import FileError, GeometryError, InputError, warn
 from ttus_opt.scan.box import inside
 from ttus_opt.scan.pcd import read_pcd, truncated
@@ -77,36 +77,45 @@ def read_cloud(
             "coordinates: pass drop_nan=True to leave them out"
         )
     points = points[finite] * UNITS[unit or "m"]
-    if box is not None:
-        points = points[inside(points, box)]
-    elif ROOM < float(np.ptp(points, axis=0).max()) < LARGEST_ROOM:
-        points = body_alone(points, file.name)
+    points = points[of_patient(points, file.name, box)]
     _check_extent(file, float(np.ptp(points, axis=0).max()) / UNITS[unit or "m"], unit)
     return np.ascontiguousarray(points)
 
 
-def body_alone(points: Array, name: str) -> Array:
-    """The body in a room's points (n, 3) [m]; what is left out is told.
+def of_patient(points: Array, name: str, box: Sequence[float] | None = None) -> Mask:
+    """Which points of a scan (n, 3) [m] are kept, shape (n,).
 
-    Where none stands alone, a scan that a torso's limits allow is read whole.
+    Those inside the box, or in a room those of the body that stands alone; what is left
+    out is told. Where none stands alone, a scan that a torso's limits allow is kept
+    whole.
+
+    Args:
+        points: In metres.
+        name: Of the scan, for messages.
+        box: As in `read_cloud`.
 
     Raises:
-        InputError: None stands alone, and the scan is larger.
+        InputError: None stands alone, and the scan is larger; or a box without points.
     """
+    if box is not None:
+        return inside(points, box)
+    extent = float(np.ptp(points, axis=0).max())
+    if not ROOM < extent < LARGEST_ROOM:
+        return np.ones(len(points), bool)
     try:
         kept = alone_in_room(points)
     except GeometryError as error:
-        if float(np.ptp(points, axis=0).max()) > EXTENT_LIMITS[1]:
+        if extent > EXTENT_LIMITS[1]:
             raise InputError(f"{name}: {error}") from error
         warn(f"{name} is read whole: {error}", 2)
-        return points
+        return np.ones(len(points), bool)
     size = " x ".join(f"{edge:.2f}" for edge in np.ptp(points[kept], axis=0))
     warn(
         f"{name} shows a room: only the body that stands alone is read, {size} m, "
         f"{int(kept.sum()):,} of {len(points):,} points (box=… to take another part)",
         2,
     )
-    return np.asarray(points[kept])
+    return kept
 
 
 def _read_points(file: Path) -> Array:

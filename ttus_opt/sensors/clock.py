@@ -36,6 +36,9 @@ RIVAL = 0.97
 #: Force above which a sensor is in contact [N]
 CONTACT = 0.5
 
+#: Largest distance of a pose's origin from the skin in contact [m]
+FARTHEST = 0.5
+
 #: A slope is taken between the means of the two halves of this span [s]
 SPAN = 0.3
 
@@ -47,6 +50,10 @@ ROUNDED = 0.05
 
 #: Longest gap that is interpolated over [median steps]
 GAP_STEPS = 5.0
+
+
+class UnlikeSignalsError(InputError):
+    """Two signals that do not show one motion within the searched offsets."""
 
 
 class Signal(NamedTuple):
@@ -95,6 +102,7 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
         share: Fraction of the frames in contact.
 
     Raises:
+        UnlikeSignalsError: The poses are not at the skin.
         InputError: The fraction is 0 or 1.
     """
     if not 0.0 < share < 1.0:
@@ -104,7 +112,15 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
         )
     x, y, z = poses.position.T
     depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
-    return Signal(poses.time, (depth > np.quantile(depth, 1.0 - share)).astype(float))
+    deep = depth > np.quantile(depth, 1.0 - share)
+    beside = z - np.clip(z, surface.z[0], surface.z[-1])
+    away = float(np.median(np.hypot(depth, beside)[deep]))
+    if away > FARTHEST:
+        raise UnlikeSignalsError(
+            f"the poses are {away:.2g} m from the skin where they are deepest, which "
+            "no probe is long: not in the surface's frame?"
+        )
+    return Signal(poses.time, deep.astype(float))
 
 
 def gravity_of_poses(poses: Trajectory, down: ArrayLike) -> Signal:
@@ -144,8 +160,9 @@ def clock_offset(
         largest: Half its width [s].
 
     Raises:
-        InputError: Signals too short, constant or unlike, an offset at the edge of the
-            search range, or two offsets that fit equally well.
+        UnlikeSignalsError: The signals are unlike.
+        InputError: Signals too short or constant, an offset at the edge of the search
+            range, or two offsets that fit equally well.
     """
     if not (0.0 < largest < 1e6 and np.isfinite(around)):
         raise InputError(
@@ -169,21 +186,22 @@ def clock_offset(
     found = np.array([_correlation(a, b, int(lag)) for lag in lags])
     best = int(np.argmax(found))
     if not found[best] > LEAST_CORRELATION:
-        raise InputError(
+        raise UnlikeSignalsError(
             f"the signals correlate by {max(float(found[best]), 0.0):.2f} at most, "
-            f"{LEAST_CORRELATION:g} is needed: the same motion, within {around:.3g} ± "
+            f"{LEAST_CORRELATION:g} is needed: the same motion, within {around:.6g} ± "
             f"{largest:g} s? They begin {apart:.6g} s apart"
         )
     if best in (0, len(lags) - 1):
         raise InputError(
             f"the offset is {lags[best] * step - apart:.3g} s or beyond: search wider "
-            f"than {around:.3g} ± {largest:g} s"
+            f"than {around:.6g} ± {largest:g} s"
         )
     rival = _rival(found, best)
     if rival > RIVAL * found[best]:
         raise InputError(
             f"two offsets correlate by {found[best]:.3f} and {rival:.3f}: the motion "
-            "repeats itself; record an irregular one, or narrow the search range"
+            "repeats itself; record an irregular one, or search less far than "
+            f"largest={largest:g}"
         )
     low, mid, high = found[best - 1 : best + 2]
     bend = low - 2.0 * mid + high

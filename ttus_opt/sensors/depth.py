@@ -12,7 +12,8 @@ out and counted.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,7 +22,9 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, located
 from ttus_opt.probe.pose import PoseLike
 from ttus_opt.probe.rigid_motion import moved, rigid_motion
-from ttus_opt.sensors.depth_files import read_depth
+from ttus_opt.scan.cloud import of_patient
+from ttus_opt.sensors.depth_bag import Frame
+from ttus_opt.sensors.depth_files import read_depth_frame
 from ttus_opt.sensors.depth_noise import NoiseModel, Pixels
 from ttus_opt.sensors.depth_pixels import USUAL_NOISE, judge
 from ttus_opt.sensors.intrinsics import Intrinsics
@@ -63,6 +66,15 @@ class DepthCloud:
     std: Array | None = field(repr=False)
     dropped: tuple[Dropped, ...]
 
+    def of_patient(self, name: str, box: Sequence[float] | None = None) -> DepthCloud:
+        """What a box or, in a room, the body that stands alone keeps of the points.
+
+        Arguments and errors as `ttus_opt.scan.cloud.of_patient`.
+        """
+        kept = of_patient(self.points, name, box)
+        std = None if self.std is None else self.std[kept]
+        return replace(self, points=self.points[kept], std=std)
+
 
 @dataclass(frozen=True)
 class DepthImage:
@@ -73,12 +85,14 @@ class DepthImage:
         camera: Rays of the pixels.
         depth_kind: ``z`` along the optical axis, ``range`` along the ray.
         name: Name of the image in messages.
+        frame: Which image of a recording it is; None for one alone.
     """
 
     depth: Array = field(repr=False)
     camera: Unprojection = field(repr=False)
     depth_kind: DepthKind = "z"
     name: str = "depth image"
+    frame: Frame | None = None
 
     def __post_init__(self) -> None:
         """Validate the image.
@@ -171,6 +185,8 @@ def read_depth_image(
     *,
     depth_kind: DepthKind = "z",
     unit: str | None = None,
+    topic: str | None = None,
+    at: float | None = None,
 ) -> DepthImage:
     """Read a depth image.
 
@@ -181,15 +197,18 @@ def read_depth_image(
             table of rays (`ttus_opt.sensors.unprojection.read_unprojection`).
         depth_kind: ``z`` along the optical axis, ``range`` along the ray.
         unit: ``m``, ``cm`` or ``mm``.
+        topic: Of a recording (.bag), the name of its images where there are several.
+        at: Of a recording, the image nearest to this time after the first [s]; by
+            default the one in the middle.
 
     Raises:
         FileError: Missing, damaged, or not a depth image.
         InputError: Its size is not the camera's, or its unit is another.
     """
-    depth = read_depth(path, unit)
+    depth, frame = read_depth_frame(path, unit, topic=topic, at=at)
     name = os.fspath(path)
     with located(name):
         if isinstance(camera, Intrinsics):
             shape = depth.shape[0], depth.shape[1]
             camera = Unprojection.from_intrinsics(camera, shape)
-        return DepthImage(depth, camera, depth_kind, name)
+        return DepthImage(depth, camera, depth_kind, name, frame)

@@ -2,12 +2,13 @@
 
 The SDK writes ``/device_0/sensor_0/Depth_0/image/data``, ``…/info/camera_info`` and the
 unit of a depth as ``/device_0/sensor_0/option/Depth Units/value`` [m]; a driver of ROS
-an image of 16UC1 [mm] or 32FC1 [m] and a camera_info beside it. The frame in the middle
-of the recording is taken. Needs the extra ``sensors`` (rosbags).
+an image of 16UC1 [mm] or 32FC1 [m] and a camera_info beside it. Of a recording one
+image is taken, by default the one in the middle. Needs the extra ``sensors`` (rosbags).
 """
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.errors import FileError, TtusError
+from ttus_opt.core.errors import FileError, InputError, TtusError
 from ttus_opt.core.optional import load
 
 T = TypeVar("T")
@@ -31,46 +32,83 @@ UNITS = "option/Depth Units/value"
 ENCODINGS = {"mono16": ("u2", 1e-3), "16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 
 
+class Frame(NamedTuple):
+    """Which image of a recording was taken.
+
+    Attributes:
+        topic: Its name in the recording.
+        number: From 0.
+        images: How many the topic has.
+        seconds: After the topic's first image [s].
+        unit: Of a pixel [m].
+    """
+
+    topic: str
+    number: int
+    images: int
+    seconds: float
+    unit: float
+
+    @property
+    def which(self) -> str:
+        """The same without the topic, in words."""
+        return (
+            f"image {self.number + 1} of {self.images}, {self.seconds:.3g} s after the "
+            f"first, in units of {1e3 * self.unit:g} mm"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.topic}, {self.which}"
+
+
 class BagDepth(NamedTuple):
     """A depth image of a recording.
 
     Attributes:
         pixels: As recorded, shape (height, width).
-        unit: Of a pixel [m].
-        frame: Its number, from 0, and how many there are.
+        frame: Which one, and its unit.
     """
 
     pixels: NDArray[Any]
-    unit: float
-    frame: tuple[int, int]
+    frame: Frame
 
 
-def read_bag_depth(path: Path) -> BagDepth:
-    """The depth image in the middle of a recording.
+def depth_topics(path: Path) -> list[str]:
+    """Topics of depth images in a recording, in order.
+
+    Raises:
+        FileError: Damaged.
+        MissingPackageError: rosbags is not installed.
+    """
+    return _opened(path, lambda reader, _: _topics(reader))
+
+
+def read_bag_depth(
+    path: Path, topic: str | None = None, at: float | None = None
+) -> BagDepth:
+    """A depth image of a recording.
 
     Args:
         path: The ``.bag``.
+        topic: Name of its images, where there are several.
+        at: The image nearest to this time after the first [s]; by default the one in
+            the middle.
 
     Raises:
-        FileError: Damaged, or without depth images.
+        FileError: Damaged, without depth images, or with several topics of them.
+        InputError: A time outside the recording.
         MissingPackageError: rosbags is not installed.
     """
 
     def read(reader: Any, known: Any) -> BagDepth:
-        own = [c for c in reader.connections if c.msgtype == IMAGE and _depth(c)]
-        if not own:
-            topics = ", ".join(sorted(c.topic for c in reader.connections))
-            raise FileError(f"{path} has no topic of depth images, but {topics}")
-        chosen = [c for c in own if c.topic == own[0].topic]
-        count = sum(c.msgcount for c in chosen)
-        message, content = None, reader.messages(connections=chosen)
-        for number, (_, _, raw) in enumerate(content):
-            if number == count // 2:
-                message = known.deserialize_ros1(raw, IMAGE)
-                break
-        if message is None or message.encoding not in ENCODINGS:
-            kind = "no image" if message is None else f"images of {message.encoding}"
-            raise FileError(f"{path} has {kind} in {own[0].topic}: 16 bits are needed")
+        own = _images(path, reader, topic)
+        which, raw = _taken(reader, own, at)
+        message = known.deserialize_ros1(raw, IMAGE)
+        if message.encoding not in ENCODINGS:
+            raise FileError(
+                f"{path} has images of {message.encoding} in {own[0].topic}: 16 bits "
+                "are needed"
+            )
         kind, unit = ENCODINGS[message.encoding]
         order = ">" if message.is_bigendian else "<"
         data = np.frombuffer(message.data.tobytes(), np.uint8)
@@ -78,14 +116,18 @@ def read_bag_depth(path: Path) -> BagDepth:
         size = np.dtype(kind).itemsize * message.width
         pixels = np.ascontiguousarray(rows[:, :size]).view(f"{order}{kind}")
         stated = _option(reader, known)
-        frame = (count // 2, count)
-        return BagDepth(pixels, unit if stated is None else stated, frame)
+        frame = Frame(own[0].topic, *which, unit if stated is None else stated)
+        return BagDepth(pixels, frame)
 
     return _opened(path, read)
 
 
-def read_bag_camera_info(path: Path) -> dict[str, Any]:
+def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]:
     """The depth camera's matrix, distortion and size, by names of ROS.
+
+    Args:
+        path: The ``.bag``.
+        topic: Name of the images, where there are several.
 
     Raises:
         FileError: Damaged, or without a camera_info of depth images.
@@ -93,9 +135,12 @@ def read_bag_camera_info(path: Path) -> dict[str, Any]:
     """
 
     def read(reader: Any, known: Any) -> dict[str, Any]:
+        image = _images(path, reader, topic)[0].topic
         own = [c for c in reader.connections if c.msgtype == INFO and _depth(c)]
         if not own:
             raise FileError(f"{path} has no camera_info of depth images: --intrinsics")
+        # the one of the images has the most of their name
+        own.sort(key=lambda c: -len(posixpath.commonpath([c.topic, image])))
         _, _, raw = next(iter(reader.messages(connections=own[:1])))
         info = known.deserialize_ros1(raw, INFO)
         return {
@@ -111,6 +156,62 @@ def read_bag_camera_info(path: Path) -> dict[str, Any]:
 
 def _depth(connection: Any) -> bool:
     return "depth" in connection.topic.lower()
+
+
+def _images(path: Path, reader: Any, topic: str | None) -> list[Any]:
+    """Connections of the topic of depth images.
+
+    Raises:
+        FileError: None, or several to choose from.
+    """
+    names = _topics(reader)
+    if not names:
+        topics = ", ".join(sorted(c.topic for c in reader.connections))
+        raise FileError(f"{path} has no topic of depth images, but {topics}")
+    if topic is None and len(names) > 1:
+        raise FileError(
+            f"{path} has several topics of depth images: {', '.join(names)}: choose "
+            f"one, for instance name='{names[0]}'"
+        )
+    if topic not in (None, *names):
+        raise FileError(
+            f"{path} has no topic {topic} of depth images: one of {', '.join(names)}"
+        )
+    return [c for c in reader.connections if c.topic == (topic or names[0])]
+
+
+def _topics(reader: Any) -> list[str]:
+    own = [c for c in reader.connections if c.msgtype == IMAGE and _depth(c)]
+    return sorted({c.topic for c in own if c.msgcount})
+
+
+def _taken(
+    reader: Any, own: list[Any], at: float | None
+) -> tuple[tuple[int, int, float], bytes]:
+    """The image in the middle, or the one nearest to a time [s].
+
+    Returns:
+        Its number, how many there are and its time [s]; its content.
+
+    Raises:
+        InputError: A time outside the recording.
+    """
+    count = sum(c.msgcount for c in own)
+    best, first, seconds = None, None, 0.0
+    for number, (_, stamp, raw) in enumerate(reader.messages(connections=own)):
+        first = stamp if first is None else first
+        seconds = 1e-9 * (stamp - first)
+        away = float(abs(number - count // 2)) if at is None else abs(seconds - at)
+        if best is not None and away >= best[0]:
+            break  # they come in the order of time
+        best = away, (number, count, seconds), raw
+    assert best is not None
+    if at is not None and not 0.0 <= at <= seconds + 1.0 / count:
+        raise InputError(
+            f"at={at:g} is outside the recording, which has {seconds:.3g} s of depth "
+            "images"
+        )
+    return best[1], best[2]
 
 
 def _option(reader: Any, known: Any) -> float | None:

@@ -12,7 +12,7 @@ import os
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.cloud import UNITS
-from ttus_opt.sensors.depth_bag import SUFFIX, read_bag_depth
+from ttus_opt.sensors.depth_bag import SUFFIX, Frame, read_bag_depth
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 
@@ -41,12 +41,52 @@ PNG = b"\x89PNG\r\n\x1a\n"
 DEPTH_LIMITS = (0.1, 10.0)
 
 
+class DepthFrame(NamedTuple):
+    """Depths of a file.
+
+    Attributes:
+        depth: As `read_depth`, shape (height, width) [m].
+        frame: Which image of a recording; None for an image alone.
+    """
+
+    depth: Array
+    frame: Frame | None
+
+
+def read_depth_frame(
+    path: str | os.PathLike[str],
+    unit: str | None = None,
+    *,
+    topic: str | None = None,
+    at: float | None = None,
+) -> DepthFrame:
+    """The depths of an image, and which it is.
+
+    Args:
+        path: As `read_depth`.
+        unit: As `read_depth`.
+        topic: Of a recording, as in `read_bag_depth`.
+        at: Of a recording, as in `read_bag_depth` [s].
+
+    Raises:
+        FileError: As `read_depth`, or a recording of several topics.
+        InputError: As `read_depth`, or a time outside the recording.
+    """
+    if Path(path).suffix.lower() == SUFFIX:
+        file = io.existing_file(path, "recording")
+        found = read_bag_depth(file, topic, at)
+        return DepthFrame(_in_metres(file, found.pixels, found.frame.unit), found.frame)
+    if topic is not None or at is not None:
+        raise InputError(f"{path} is an image alone: leave name= and at= out")
+    return DepthFrame(read_depth(path, unit), None)
+
+
 def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
     """The depths of an image.
 
     Args:
         path: A .png, .tif, .tiff or .npy file of one number per pixel, or a .bag of
-            which the frame in the middle is read in its own unit.
+            which the image in the middle is read in its own unit.
         unit: ``m``, ``cm`` or ``mm``; by default millimetres for whole numbers and
             metres for fractions.
 
@@ -61,7 +101,7 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
     if Path(path).suffix.lower() == SUFFIX:
-        return _of_recording(io.existing_file(path, "recording"))
+        return read_depth_frame(path).depth
     file = io.existing_file(path, "depth image", LARGEST_FILE)
     values = _read(file)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -69,12 +109,6 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
     _check_kind(file, values)
     whole = values.dtype.kind in "iu"
     return _in_metres(file, values, UNITS[unit or ("mm" if whole else "m")])
-
-
-def _of_recording(file: Path) -> Array:
-    """The depths of a recording's middle frame [m]."""
-    found = read_bag_depth(file)
-    return _in_metres(file, found.pixels, found.unit)
 
 
 def _in_metres(file: Path, values: NDArray[Any], scale: float) -> Array:

@@ -134,9 +134,11 @@ class Diagnosis:
         lines += [f"units? {doubt}" for doubt in self.units]
         number, longest = self.gaps
         if number:
-            lines.append(f"{number} gaps, the longest {longest:.3g} s")
+            many = "gap of" if number == 1 else "gaps, the longest"
+            lines.append(f"{number} {many} {longest:.3g} s")
         if self.jumps:
-            lines.append(f"{self.jumps} jumps of the position")
+            plural = "s" * (self.jumps != 1)
+            lines.append(f"{self.jumps} jump{plural} of the position")
         lines += [f"fault: {fault}" for fault in self.faults]
         if self.repair:
             lines.append(f"--repair: {', '.join(self.repair)}")

@@ -104,20 +104,22 @@ class Intrinsics:
             )
 
 
-def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
+def read_intrinsics(
+    path: str | os.PathLike[str], topic: str | None = None
+) -> Intrinsics:
     """Intrinsics from JSON, YAML, XML or a recording, whoever wrote them.
 
     Args:
         path: The file; YAML and .bag need the extra ``sensors``.
+        topic: Name of a recording's depth images, where there are several.
 
     Raises:
         FileError: It is missing, damaged, or holds no intrinsics.
         MissingPackageError: PyYAML is not installed.
     """
     if Path(path).suffix.lower() == SUFFIX:
-        found: Mapping[str, Any] = read_bag_camera_info(
-            io.existing_file(path, "camera")
-        )
+        file = io.existing_file(path, "camera")
+        found: Mapping[str, Any] = read_bag_camera_info(file, topic)
     else:
         found = read_mapping(path, "camera calibration")
     with located(os.fspath(path), FileError):

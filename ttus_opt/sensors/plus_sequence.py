@@ -33,6 +33,12 @@ LONGEST_TEXT = 200_000_000
 
 LINE = re.compile(r"Seq_Frame(\d+)_(\w+?) *:?= *(.*)")
 
+#: Frames per second, where some program states them for the whole file
+RATE = re.compile(r"\w*FrameRate *:?= *(\d+(?:\.\d*)?)\s*")
+
+#: Times of a frame, the best first; older versions of PLUS also write the second
+TIMES = ("Timestamp", "UnfilteredTimestamp")
+
 #: Unit of translations in PLUS [m]
 MILLIMETRE = 1e-3
 
@@ -64,7 +70,7 @@ def read_plus_sequence(
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     """The file's transforms, or the one wanted; errors as `read_plus_sequence`."""
     file = io.existing_file(path, "PLUS sequence")
-    frames = _frames(file)
+    frames, rate = _frames(file)
     names = {name for frame in frames.values() for name in frame}
     known = sorted(n.removesuffix(TRANSFORM) for n in names if n.endswith(TRANSFORM))
     if not known:
@@ -74,7 +80,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     for each in known:
         try:
             if name in (None, each):
-                out.append(_poses(file, frames, each))
+                out.append(_poses(file, frames, each, rate))
             else:
                 out.append(RawRecording(str(file), *_NOTHING, name=each))
         except (InputError, ValueError) as error:
@@ -85,14 +91,14 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
 _NOTHING = (np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
 
 
-def _frames(file: os.PathLike[str]) -> dict[int, dict[str, str]]:
-    """Fields of every frame, by its number.
+def _frames(file: os.PathLike[str]) -> tuple[dict[int, dict[str, str]], float | None]:
+    """Fields of every frame, by its number, and the rate that the file states [Hz].
 
     Raises:
         FileError: Not a MetaImage or NRRD file.
     """
     frames: dict[int, dict[str, str]] = {}
-    read, nrrd = 0, False
+    read, nrrd, rate = 0, False, None
     with open(file, "rb") as stream:
         for line in iter(lambda: stream.readline(1_000_000), b""):
             read += len(line)
@@ -110,27 +116,54 @@ def _frames(file: os.PathLike[str]) -> dict[int, dict[str, str]]:
             found = LINE.fullmatch(text)
             if found and len(found[1]) < 10:
                 frames.setdefault(int(found[1]), {})[found[2]] = found[3]
-    return frames
+            elif (stated := RATE.fullmatch(text)) and 0.1 < float(stated[1]) < 1e5:
+                rate = float(stated[1])
+    return frames, rate
 
 
-def _poses(file: Path, frames: dict[int, dict[str, str]], name: str) -> RawRecording:
+def _times(
+    frames: dict[int, dict[str, str]], rate: float | None
+) -> tuple[dict[int, float], str]:
+    """Time of each frame by its number [s], and what was taken for it; empty as usual.
+
+    Raises:
+        InputError: Frames have neither times nor a rate.
+        ValueError: Text where numbers are expected.
+    """
+    for field in TIMES:
+        if all(field in frame for frame in frames.values()):
+            said = "" if field == TIMES[0] else f"times are the {field} of the frames"
+            return {n: float(frame[field]) for n, frame in frames.items()}, said
+    missing = min(n for n, frame in frames.items() if TIMES[0] not in frame)
+    if rate is None:
+        raise InputError(
+            f"frame {missing} has no Timestamp, and the file no frame rate: record it "
+            "again, or add a line 'FrameRate = 20' [Hz] after the file's first"
+        )
+    said = f"no times: frame numbers at {rate:g} Hz, the file's frame rate"
+    return {n: n / rate for n in frames}, said
+
+
+def _poses(
+    file: Path, frames: dict[int, dict[str, str]], name: str, rate: float | None
+) -> RawRecording:
     """Poses of the frames with a valid transform.
 
     Raises:
-        InputError: A transform is not rigid.
+        InputError: A transform is not rigid, or frames have no times.
         ValueError: Text where numbers are expected.
     """
     key = f"{name}{TRANSFORM}"
     time, matrices = np.zeros(len(frames)), np.tile(np.eye(4), (len(frames), 1, 1))
     lost = np.zeros(len(frames), bool)
+    seen = {n: f for n, f in frames.items() if _valid(f, key)}
+    times, said = _times(seen, rate) if seen else ({}, "")
     for row, number in enumerate(sorted(frames)):
         frame = frames[number]
-        if key not in frame or frame.get(f"{key}Status", "OK") != "OK":
+        if not _valid(frame, key):
             lost[row] = True
             continue
-        if "Timestamp" not in frame:
-            raise InputError(f"frame {number} has no Timestamp: record it again")
-        time[row] = float(frame["Timestamp"])
+        time[row] = times[number]
         numbers = [float(word) for word in frame[key].split()]
         if len(numbers) != 16 or numbers[12:] != [0, 0, 0, 1]:
             raise InputError(f"frame {number}: a transform has 16 numbers, a rigid one")
@@ -151,7 +184,13 @@ def _poses(file: Path, frames: dict[int, dict[str, str]], name: str) -> RawRecor
     if worst > 0.0:
         projected = f"rotations off by {worst:.1g} were projected to the nearest ones"
         raw = raw.replaced(cautions=(projected,))
+    if said:
+        raw = raw.replaced(cautions=(*raw.cautions, said))
     return raw
+
+
+def _valid(frame: dict[str, str], key: str) -> bool:
+    return key in frame and frame.get(f"{key}Status", "OK") == "OK"
 
 
 PLUS = StreamFormat(

@@ -30,6 +30,7 @@ from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, moved, rigid_motion
 from ttus_opt.probe.trajectory_csv import read_trajectory_columns
 from ttus_opt.sensors.depth import DepthCloud, DepthImage
+from ttus_opt.sensors.depth_bag import Frame
 from ttus_opt.sensors.depth_noise import NoiseModel
 
 #: Cell size to which scans are downsampled [m]
@@ -50,6 +51,9 @@ LEAVES = 4.0
 
 #: Neighbours from which a normal is estimated
 NEIGHBOURS = 40
+
+#: Cameras within 60° of their mean direction, as the body sees them, saw one side [–]
+ONE_SIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -110,11 +114,24 @@ class Stitched:
         cloud: All points.
         poses: Camera to the common frame, refined or as measured, (n, 4, 4) [–, m].
         refinements: One per scan except the first; empty without refinement.
+        frames: Which image of a recording each scan is; None for one alone.
     """
 
     cloud: DepthCloud
     poses: Array
     refinements: tuple[Refinement, ...]
+    frames: tuple[Frame | None, ...] = ()
+
+    @property
+    def seen_from(self) -> Array | None:
+        """Where the scan was seen from, shape (3,) [m]; None if from several sides."""
+        places = self.poses[:, :3, 3]
+        towards = places - np.median(self.cloud.points, axis=0)
+        towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        middle = towards.mean(axis=0)
+        if (towards @ middle).min() < ONE_SIDE * np.linalg.norm(middle):
+            return None
+        return np.asarray(places.mean(axis=0))
 
 
 def read_camera_poses(
@@ -180,7 +197,7 @@ def stitch(
         np.concatenate(deviations) if deviations else None,
         tuple(c.dropped[0] for c in clouds),
     )
-    return Stitched(cloud, motions, refinements)
+    return Stitched(cloud, motions, refinements, tuple(i.frame for i in images))
 
 
 @dataclass(frozen=True)

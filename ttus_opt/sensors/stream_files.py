@@ -109,14 +109,23 @@ def raw_stream(
 
 
 def raw_recordings(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+    path: str | os.PathLike[str],
+    columns: Mapping[str, str] | None = None,
+    name: str | None = None,
 ) -> Sequence[RawRecording]:
-    """All streams of a file; errors as `raw_stream`."""
+    """All streams of a file, or those of a name; errors as `raw_stream`."""
     file = Path(path)
     kind = format_of(file)
-    wanted = Wanted(columns=columns or {})
+    wanted = Wanted(name, columns or {})
     _require_none(file, kind, wanted)
-    return kind.read(file, wanted)
+    found = kind.read(file, wanted)
+    if name is None:
+        return found
+    own = [raw for raw in found if raw.name == name]
+    if not own:
+        names = ", ".join(raw.name for raw in found) or "none"
+        raise FileError(f"{file} has no {kind.word} {name}, but {names}")
+    return own
 
 
 def format_of(file: Path) -> StreamFormat:

@@ -9,11 +9,11 @@ from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
-from ttus_opt.sensors.depth import DepthCloud, read_depth_image
+from ttus_opt.sensors.depth import read_depth_image
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import read_intrinsics
 from ttus_opt.sensors.probe_axis import read_axis
-from ttus_opt.sensors.stitching import PoseUncertainty, stitch
+from ttus_opt.sensors.stitching import PoseUncertainty, Stitched, stitch
 from ttus_opt.sensors.unprojection import read_unprojection
 from ttus_opt.session.scan_description import Scan
 
@@ -39,30 +39,32 @@ def find_skin(scan: Scan) -> Skin:
             refused refinement.
         GeometryError: The cloud shows no body, or none below the held probe.
     """
-    std = None
+    std, camera = None, None
     if scan.cameras:
-        seen = _depth_cloud(scan)
+        stitched = _stitched(scan)
+        camera = stitched.seen_from
+        seen = stitched.cloud.of_patient(scan.files[0].name)
         cloud, std = seen.points, seen.std
     elif scan.files[0].suffix.lower() == ".nc":
         return Skin(Surface.load(scan.files[0]), None)
     else:
         cloud = read_cloud(scan.files[0], unit=scan.unit or "m")  # type: ignore[arg-type]  # checked before
-    axis = _frame(scan, cloud)
+    axis = _frame(scan, cloud, camera)
     n_theta, n_z = scan.nodes
     surface = extract_surface(cloud, axis=axis, n_theta=n_theta, n_z=n_z, point_std=std)
     return Skin(surface, cloud)
 
 
-def _frame(scan: Scan, cloud: Array) -> Axis:
+def _frame(scan: Scan, cloud: Array, camera: Array | None) -> Axis:
     """The patient's frame, as stated or found in the scan."""
     stated = scan.axis
     if stated is None:
-        return Axis.from_cloud(cloud, head=scan.head, prone=scan.prone)
+        return Axis.from_cloud(cloud, head=scan.head, prone=scan.prone, camera=camera)
     return read_axis(stated.file, cloud, held=stated.held, depth=stated.depth)
 
 
-def _depth_cloud(scan: Scan) -> DepthCloud:
-    """Points of all depth images, frame of the scan."""
+def _stitched(scan: Scan) -> Stitched:
+    """All depth images in the frame of the scan."""
     images = [
         read_depth_image(
             file,
@@ -72,10 +74,9 @@ def _depth_cloud(scan: Scan) -> DepthCloud:
         )
         for file, camera in zip(scan.files, scan.cameras, strict=True)
     ]
-    stitched = stitch(
+    return stitch(
         images,
         [camera.to_scan for camera in scan.cameras],
         noise=None if scan.noise is None else noise_model(scan.noise),
         refine=PoseUncertainty() if scan.refine else None,
     )
-    return stitched.cloud

@@ -212,9 +212,12 @@ def test_residuals_and_contacts_are_those_of_each_recording():
     counts = (touching & silent).sum(axis=1), (~touching & ~silent).sum(axis=1)
     assert told == list(zip(*counts, strict=True))
     assert counts[0][0] > 0
-    # names that are not one for each are no names
-    other = check_recordings(scene, field, ["press"]).recordings
-    assert [check.name for check in other] == ["recording 0", "recording 1"]
+    for names, told in (
+        (["press"], ["press part 1", "press part 2"]),  # of one file
+        (list("abc"), ["recording 0", "recording 1"]),
+    ):
+        other = check_recordings(scene, field, names).recordings
+        assert [check.name for check in other] == told
 
 
 def test_poses_alone_cannot_be_checked():

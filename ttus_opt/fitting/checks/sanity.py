@@ -192,8 +192,7 @@ def check_recordings(
     if not trajectory.has_wrench:
         raise InputError("the recordings have no wrenches to check")
     numbers = np.unique(trajectory.segment)
-    if len(names) != len(numbers):
-        names = [f"recording {number}" for number in numbers]
+    names = recording_names(names, len(numbers))
     checks = [
         _recording(scene, field, name, trajectory.select(trajectory.segment == number))
         for name, number in zip(names, numbers, strict=True)
@@ -209,6 +208,19 @@ def check_recordings(
         disagreement,
         mistake,
     )
+
+
+def recording_names(names: Sequence[str], n: int) -> Sequence[str]:
+    """Names of n recordings, from those of their files.
+
+    >>> recording_names(["press.csv"], 2)
+    ['press.csv part 1', 'press.csv part 2']
+    """
+    if len(names) == n:
+        return names
+    if len(names) == 1:
+        return [f"{names[0]} part {k + 1}" for k in range(n)]
+    return [f"recording {k}" for k in range(n)]
 
 
 def _recording(
@@ -272,8 +284,8 @@ def _likely_mistake(
         reading, after = moved
         if after < CLEARLY * (as_read.disagreement if best is None else best.after):
             point = reading.point(np.asarray(scene.shell.reference))
-            x, y, z = (1e3 * v for v in point)
-            what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
+            x, y, z = (round(1e3 * v) for v in point)
+            what = f"torques about ({x}, {y}, {z}) mm of the probe's frame"
             return as_read.disagreement, Mistake(
                 what, reading.options, as_read.disagreement, after, "torque_about"
             )
@@ -313,7 +325,7 @@ def _about_another_point(
     if not FAR < np.linalg.norm(c) < FARTHEST:
         return None
     centroid = np.asarray(scene.shell.reference)
-    point = tuple(np.round(conventions.point(centroid) + c, 3).tolist())
+    point = tuple((np.round(conventions.point(centroid) + c, 3) + 0.0).tolist())
     other = replace(conventions, torque_about=point)
     reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
     agreed = agreement(scene, prior, reread.select(chosen))
