@@ -17,21 +17,21 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
 from tests.viewer.conftest import field, probe
 from ttus_opt.contact.standing import depth_of, standing
 from ttus_opt.core.errors import InputError
+from ttus_opt.sensors.probe_axis import hold
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.skin import SkinMesh
-from ttus_opt.viewer.state import USUAL
 
 SKIN = SkinMesh.of(torso(), 0.03)
 
 
 def test_stiffness_is_the_force_of_a_press_there() -> None:
     renderer = tt.Renderer(field(), probe())
-    found = colouring.stiffness(field(), renderer, probe(), USUAL, SKIN)
+    found = colouring.stiffness(field(), renderer, probe(), hold(), SKIN)
     assert found.unit == "N"
     assert np.isnan(found.values[SKIN.z == SKIN.z.min()]).all()  # the model ends
     for node in np.flatnonzero(np.isfinite(found.values))[::29]:
         place = SKIN.theta[node : node + 1], SKIN.z[node : node + 1]
-        R, x = standing(torso(), probe(), USUAL, *place, colouring.LIGHT)
+        R, x = standing(torso(), probe(), hold(), *place, colouring.LIGHT)
         assert depth_of(torso(), probe(), R, x)[0] == pytest.approx(0.005, abs=1e-6)
         force = np.linalg.norm(renderer.render(R[0], x[0]).force)
         assert force == pytest.approx(found.values[node], abs=1e-5)
