@@ -1,7 +1,6 @@
 """The whole benchmark: planned, refused, run once, and going on after a stop."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import get_args
 
@@ -11,7 +10,6 @@ from tests.benchmark.tiny import TINY, tiny_suite
 from tests.refusals import refuses
 from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.row import Row
 from ttus_opt.contact.rows import Sampling
 from ttus_opt.core.errors import InputError, MissingPackageError
 
@@ -34,7 +32,7 @@ def interrupt(file):
 def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
     tmp_path, monkeypatch
 ):
-    told: list[Row] = []
+    told = []
     asked = tiny_suite(tmp_path, formulations=["eq10", "eq10_sign"], repeat=2)
     rows = asked.run(lambda spec, rows: told.extend(rows))["solvers"]
     by = {(row["formulation"], row["solver"]): row for row in rows}
@@ -74,7 +72,7 @@ def test_other_parts_are_not_run_twice_either(tmp_path, monkeypatch):
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
-    names: Sequence[str] = ("ripple", "rendering")
+    names = ("ripple", "rendering")
 
     def stopped(spec, *others):
         if spec.part == "rendering":
@@ -84,7 +82,7 @@ def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "run_isolated", stopped)
     with pytest.raises(KeyboardInterrupt):
         tiny_suite(tmp_path, parts=names).run()
-    run: list[str] = []
+    run = []
 
     def counted(spec, *others):
         run.append(spec.part)

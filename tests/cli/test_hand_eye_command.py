@@ -1,19 +1,15 @@
 """``ttus-opt hand-eye``: from two files to a motion that other commands read."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Run
 from tests.sensors.test_stream_hand_eye import CAMERA, LATE, streams
 from ttus_opt.probe.rigid_motion import read_rigid_motion
 
 
-def test_two_files(run: Run, tmp_path: Path) -> None:
+def test_two_files(run, tmp_path):
     seen, carried = streams(outliers=0.05)
     seen.save(tmp_path / "tracker.csv")
     carried.save(tmp_path / "robot.csv")

@@ -1,7 +1,6 @@
 """What is said of a recording, and what is left out where it is not known."""
 
 import math
-from typing import Any
 
 import pytest
 
@@ -58,7 +57,7 @@ def test_a_refusal_is_said():
 def test_a_picture_of_nothing_is_refused_before_any_other_is_written(tmp_path):
     air = RecordingLine("a.csv", 100, math.nan, refused="fewer than three")
     forces, calibration = tmp_path / "forces.png", tmp_path / "calibration.png"
-    found: Any = None  # not drawn
+    found = None  # not drawn
     with pytest.raises(InputError, match=r"calibration.png: fewer than three"):
         _draw(found, [air], forces, calibration)
     assert not list(tmp_path.iterdir())

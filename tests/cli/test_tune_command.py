@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +67,7 @@ def test_a_wrong_sign_is_told_with_its_option(run, tmp_path, command):
 
 
 def test_models_that_were_not_chosen_are_told_with_their_errors():
-    chosen: Any = SimpleNamespace(
+    chosen = SimpleNamespace(
         formulation=SimpleNamespace(name="b"),
         candidates={"a": 2.0, "b": 1.0, "c": 3.0},
         weights={},

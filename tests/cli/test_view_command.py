@@ -1,7 +1,5 @@
 """``ttus-opt view``: serves until Ctrl-C, and says what is wrong before it does."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -10,14 +8,13 @@ import sys
 import urllib.request
 from dataclasses import replace
 from http.client import HTTPConnection
-from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from tests.cli.conftest import PROBE, Run
+from tests.cli.conftest import PROBE
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -25,7 +22,7 @@ pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
 
 @pytest.mark.slow
-def test_it_serves_until_it_is_interrupted(field: Path, files: Path) -> None:
+def test_it_serves_until_it_is_interrupted(field, files):
     words = f"view {field} --probe {PROBE} --trajectory {files / 'press.csv'}".split()
     process = subprocess.Popen(
         [sys.executable, "-m", "ttus_opt", *words, "--port", "0", "--no-browser"],
@@ -54,13 +51,13 @@ def test_it_serves_until_it_is_interrupted(field: Path, files: Path) -> None:
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def served(monkeypatch):
     """Stands for somebody who looks and presses Ctrl-C."""
     from ttus_opt.viewer.viewer import Viewer
 
-    looked: list[str] = []
+    looked = []
 
-    def wait(viewer: Viewer) -> None:
+    def wait(viewer):
         state = viewer.state
         looked.extend([*viewer.page.stage.names, str(state.shell)])
         looked.append("recording" if state.recording else "none")
@@ -70,9 +67,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return looked
 
 
-def test_two_fields_the_probe_and_a_recording_are_shown(
-    run: Run, field: Path, files: Path, served: list[str]
-) -> None:
+def test_two_fields_the_probe_and_a_recording_are_shown(run, field, files, served):
     press = files / "press.csv"
     answer = run(
         f"view {field} --compare {field} --probe {PROBE} --points 300 "
@@ -85,9 +80,7 @@ def test_two_fields_the_probe_and_a_recording_are_shown(
     assert served[3] == "recording"
 
 
-def test_the_probe_is_the_one_of_the_fit(
-    run: Run, field: Path, served: list[str]
-) -> None:
+def test_the_probe_is_the_one_of_the_fit(run, field, served):
     answer = run(f"view {field} --port 0 --no-browser")
     assert answer.status == 0, answer.err
     assert "40 × 30 × 30 mm" in served[1]
@@ -106,9 +99,7 @@ def test_the_probe_is_the_one_of_the_fit(
         ("view {surface}", "surface"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(
-    run: Run, field: Path, files: Path, tmp_path: Path, words: str, why: str
-) -> None:
+def test_what_is_wrong_is_said_in_a_line(run, field, files, tmp_path, words, why):
     broken = tmp_path / "broken.nc"
     broken.write_bytes(field.read_bytes()[:2000])
     answer = run(words.format(field=field, broken=broken, surface=files / "surface.nc"))
@@ -117,9 +108,7 @@ def test_what_is_wrong_is_said_in_a_line(
     assert why in answer.errors[0]
 
 
-def test_a_field_of_another_patient_is_refused(
-    run: Run, field: Path, tmp_path: Path, served: list[str]
-) -> None:
+def test_a_field_of_another_patient_is_refused(run, field, tmp_path, served):
     one, other = PotentialField.load(field), tmp_path / "other.nc"
     surface = one.voxmap.surface
     larger = replace(surface, radius=1.02 * surface.radius)
@@ -132,9 +121,7 @@ def test_a_field_of_another_patient_is_refused(
     assert served == []
 
 
-def test_a_viser_that_is_missing_is_named(
-    run: Run, field: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_viser_that_is_missing_is_named(run, field, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     answer = run(f"view {field}")
     assert answer.status == 2

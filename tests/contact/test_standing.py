@@ -1,7 +1,5 @@
 """A probe on the skin against analytic bodies and the deepest of all its points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -58,7 +56,7 @@ def test_a_ball_on_a_cylinder_stands_one_radius_off():
     np.testing.assert_allclose(depth, 0.004, atol=1e-6)
 
 
-def shifted() -> PointShell:
+def shifted():
     """A probe whose frame's origin lies far from it."""
     one, off = ellipsoid(), np.array([0.05, -0.2, 0.1])
     return PointShell(one.points + off, one.normals, one.areas, one.reference + off)

@@ -1,7 +1,6 @@
 """Arguments that were mixed up are told by name, before anything is computed."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from ttus_opt.core.errors import InputError
 
 def mixed_up():
     """Calls with an argument of another type, by a pattern of what they say."""
-    scene: Any = dragged_scene("contact")
-    solution: Any = tt.fit(scene, "laplace_only")
+    scene = dragged_scene("contact")
+    solution = tt.fit(scene, "laplace_only")
     field, shell, told = solution.field, scene.shell, scene.trajectory
     return {
         r"the field must be a PotentialField, got a Solution: pass its \.field": (

@@ -1,14 +1,13 @@
 """Errors over boundary values: what is kept comes back as it was."""
 
 import math
-from typing import Any
 
 from ttus_opt.experiment import boundary
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
 
 
 def test_a_fit_that_failed_is_kept_as_one(tmp_path, monkeypatch):
-    fits: Any = None
+    fits = None
     file = tmp_path / "boundary.json"
 
     def failed(fits, weight, factor):

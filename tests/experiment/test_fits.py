@@ -1,7 +1,6 @@
 """Results that are kept: taken when they are of the same making, else made anew."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -29,7 +28,7 @@ def judge(tmp_path, monkeypatch):
     monkeypatch.setattr(PatientFits, "scene", begin)
     no_shell = SimpleNamespace(from_spec=lambda spec: None)
     monkeypatch.setattr("ttus_opt.experiment.fits.PointShell", no_shell)
-    examination: Any = SimpleNamespace(patient=patients()[0])
+    examination = SimpleNamespace(patient=patients()[0])
     return PatientFits(examination, tmp_path, (8, 16, 8), "digest")
 
 
@@ -78,7 +77,7 @@ def test_an_edited_file_of_ones_own_is_fitted_again(tmp_path, judge):
 
 
 def test_recordings_of_two_makings_are_never_mixed(tmp_path, monkeypatch):
-    patient: Any = SimpleNamespace(name="lean", digest=str)
+    patient = SimpleNamespace(name="lean", digest=str)
     patient.surface = lambda: SimpleNamespace(save=lambda file: None)
     stamp = tmp_path / "digest.txt"
     stamp.write_text(patient.digest(3.0))

@@ -1,7 +1,6 @@
 """What a solver's answer and its word come to: residuals decide, proofs are asked."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -112,7 +111,7 @@ def test_a_solver_s_own_proof_names_the_conflict():
 
 
 def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(monkeypatch):
-    given: list[float | None] = []
+    given = []
 
     def sought(*_, time_limit, **__):
         given.append(time_limit)
@@ -131,7 +130,7 @@ def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(monkeypatch):
 ZERO = np.zeros(2)
 
 #: Where a vector of two numbers is wanted
-NO_VECTORS: tuple[Any, ...] = (
+NO_VECTORS = (
     [0.0, 0.0],
     np.zeros(2, complex),
     np.array([0.0, None]),

@@ -1,7 +1,5 @@
 """Measurements of a Gaussian against dense algebra, and against each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -18,11 +16,11 @@ DATA = RNG.normal(size=M)
 GROUP = np.repeat([5, 2, 9, 3], [3, 12, 1, 8])
 
 
-def images(k: int) -> np.ndarray:
+def images(k):
     return 0.6 * np.random.default_rng(k).normal(size=(k, M))
 
 
-def covariance(k: int) -> np.ndarray:
+def covariance(k):
     return np.asarray(np.eye(M) + images(k).T @ images(k))
 
 

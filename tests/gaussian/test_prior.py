@@ -1,7 +1,5 @@
 """Laws of every prior: products, rows, draws and columns are of one covariance."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -11,22 +9,22 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.gaussian.matern import SeparableCovariance
-from ttus_opt.gaussian.prior import KnownPrior, Multiples, Prior, Sum
+from ttus_opt.gaussian.prior import KnownPrior, Multiples, Sum
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 V = SCENE.n_voxels
 
 
-def multiples() -> Multiples:
+def multiples():
     return Multiples(np.random.default_rng(3).normal(size=(V, 2)))
 
 
-def matern() -> SeparableCovariance:
+def matern():
     scale = np.random.default_rng(4).uniform(0.5, 2.0, V)
     return SeparableCovariance.over(SCENE.voxmap, scale, 0.06, 0.02)
 
 
-def laplace() -> LaplacePrior:
+def laplace():
     compliance = np.where(SCENE.laplace.free, 0.5, 0.0)  # hard boundary values
     return LaplacePrior(SCENE.laplace, compliance)
 
@@ -42,12 +40,12 @@ known = pytest.mark.parametrize("name", ["matern", "multiples", "sum"])
 
 
 @functools.cache
-def prior_of(name: str) -> Prior:
+def prior_of(name):
     return PRIORS[name]()
 
 
 @functools.cache
-def dense(name: str) -> np.ndarray:
+def dense(name):
     """C from matrices, not from the prior's products."""
     if name == "laplace":
         inverse = np.linalg.inv(SCENE.L.toarray())
@@ -60,12 +58,12 @@ def dense(name: str) -> np.ndarray:
     return np.asarray(C if name == "matern" else C + 2.0 * H @ H.T)
 
 
-def close(found: np.ndarray, expected: np.ndarray) -> None:
+def close(found, expected):
     size = np.abs(expected).max()
     np.testing.assert_allclose(found / size, expected / size, atol=1e-8)
 
 
-def some_rows() -> sp.csr_array:
+def some_rows():
     """Three blocks of two rows, one of them empty."""
     rng = np.random.default_rng(5)
     rows = rng.normal(size=(6, V)) * (rng.uniform(size=(6, V)) < 0.1)

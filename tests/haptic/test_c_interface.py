@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
@@ -119,9 +118,7 @@ def test_frames_from_c_are_those_from_python(scene, library):
         c = CLoop(library, by_c, (rotation, position, twist, times))
         c.run()
         for k in range(len(times)):
-            motion: dict[str, Any] = (
-                {"twist": twist[k]} if np.isnan(times[k]) else {"time": times[k]}
-            )
+            motion = {"twist": twist[k]} if np.isnan(times[k]) else {"time": times[k]}
             count = by_python.render_into(rotation[k], position[k], out, **motion)
             assert count == c.count[k]
             np.testing.assert_array_equal(c.wrench[k], out)

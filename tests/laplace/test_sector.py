@@ -8,11 +8,10 @@ import pytest
 from tests.conftest import torso
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: 100°, and the wave that has no flux at its sides
-SECTOR: Sector = (np.radians(40.0), np.radians(140.0))
+SECTOR = (np.radians(40.0), np.radians(140.0))
 WAVE = np.pi / (SECTOR[1] - SECTOR[0])
 
 

@@ -6,9 +6,7 @@ tolerance of the optimum and every parameter within 1 %.
 """
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -147,7 +145,7 @@ def _few_iterations(patch, n):
 
 def _few_of(name, key):
     def stop(patch, n):
-        solver: Any = registry.solvers()[name]
+        solver = registry.solvers()[name]
         fixed = {**solver.package.fixed, key: n}
         patch.setattr(solver, "package", replace(solver.package, fixed=fixed))
 
@@ -155,7 +153,7 @@ def _few_of(name, key):
 
 
 #: How each solver is made to stop after about so many iterations
-STOPS: dict[str, Callable[[pytest.MonkeyPatch, int], None]] = {
+STOPS = {
     "structured": _few_dual,
     "clarabel": _few_of("clarabel", "max_iter"),
     "osqp": _few_iterations,

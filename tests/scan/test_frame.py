@@ -5,7 +5,6 @@ import pytest
 
 from tests.refusals import refuses
 from tests.scan.test_frame_estimate import bed, body, no_bed, rotation
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan import frame
 from ttus_opt.scan.extraction import extract_surface
@@ -60,7 +59,7 @@ def test_the_supporting_plane_is_found_once(monkeypatch):
     assert isinstance(plane, SupportingPlane)
     assert plane.normal[1] > 0.999
     expected = extract_surface(cloud, axis=axis, support=plane, n_theta=36, n_z=8)
-    looks: list[Array] = []
+    looks = []
 
     def looked(cloud):
         looks.append(cloud)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt import example
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan import frame_estimate
 from ttus_opt.scan.cloud import read_cloud
@@ -226,7 +225,7 @@ def test_density_does_not_count():
     points = np.concatenate(
         [rng.uniform(0.0, 0.05, (3000, 3)), [[0.2, 0.2, 0.2]], np.zeros((1, 3))]
     )
-    cells: dict[tuple[int, ...], list[Array]] = {}
+    cells = {}
     for point in points:
         cells.setdefault(tuple((point // 0.012).astype(int)), []).append(point)
     least = np.median([len(own) for own in cells.values()]) / 10

@@ -1,7 +1,5 @@
 """Figures of a stream against what it was made with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,7 +8,7 @@ from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.diagnosis import diagnosis
 
 
-def recording(n: int = 2000) -> RawRecording:
+def recording(n=2000):
     """Slow motion at 100 Hz with noise of 0.2 mm, 0.1 N and 3 mN m."""
     rng = np.random.default_rng(0)
     time = 0.01 * np.arange(n)
@@ -27,7 +25,7 @@ def recording(n: int = 2000) -> RawRecording:
     )
 
 
-def test_rate_span_noise_and_ranges() -> None:
+def test_rate_span_noise_and_ranges():
     found = diagnosis(recording())
     assert found.holds == "poses and wrenches"
     assert found.rate == pytest.approx(100.0)
@@ -42,7 +40,7 @@ def test_rate_span_noise_and_ranges() -> None:
     assert found.lines()[-1] == "no faults"
 
 
-def test_holes_are_counted() -> None:
+def test_holes_are_counted():
     raw = recording()
     assert raw.position is not None and raw.force is not None
     raw.position[700:710] += 0.4  # out and back
@@ -68,9 +66,7 @@ def test_holes_are_counted() -> None:
         ("torque", 1e3, "a lever of 20 m in the median, so torques are likely in N mm"),
     ],
 )
-def test_units_are_doubted_with_the_reason(
-    name: str, factor: float, words: str
-) -> None:
+def test_units_are_doubted_with_the_reason(name, factor, words):
     raw = recording()
     bad = raw.replaced(**{name: factor * getattr(raw, name)})
     (doubt,) = diagnosis(bad).units
@@ -78,7 +74,7 @@ def test_units_are_doubted_with_the_reason(
     assert not diagnosis(bad.replaced(units_stated=True)).units
 
 
-def test_a_stream_that_was_never_valid() -> None:
+def test_a_stream_that_was_never_valid():
     """PLUS writes such a transform for a tool that was not in view."""
     whole = recording(50).noted("mm")
     found = diagnosis(whole.without(np.ones(50, bool), "not OK"))

@@ -2,7 +2,6 @@
 
 import shutil
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,14 +28,14 @@ def recorded(folder, kind, twice=False):
 
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    T: Any = {
+    T = {
         name.split("/")[-1]: known
         for name, known in store.types.items()
         if name.startswith(("geometry_msgs", "builtin", "std_msgs/msg/Header"))
     }
     if ros1:
         path = folder / "r.bag"
-        writer: Any = rosbag1.Writer(path)
+        writer = rosbag1.Writer(path)
     else:
         path = folder / kind
         plugin = rosbag2.StoragePlugin[kind.upper()]

@@ -1,10 +1,5 @@
 """Odometry, /tf between two frames, and a database without its metadata."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -21,7 +16,7 @@ FIXED = homogeneous(Rotation.from_rotvec([0.2, 0, 1]).as_matrix(), [0.0, 0.0, 0.
 BACK = homogeneous(Rotation.from_rotvec([0, 0.4, 0]).as_matrix(), [1.0, 0.0, 0.0])
 
 
-def arm(t: float) -> np.ndarray:
+def arm(t):
     """The tool in the base, steady motion and turn."""
     s = t - TIME[0]
     return homogeneous(
@@ -29,13 +24,13 @@ def arm(t: float) -> np.ndarray:
     )
 
 
-def recorded(folder: Path, kind: str) -> Path:
+def recorded(folder, kind):
     """base → arm → probe (static), and base → camera (moving at half the rate)."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     ros1 = kind == "ros1"
-    store: Any = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:
         fields = "geometry_msgs/TransformStamped[] transforms"
         store.register(get_types_from_msg(fields, "tf2_msgs/msg/TFMessage"))
@@ -47,21 +42,21 @@ def recorded(folder: Path, kind: str) -> Path:
     }
     if ros1:
         path = folder / "r.bag"
-        writer: Any = rosbag1.Writer(path)
+        writer = rosbag1.Writer(path)
     else:
         path = folder / kind
         writer = rosbag2.Writer(path, version=9)
 
-    def header(t: float, frame: str) -> Any:
+    def header(t, frame):
         stamp = T["Time"](sec=int(t), nanosec=round(1e9 * (t - int(t))))
         return T["Header"](stamp=stamp, frame_id=frame, **({"seq": 0} if ros1 else {}))
 
-    def parts(motion: np.ndarray) -> tuple[Any, Any]:
+    def parts(motion):
         x, y, z, w = Rotation.from_matrix(motion[:3, :3]).as_quat()
         place = dict(zip("xyz", motion[:3, 3].tolist(), strict=True))
         return place, T["Quaternion"](x=x, y=y, z=z, w=w)
 
-    def transform(t: float, parent: str, child: str, motion: np.ndarray) -> Any:
+    def transform(t, parent, child, motion):
         place, turn = parts(motion)
         moved = T["Transform"](T["Vector3"](**place), turn)
         return T["TransformStamped"](header(t, parent), child, moved)
@@ -77,7 +72,7 @@ def recorded(folder: Path, kind: str) -> Path:
             )
         }
 
-        def write(topic: str, t: float, message: Any, kind_: str) -> None:
+        def write(topic, t, message, kind_):
             encode = store.serialize_ros1 if ros1 else store.serialize_cdr
             writer.write(open_[topic], round(1e9 * t), encode(message, kind_))
 
@@ -99,7 +94,7 @@ def recorded(folder: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
-def test_one_frame_in_another(tmp_path: Path, kind: str) -> None:
+def test_one_frame_in_another(tmp_path, kind):
     """Through a static link, and upwards through one that moves."""
     bag = recorded(tmp_path, kind)
     found = read_bag_poses(bag, "base:probe")
@@ -116,7 +111,7 @@ def test_one_frame_in_another(tmp_path: Path, kind: str) -> None:
         read_bag_poses(bag, "base:needle")
 
 
-def test_a_topic_is_meant_before_a_frame(tmp_path: Path) -> None:
+def test_a_topic_is_meant_before_a_frame(tmp_path):
     bag = recorded(tmp_path, "ros1")
     found = read_bag_poses(bag)  # Odometry, although /tf has two
     np.testing.assert_allclose(found.position, [arm(t)[:3, 3] for t in TIME])
@@ -124,7 +119,7 @@ def test_a_topic_is_meant_before_a_frame(tmp_path: Path) -> None:
     assert names == ["/odom", "base:arm", "base:camera"]
 
 
-def test_a_database_without_metadata(tmp_path: Path) -> None:
+def test_a_database_without_metadata(tmp_path):
     bag = recorded(tmp_path, "sqlite3")
     (file,) = bag.glob("*.db3")
     alone = tmp_path / "alone.db3"

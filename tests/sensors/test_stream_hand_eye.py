@@ -1,9 +1,5 @@
 """A camera's pose from two streams, against one that is known."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -24,7 +20,7 @@ MARKER = homogeneous(
 LATE = 0.83
 
 
-def hand(time: np.ndarray, axes: int = 3) -> np.ndarray:
+def hand(time, axes=3):
     """Waving in all directions, or about some axes only."""
     t = time[:, None]
     turn = 0.6 * np.sin(t * [0.9, 1.3, 0.7] + [0.0, 1.0, 2.0])
@@ -34,7 +30,7 @@ def hand(time: np.ndarray, axes: int = 3) -> np.ndarray:
     return homogeneous(Rotation.from_rotvec(turn).as_matrix(), place)
 
 
-def noisy(motion: np.ndarray, time: np.ndarray, turn: float, shift: float, seed: int):
+def noisy(motion, time, turn, shift, seed):
     rng = np.random.default_rng(seed)
     errs = Rotation.from_rotvec(rng.normal(0, max(turn, 1e-15), (len(time), 3)))
     rotation = errs.as_matrix() @ motion[:, :3, :3]
@@ -43,15 +39,15 @@ def noisy(motion: np.ndarray, time: np.ndarray, turn: float, shift: float, seed:
 
 
 def streams(
-    seed: int = 0,
+    seed=0,
     *,
-    fixed: bool = True,
-    turn: float = 0.003,
-    shift: float = 5e-4,
-    outliers: float = 0.0,
-    axes: int = 3,
-    seconds: float = 15.0,
-) -> tuple[Trajectory, Trajectory]:
+    fixed=True,
+    turn=0.003,
+    shift=5e-4,
+    outliers=0.0,
+    axes=3,
+    seconds=15.0,
+):
     """A marker in a camera at 30 Hz, the hand at 50 Hz on a clock that is behind."""
     time = np.arange(0.0, seconds, 1 / 30)
     B = hand(time, axes)
@@ -68,7 +64,7 @@ def streams(
 
 
 @pytest.mark.parametrize("fixed", [True, False])
-def test_exact_poses_give_the_exact_camera(fixed: bool) -> None:
+def test_exact_poses_give_the_exact_camera(fixed):
     """Up to the interpolation of the hand's poses between 100 Hz."""
     found = stream_hand_eye(
         *streams(fixed=fixed, turn=0.0, shift=0.0),
@@ -81,7 +77,7 @@ def test_exact_poses_give_the_exact_camera(fixed: bool) -> None:
     assert found.offset == pytest.approx(LATE, abs=1e-3)
 
 
-def test_outliers_and_noise() -> None:
+def test_outliers_and_noise():
     """A quarter of all frames is wrong altogether."""
     found = stream_hand_eye(*streams(outliers=0.25), "fixed", around=0.8, largest=0.4)
     off = inverse(CAMERA) @ found.camera
@@ -92,7 +88,7 @@ def test_outliers_and_noise() -> None:
 
 
 @pytest.mark.slow
-def test_the_covariance_is_that_of_repetitions() -> None:
+def test_the_covariance_is_that_of_repetitions():
     """Squared errors by the stated covariance are χ² of six degrees, 12 times."""
     squares, lates = [], []
     for seed in range(12):
@@ -106,13 +102,13 @@ def test_the_covariance_is_that_of_repetitions() -> None:
     assert 0.6 < np.std(lates) < 1.5
 
 
-def test_a_known_offset_is_kept() -> None:
+def test_a_known_offset_is_kept():
     found = stream_hand_eye(*streams(), "fixed", offset=LATE)
     assert found.offset == LATE
     assert np.linalg.norm(found.camera[:3, 3] - CAMERA[:3, 3]) < 2e-3
 
 
-def test_motions_that_tell_nothing() -> None:
+def test_motions_that_tell_nothing():
     with pytest.raises(GeometryError, match="about one axis"):
         stream_hand_eye(*streams(axes=1), "fixed", offset=LATE)
     seen, other = streams()
@@ -121,19 +117,19 @@ def test_motions_that_tell_nothing() -> None:
         stream_hand_eye(still, other, "fixed", offset=LATE)
 
 
-def test_streams_of_other_bodies_or_times() -> None:
+def test_streams_of_other_bodies_or_times():
     seen, _ = streams()
     _, other = streams()
     with pytest.raises(InputError, match="do not overlap"):
         stream_hand_eye(seen, other, "fixed", offset=500.0)
     with pytest.raises(InputError, match="camera must be"):
-        stream_hand_eye(seen, other, "hand")  # type: ignore[arg-type]
+        stream_hand_eye(seen, other, "hand")
     wrong = Trajectory(other.time, other.position, other.rotation[::-1].copy())
     with pytest.raises(InputError):
         stream_hand_eye(seen, wrong, "fixed", offset=LATE)
 
 
-def test_the_wrong_place_of_the_camera_shows_in_the_loops() -> None:
+def test_the_wrong_place_of_the_camera_shows_in_the_loops():
     """A fixed camera taken for a moving one: no exception, but loops of centimetres."""
     try:
         found = stream_hand_eye(*streams(), "moving", offset=LATE)
@@ -142,7 +138,7 @@ def test_the_wrong_place_of_the_camera_shows_in_the_loops() -> None:
     assert found.median_gap > 0.02
 
 
-def test_poses_of_a_real_arm_agree_with_other_solvers(shared: Path) -> None:
+def test_poses_of_a_real_arm_agree_with_other_solvers(shared):
     """Fifty pairs of a camera beside an arm, given times; two methods, 5 mm."""
     file = shared / "markers" / "handeye" / "pose_samples.json"
     A, B = read_pose_pairs(file)

@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ USE = {"third": True, "first": False, "second": True}
 
 def session(**changed):
     """Two stretches that are fitted and one that is not, in an order of their own."""
-    told: dict[str, Any] = {
+    told = {
         "formulation": "eq10",
         "options": {"force_weight": 0.2},
         "weights": "own",
@@ -106,7 +105,7 @@ def spoilt(press, cause):
 
     arm = np.cross((R @ [0.05, 0.0, 0.0]), press.force)
     late = np.maximum(np.arange(len(press)) - int(0.5 / np.diff(press.time)[0]), 0)
-    changes: dict[str, dict[str, np.ndarray]] = {
+    changes = {
         "flip_wrench": {"force": -press.force, "torque": -press.torque},
         "wrench_frame": turned(Rt),
         "wrench_axes": turned(R @ turn @ Rt),
@@ -133,7 +132,7 @@ def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     press = spoilt(read_trajectory(example.path("press_fit.csv")), cause)
     plan = replace(session().fit, shape=(16, 36, 16), r_inner=0.03)
     parts = [SimpleNamespace(name="press", fitted=True)]
-    told: Any = SimpleNamespace(fit=plan, recordings=parts)
+    told = SimpleNamespace(fit=plan, recordings=parts)
     surface = Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE, n_points=120)
     monkeypatch.setattr(model, "fit", no_solve)

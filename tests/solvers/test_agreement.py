@@ -4,8 +4,6 @@ Which that are is written in `taking`; a new solver or formulation fails there u
 is, and is tested here.
 """
 
-from __future__ import annotations
-
 import functools
 import warnings
 
@@ -14,11 +12,10 @@ import pytest
 
 from tests.conftest import small_scene
 from tests.solvers import taking
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import available, load
-from ttus_opt.problem.reduction import Reduction, reduce
+from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Request, Solver
+from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
 
 #: Asked of every solver
@@ -33,7 +30,7 @@ SLOW = {
 
 
 @functools.cache
-def scene() -> Scene:
+def scene():
     """Three hundred voxels, presses of random size."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -41,7 +38,7 @@ def scene() -> Scene:
 
 
 @functools.cache
-def reduction(formulation: str) -> Reduction:
+def reduction(formulation):
     """The formulation's program and its reduced form."""
     known = {info.name: info.options for info in available()}[formulation]
     weights = {k: 0.1 for k in ("force_weight", "torque_weight") if k in known}
@@ -49,7 +46,7 @@ def reduction(formulation: str) -> Reduction:
 
 
 @functools.cache
-def best(formulation: str) -> float:
+def best(formulation):
     """The least verified objective over a few solvers of different kinds."""
     found = [
         objective(solvers()[name], formulation)
@@ -59,7 +56,7 @@ def best(formulation: str) -> float:
     return min(found)
 
 
-def objective(solver: Solver, formulation: str) -> float:
+def objective(solver, formulation):
     """Objective of a solver's answer, its residuals checked on the original."""
     both = reduction(formulation)
     candidate = solver.prepare(both.program, Request(TOLERANCE, 120.0)).solve()
@@ -74,7 +71,7 @@ def objective(solver: Solver, formulation: str) -> float:
 @pytest.mark.parametrize(
     ("solver", "formulation"), taking.pairs(taking.FORMULATIONS, SLOW)
 )
-def test_objectives_agree(solver: Solver, formulation: str) -> None:
+def test_objectives_agree(solver, formulation):
     both = reduction(formulation)
     # the objective of no field at all says what size a difference is compared with
     size = both.original.objective(np.zeros(both.original.n_variables))
@@ -83,5 +80,5 @@ def test_objectives_agree(solver: Solver, formulation: str) -> None:
 
 
 @pytest.mark.parametrize("name", taking.FORMULATIONS)
-def test_every_formulation_has_a_solver(name: str) -> None:
+def test_every_formulation_has_a_solver(name):
     assert taking.installed(taking.FORMULATIONS[name])

@@ -1,9 +1,6 @@
 """Penalties other than squares: known answers, and interior points on small scenes."""
 
-from __future__ import annotations
-
 import functools
-from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -11,11 +8,8 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
-from ttus_opt.problem.constraints.base import Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
@@ -38,7 +32,7 @@ from ttus_opt.solvers.proximal import field_newton
 SOLVER = registry.solvers()["augmented_lagrangian"]
 
 
-def solved(what: Program, tolerance: float = 1e-7) -> Array:
+def solved(what, tolerance=1e-7):
     """The answer, its residuals checked on the declared program."""
     both = reduce(what)
     found = SOLVER.prepare(both.program, Request(tolerance, 60.0)).solve()
@@ -50,7 +44,7 @@ def solved(what: Program, tolerance: float = 1e-7) -> Array:
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
-def test_orthogonal_rows_are_thresholded(weight: float) -> None:
+def test_orthogonal_rows_are_thresholded(weight):
     """‖x − y‖² + w Σ |Qᵀx| is soft thresholding by w/2 along the axes of Q."""
     rng = np.random.default_rng(0)
     Q, _ = np.linalg.qr(rng.normal(size=(12, 12)))
@@ -70,7 +64,7 @@ def test_orthogonal_rows_are_thresholded(weight: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_step_keeps_its_edge_under_total_variation() -> None:
+def test_a_step_keeps_its_edge_under_total_variation():
     """‖x − y‖² + w Σ |D x|, a step of 20 and 30: each side w/2n inwards."""
     y = np.repeat([0.0, 1.0], [20, 30])
     D = np.diff(np.eye(50), axis=0)
@@ -84,7 +78,7 @@ def test_a_step_keeps_its_edge_under_total_variation() -> None:
     np.testing.assert_allclose(x, expected, atol=1e-6)
 
 
-def test_limits_hold_beside_a_penalty() -> None:
+def test_limits_hold_beside_a_penalty():
     """‖x − (3, −1, 2)‖² + 2 Σ |x|, x₀ + x₂ ≤ 2, x₁ ≥ −¼, x₂ = ½: by hand."""
     eye = np.eye(3)
     x = solved(
@@ -104,11 +98,11 @@ def test_limits_hold_beside_a_penalty() -> None:
     np.testing.assert_allclose(x, [1.5, 0.0, 0.5], atol=1e-6)
 
 
-def test_programs_of_squares_are_refused() -> None:
+def test_programs_of_squares_are_refused():
     assert "squares" in SOLVER.refusal(program([term(np.eye(1), [1])]))
 
 
-def test_a_penalty_without_a_resolvent_is_refused() -> None:
+def test_a_penalty_without_a_resolvent_is_refused():
     class Mute(Absolute):
         resolvent = Penalty.resolvent
 
@@ -121,13 +115,13 @@ class _Departure(Term):
 
     name = "departure"
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         V = self.scene.n_voxels
         field = self.scene.laplace.solve(self.scene.b)
         return AffineRows({"p": sp.csr_array(sp.eye_array(V, format="csr"))}, field)
 
     @property
-    def penalty(self) -> Penalty:
+    def penalty(self):
         return Absolute()
 
 
@@ -135,24 +129,24 @@ class _RobustPoses(ForceTerm):
     """Lengths of force residuals: an outlier is a pose."""
 
     @property
-    def penalty(self) -> Penalty:
+    def penalty(self):
         return Groups(3)
 
 
 class _RobustSources(SparseSourcesTerm):
     @property
-    def penalty(self) -> Penalty:  # type: ignore[override]
+    def penalty(self):
         return Huber(0.01)
 
 
-def _with_prior(term: Callable[[Scene, float], Term]) -> Callable[..., list[Term]]:
-    def build(scene: Scene, weight: float) -> list[Term]:
+def _with_prior(term):
+    def build(scene, weight):
         return [LaplaceTerm(scene), ForceTerm(scene, 1e-2), term(scene, weight)]
 
     return build
 
 
-TERMS: dict[str, Callable[[Scene, float], list[Term]]] = {
+TERMS = {
     "poses": lambda s, w: [LaplaceTerm(s), _RobustPoses(s, w)],
     "sources": lambda s, w: [SparseSourcesTerm(s, w), ForceTerm(s, 1e-2)],
     "squares and sources": _with_prior(SparseSourcesTerm),
@@ -162,7 +156,7 @@ TERMS: dict[str, Callable[[Scene, float], list[Term]]] = {
     "squares and lengths": _with_prior(lambda s, w: TotalVariationTerm(s, w, True)),
     "departure": _with_prior(_Departure),
 }
-LIMITS: dict[str, Callable[[Scene], list[Constraint]]] = {
+LIMITS = {
     "free": lambda s: [HardBoundary(s)],
     "sign": lambda s: [HardBoundary(s), Sign(s)],
     "growth": lambda s: [HardBoundary(s), Sign(s), Monotone(s)],
@@ -170,13 +164,13 @@ LIMITS: dict[str, Callable[[Scene], list[Constraint]]] = {
 
 
 @functools.cache
-def scene() -> Scene:
+def scene():
     return small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
 
 
-def compared(terms: str, weight: float, limits: str) -> None:
+def compared(terms, weight, limits):
     """The same objective as an interior point's."""
-    members: Sequence[Term] = TERMS[terms](scene(), weight)
+    members = TERMS[terms](scene(), weight)
     what = Program.build(scene(), members, LIMITS[limits](scene()))
     both = reduce(what)
     peer = "clarabel" if both.program.is_quadratic else "cvxpy_clarabel"
@@ -190,7 +184,7 @@ def compared(terms: str, weight: float, limits: str) -> None:
 
 
 @pytest.mark.parametrize("terms", ["poses", "sources", "squares and variation"])
-def test_interior_points_agree(terms: str) -> None:
+def test_interior_points_agree(terms):
     compared(terms, 1e-3, "free")
 
 
@@ -201,15 +195,15 @@ def test_interior_points_agree(terms: str) -> None:
 )
 @pytest.mark.parametrize("terms", TERMS)
 def test_interior_points_agree_over_weights_and_limits(
-    terms: str, weight: float, limits: str, how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    terms, weight, limits, how, monkeypatch
+):
     if how != "factor":
         monkeypatch.setattr(field_newton, "SMALL", 0)
     compared(terms, weight, limits)
 
 
 @pytest.mark.parametrize("weight", [1e4, 1e6])
-def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight: float) -> None:
+def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight):
     """Contradictory forces beyond the kink: few Newton steps whatever they weigh."""
     scene = small_scene("trilinear", shape=(8, 16, 10), n_poses=12)
     weights = {"force_weight": weight, "torque_weight": weight}
@@ -223,7 +217,7 @@ def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight: float) -> 
     assert other.objective == pytest.approx(what.objective(point.x), rel=1e-7)
 
 
-def test_the_longest_row() -> None:
+def test_the_longest_row():
     matrix = sp.csr_array([[3.0, 4.0], [0.0, 1.0], [4.5, 0.0]])
     assert augmented_lagrangian._longest(matrix) == 5.0
     assert augmented_lagrangian._longest(sp.csr_array((2, 3))) == 1.0

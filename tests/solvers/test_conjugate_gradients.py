@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.conjugate_gradients import (
-    Map,
     RecycledSubspace,
-    Run,
     conjugate_gradients,
     norm,
     to_residual,
@@ -22,35 +19,35 @@ M = 12
 class Dense:
     """S = I + w K w."""
 
-    def __init__(self, w: Array) -> None:
+    def __init__(self, w):
         root = np.random.default_rng(0).normal(size=(M, M)) * 10.0 ** np.linspace(
             -2, 2, M
         )
         self.root_weights, self.calls = w, 0
         self.S = np.eye(M) + w[:, None] * (root @ root.T) * w
 
-    def apply(self, y: Array, rtol: float) -> Array:
+    def apply(self, y, rtol):
         self.calls += 1
         return self.S @ y
 
 
-def everything(columns: Array | None = None) -> Complement:
+def everything(columns=None):
     """The whole space, or what lies across some columns; no preconditioner."""
     return Complement(np.zeros((M, 0)) if columns is None else columns, lambda r: r)
 
 
 def solved(
-    subspace: RecycledSubspace,
-    t: Array,
-    space: Complement | None = None,
-    most: int = 200,
-) -> tuple[Array, int]:
+    subspace,
+    t,
+    space=None,
+    most=200,
+):
     goal = 1e-10 * float(np.linalg.norm(t))
     run = (space or everything()).solve(subspace, t, lambda y: goal, most)
     return run.y, run.steps
 
 
-def test_solves_and_keeps_conjugate_directions() -> None:
+def test_solves_and_keeps_conjugate_directions():
     system = Dense(np.ones(M))
     subspace = RecycledSubspace(system)
     t = np.random.default_rng(1).normal(size=M)
@@ -66,7 +63,7 @@ def test_solves_and_keeps_conjugate_directions() -> None:
     np.testing.assert_allclose(again, 2.0 * y, rtol=1e-6)
 
 
-def test_other_weights_cost_no_product() -> None:
+def test_other_weights_cost_no_product():
     w = np.linspace(0.5, 2.0, M)
     first, second = Dense(np.ones(M)), Dense(w)
     subspace = RecycledSubspace(first)
@@ -80,7 +77,7 @@ def test_other_weights_cost_no_product() -> None:
     np.testing.assert_allclose(rest, 0.0, atol=1e-6)
 
 
-def test_across_columns_only_the_rest_counts() -> None:
+def test_across_columns_only_the_rest_counts():
     E = np.random.default_rng(3).normal(size=(M, 2))
     system, t = Dense(np.ones(M)), np.random.default_rng(4).normal(size=M)
     y, _ = solved(RecycledSubspace(system), t, everything(E))
@@ -89,7 +86,7 @@ def test_across_columns_only_the_rest_counts() -> None:
     np.testing.assert_allclose(y, expected, atol=1e-7)
 
 
-def test_directions_are_limited_and_nonsense_is_not_kept() -> None:
+def test_directions_are_limited_and_nonsense_is_not_kept():
     subspace = RecycledSubspace(Dense(np.ones(M)))
     _, steps = solved(subspace, np.ones(M), most=3)
     assert steps == len(subspace) == 3
@@ -98,7 +95,7 @@ def test_directions_are_limited_and_nonsense_is_not_kept() -> None:
 
 
 @pytest.mark.parametrize("kept_as", [np.float64, np.float32])
-def test_a_step_of_exact_products_is_along_the_last_direction(kept_as: type) -> None:
+def test_a_step_of_exact_products_is_along_the_last_direction(kept_as):
     """And takes what a projection onto all does, as the rest is off the others."""
     subspace = RecycledSubspace(Dense(np.ones(M)), kept_as, exact=True)
     rng, r = np.random.default_rng(5), np.random.default_rng(6).normal(size=M)
@@ -112,7 +109,7 @@ def test_a_step_of_exact_products_is_along_the_last_direction(kept_as: type) -> 
         r = rest
 
 
-def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
+def test_an_image_beyond_single_precision_is_kept_conjugate():
     system = Dense(np.full(M, 1e20))
     subspace = RecycledSubspace(system, np.float32)
     assert subspace.extend(np.ones(M), 1e-10)  # S d is of the order of 1e40 and more
@@ -122,7 +119,7 @@ def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
 
 
 @pytest.mark.parametrize("kept_as", [np.float64, np.float32])
-def test_a_vector_is_its_parts_and_a_conjugate_rest(kept_as: type) -> None:
+def test_a_vector_is_its_parts_and_a_conjugate_rest(kept_as):
     system = Dense(np.ones(M))
     subspace, rng = RecycledSubspace(system, kept_as), np.random.default_rng(6)
     for direction in rng.normal(size=(5, M)):
@@ -139,13 +136,13 @@ def test_a_vector_is_its_parts_and_a_conjugate_rest(kept_as: type) -> None:
 class Rough(Dense):
     """Products that are off by a thousandth."""
 
-    def apply(self, y: Array, rtol: float) -> Array:
+    def apply(self, y, rtol):
         exact = super().apply(y, rtol)
         noise = np.random.default_rng(self.calls).normal(size=M)
         return exact + 1e-3 * np.linalg.norm(exact) * noise / np.sqrt(M)
 
 
-def test_of_rough_products_the_rest_is_conjugate_all_the_same() -> None:
+def test_of_rough_products_the_rest_is_conjugate_all_the_same():
     """What one pass leaves by a thousandth two leave by a millionth."""
     subspace = RecycledSubspace(Rough(np.full(M, 1e-2)))
     rng, sizes = np.random.default_rng(8), []
@@ -167,26 +164,26 @@ class Diagonal:
     root_weights = np.ones(50)
     S = np.diag(np.linspace(1.0, 99.0, 50))
 
-    def apply(self, y: Array, rtol: float) -> Array:
+    def apply(self, y, rtol):
         return self.S @ y
 
 
 class Asked(Diagonal):
     """With the accuracy that was asked of each product."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.rtol: list[float] = []
 
-    def apply(self, y: Array, rtol: float) -> Array:
+    def apply(self, y, rtol):
         self.rtol.append(rtol)
         return super().apply(y, rtol)
 
 
-def test_each_product_is_as_accurate_as_its_residual_asks() -> None:
+def test_each_product_is_as_accurate_as_its_residual_asks():
     """Residuals anew, by runs of fewer steps."""
     system, t = Asked(), np.random.default_rng(11).normal(size=50)
 
-    def run(operator: Diagonal, most: int) -> Run:
+    def run(operator, most):
         return conjugate_gradients(
             RecycledSubspace(operator),
             t,
@@ -201,17 +198,17 @@ def test_each_product_is_as_accurate_as_its_residual_asks() -> None:
     np.testing.assert_allclose(system.rtol, 1e-3 / np.array(left), rtol=0.01)
 
 
-def test_the_best_so_far_is_the_answer_where_no_direction_is_left() -> None:
+def test_the_best_so_far_is_the_answer_where_no_direction_is_left():
     """The third direction makes things worse, the fourth is nonsense."""
     system, t = Diagonal(), np.random.default_rng(12).normal(size=50)
-    given: list[Array] = []
+    given = []
 
     class Wild(RecycledSubspace):
-        def step(self, rest: Array) -> tuple[Array, Array]:
+        def step(self, rest):
             step, rest = super().step(rest)
             return (1e3 * step, 1e3 * rest) if len(given) == 3 else (step, rest)
 
-    def precondition(rest: Array) -> Array:
+    def precondition(rest):
         given.append(rest)
         return rest if len(given) < 4 else np.full(50, np.nan)
 
@@ -221,11 +218,11 @@ def test_the_best_so_far_is_the_answer_where_no_direction_is_left() -> None:
     np.testing.assert_allclose(t - system.S @ run.y, run.rest, atol=1e-12)
 
 
-def test_it_ends_where_residuals_explode() -> None:
+def test_it_ends_where_residuals_explode():
     system, t = Diagonal(), np.ones(50)
 
     class Wild(RecycledSubspace):
-        def step(self, rest: Array) -> tuple[Array, Array]:
+        def step(self, rest):
             step, rest = super().step(rest)
             return step, 1e7 * rest
 
@@ -234,7 +231,7 @@ def test_it_ends_where_residuals_explode() -> None:
 
 
 @pytest.mark.parametrize("kept_as", [np.float64, np.float32])
-def test_there_is_room_for_any_number_of_directions(kept_as: type) -> None:
+def test_there_is_room_for_any_number_of_directions(kept_as):
     """One for each eigenvalue, and none is lost as the store grows."""
     subspace = RecycledSubspace(Diagonal(), kept_as)
     for direction in np.random.default_rng(9).normal(size=(50, 50)):
@@ -248,13 +245,13 @@ def test_there_is_room_for_any_number_of_directions(kept_as: type) -> None:
     assert np.abs(rest).max() < 1e-4
 
 
-def test_nothing_to_solve_takes_no_step() -> None:
+def test_nothing_to_solve_takes_no_step():
     subspace = RecycledSubspace(Dense(np.ones(M)))
     y, steps = solved(subspace, np.zeros(M))
     assert not y.any() and steps == len(subspace) == 0
 
 
-def test_dependent_directions_are_dropped_with_other_weights() -> None:
+def test_dependent_directions_are_dropped_with_other_weights():
     subspace, rng = RecycledSubspace(Dense(np.ones(M))), np.random.default_rng(7)
     for direction in rng.normal(size=(3, M)):
         subspace.extend(direction, 0.0)
@@ -269,22 +266,20 @@ def test_dependent_directions_are_dropped_with_other_weights() -> None:
 N = 40
 
 
-def matrix(seed: int = 0, condition: float = 1e4) -> Array:
+def matrix(seed=0, condition=1e4):
     turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(N, N)))
     return np.asarray((turn * np.geomspace(1.0, condition, N)) @ turn.T)
 
 
-def reached(
-    H: Array, side: Array, precondition: Map, rtol: float = 1e-10, most: int = 500
-) -> Run:
+def reached(H, side, precondition, rtol=1e-10, most=500):
     return to_residual(lambda v: H @ v, side, precondition, rtol, most, None)
 
 
-def wavering(H: Array) -> Map:
+def wavering(H):
     """About H⁻¹, another at every call and not quite linear."""
     inverse, rng = np.linalg.inv(H), np.random.default_rng(9)
 
-    def apply(v: Array) -> Array:
+    def apply(v):
         z = inverse @ v
         return np.asarray(z * (1.0 + 0.1 * rng.uniform(-1.0, 1.0, N)))
 
@@ -292,9 +287,9 @@ def wavering(H: Array) -> Map:
 
 
 @pytest.mark.parametrize("how", ["none", "diagonal", "wavering"])
-def test_it_solves_to_the_residual_asked_for(how: str) -> None:
+def test_it_solves_to_the_residual_asked_for(how):
     H, side = matrix(), np.random.default_rng(1).normal(size=N)
-    own: Map = {
+    own = {
         "none": lambda v: v.copy(),
         "diagonal": lambda v: v / np.diag(H),
         "wavering": wavering(H),
@@ -304,7 +299,7 @@ def test_it_solves_to_the_residual_asked_for(how: str) -> None:
     np.testing.assert_allclose(found.y, np.linalg.solve(H, side), rtol=1e-6, atol=1e-9)
 
 
-def test_a_wavering_preconditioner_costs_few_steps() -> None:
+def test_a_wavering_preconditioner_costs_few_steps():
     """Fletcher and Reeves' rule, which asks for a fixed one, needs far more."""
     H, side = matrix(), np.random.default_rng(1).normal(size=N)
     found = reached(H, side, wavering(H))
@@ -321,7 +316,7 @@ def test_a_wavering_preconditioner_costs_few_steps() -> None:
     assert found.steps < 0.6 * steps
 
 
-def test_with_a_fixed_one_errors_fall_as_those_of_conjugate_gradients() -> None:
+def test_with_a_fixed_one_errors_fall_as_those_of_conjugate_gradients():
     """k steps minimise the energy over the Krylov space."""
     H, side = matrix(condition=50.0), np.random.default_rng(2).normal(size=N)
     exact = np.linalg.solve(H, side)
@@ -335,7 +330,7 @@ def test_with_a_fixed_one_errors_fall_as_those_of_conjugate_gradients() -> None:
         krylov.append(H @ krylov[-1])
 
 
-def test_it_stops_where_it_is_told_to() -> None:
+def test_it_stops_where_it_is_told_to():
     H, side = matrix(), np.random.default_rng(3).normal(size=N)
     assert reached(H, side, lambda v: v, most=0).steps == 0
     late = to_residual(lambda v: H @ v, side, lambda v: v.copy(), 1e-10, 99, 0.0)
@@ -344,7 +339,7 @@ def test_it_stops_where_it_is_told_to() -> None:
     assert none.steps == 0 and not none.y.any()
 
 
-def test_a_direction_without_curvature_ends_it() -> None:
+def test_a_direction_without_curvature_ends_it():
     """A semidefinite H: what its rows determine is found, the rest stays at zero."""
     H = np.diag([1.0, 2.0, 0.0])
     found = reached(H, np.array([1.0, 1.0, 0.0]), lambda v: v.copy(), 1e-12, 50)

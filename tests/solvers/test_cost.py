@@ -1,22 +1,18 @@
 """The choice of ``solver="auto"`` against what every solver took, over the shelf."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import available
 
 #: Most CPU seconds of a solver that is not yet known to be worse [s]
 LIMIT = 30.0
 
 
-def script() -> ModuleType:
+def script():
     """``benchmarks/solver_cost.py``, which is no part of the package."""
     file = Path(__file__).parents[2] / "benchmarks" / "solver_cost.py"
     spec = importlib.util.spec_from_file_location("solver_cost", file)
@@ -28,7 +24,7 @@ def script() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def scenes() -> tuple[Scene, Scene]:
+def scenes():
     made = script()
     return made.scene_of((12, 36, 15), 60), made.scene_of(*made.SMALL)
 
@@ -36,8 +32,6 @@ def scenes() -> tuple[Scene, Scene]:
 @pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.parametrize("formulation", [f.name for f in available()])
-def test_the_choice_is_no_worse_than_twice_the_best(
-    formulation: str, scenes: tuple[Scene, Scene]
-) -> None:
+def test_the_choice_is_no_worse_than_twice_the_best(formulation, scenes):
     told = script().choice(scenes, formulation, LIMIT)
     assert told.ratio <= 2.0, (told.measured, told.estimated)

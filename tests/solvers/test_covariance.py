@@ -1,14 +1,11 @@
 """Gaussian-process regression against dense algebra and general solvers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.optimize
 
 from tests.conftest import small_scene
 from ttus_opt import fit
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.prior import square_root
 from ttus_opt.problem.constraints.sign import Sign
@@ -25,11 +22,11 @@ from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request
 
 
-def scene() -> Scene:
+def scene():
     return small_scene("trilinear", (7, 12, 8), 20)
 
 
-def declared(weight: float = 10.0) -> Formulation:
+def declared(weight=10.0):
     prior = DepthMapTerm(
         scene(), 2.0, DepthProfile((1.0,), (2.0,)), surface_length=0.06
     )
@@ -39,7 +36,7 @@ def declared(weight: float = 10.0) -> Formulation:
 
 
 @pytest.mark.parametrize("weight", [1e-6, 1.0, 1e6])
-def test_it_gives_the_normal_equations_solution(weight: float) -> None:
+def test_it_gives_the_normal_equations_solution(weight):
     formulation = declared(weight)
     solution = fit(scene(), formulation, solver="covariance")
     assert solution.status.name == "SOLVED"
@@ -52,7 +49,7 @@ def test_it_gives_the_normal_equations_solution(weight: float) -> None:
     assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
 
 
-def test_parameters_within_bounds_agree_with_bounded_least_squares() -> None:
+def test_parameters_within_bounds_agree_with_bounded_least_squares():
     at_bound = []
     for seed in range(4):
         own = small_scene("trilinear", (5, 10, 6), 16, seed)
@@ -77,7 +74,7 @@ def test_parameters_within_bounds_agree_with_bounded_least_squares() -> None:
     assert set(at_bound) == {True, False}
 
 
-def test_rows_may_be_fewer_or_more_than_the_voxels_they_touch() -> None:
+def test_rows_may_be_fewer_or_more_than_the_voxels_they_touch():
     for n_poses in (2, 60):
         own = small_scene("trilinear", (7, 12, 8), n_poses)
         prior = DepthMapTerm(own, 1.0, DepthProfile((1.0,), (2.0,)))
@@ -89,7 +86,7 @@ def test_rows_may_be_fewer_or_more_than_the_voxels_they_touch() -> None:
 
 
 @pytest.mark.parametrize("rank", [40, 12])
-def test_the_square_root_leaves_out_what_is_rounding(rank: int) -> None:
+def test_the_square_root_leaves_out_what_is_rounding(rank):
     rng = np.random.default_rng(1)
     half = rng.normal(size=(40, rank)) * np.logspace(0, -3, rank)
     matrix = half @ half.T
@@ -100,8 +97,8 @@ def test_the_square_root_leaves_out_what_is_rounding(rank: int) -> None:
 
 @pytest.mark.parametrize(("weight", "factors"), [(1.0, 1), (1e9, 2)])
 def test_accurate_measurements_take_a_factor_that_neglects_less(
-    weight: float, factors: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    weight, factors, monkeypatch
+):
     own = small_scene("trilinear", (12, 24, 12), 60)
     profile, lengths = DepthProfile((1.0,), (2.0,)), (0.4, 0.2, 0.05)
     prior = DepthMapTerm(own, 1.0, profile, *lengths)
@@ -122,7 +119,7 @@ def test_accurate_measurements_take_a_factor_that_neglects_less(
     assert np.abs(x - exact).max() < 1e-8 * np.abs(exact).max()
 
 
-def test_it_says_what_it_does_not_take() -> None:
+def test_it_says_what_it_does_not_take():
     signed = Formulation(terms=declared().terms, constraints=[Sign(scene())])
     with pytest.raises(InputError, match="no bounds of the field"):
         fit(scene(), signed, solver="covariance")
@@ -131,8 +128,8 @@ def test_it_says_what_it_does_not_take() -> None:
 
 
 def test_it_refuses_what_would_not_fit_in_memory(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(covariance, "LARGEST", 10)
     with pytest.raises(InputError, match="touch 10 voxels at most"):
         fit(scene(), declared(), solver="covariance")

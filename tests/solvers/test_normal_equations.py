@@ -1,7 +1,5 @@
 """Normal equations against a direct factorisation, and how their steps grow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +11,13 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.registry import solvers
 
@@ -32,16 +28,16 @@ SOLVER = NormalEquations(few_rows=100)
 TERMS = (TikhonovTerm, *OWN)
 
 
-def declared(scene: Scene, weight: float = 1e-2, hard: bool = False) -> Formulation:
+def declared(scene, weight=1e-2, hard=False):
     weights = {"force_weight": weight, "torque_weight": 0.5 * weight}
     return load("eq10_hard_boundary" if hard else "eq10", scene, **weights)
 
 
-def solved(program: Program, tolerance: float = 1e-8) -> Candidate:
+def solved(program, tolerance=1e-8):
     return SOLVER.prepare(program, Request(tolerance)).solve()
 
 
-def direct_answer(program: Program) -> np.ndarray:
+def direct_answer(program):
     """The minimiser from the augmented system, no code shared with the solver."""
     root = [np.sqrt(t.weight) for t in program.terms]
     rows = [w * t.matrix for w, t in zip(root, program.terms, strict=True)]
@@ -61,7 +57,7 @@ def direct_answer(program: Program) -> np.ndarray:
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("own", TERMS, ids=lambda term: term.name)
-def test_equals_a_factorisation(own: type, hard: bool) -> None:
+def test_equals_a_factorisation(own, hard):
     for weight in (1e-4, 1.0):
         program = (declared(SCENE, 1e-2, hard) + own(SCENE, weight)).compile()
         expected = direct_answer(program)
@@ -74,7 +70,7 @@ def test_equals_a_factorisation(own: type, hard: bool) -> None:
 
 
 @pytest.mark.parametrize("name", ["anisotropic", "screened", "volume_weighted"])
-def test_takes_another_operator_with_a_wide_term(name: str) -> None:
+def test_takes_another_operator_with_a_wide_term(name):
     weights = {"force_weight": 0.1, "torque_weight": 0.1}
     program = (load(name, SCENE, **weights) + AlongZ(SCENE, 0.01)).compile()
     found = solved(program, 1e-10)
@@ -83,7 +79,7 @@ def test_takes_another_operator_with_a_wide_term(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("own", [TikhonovTerm, DepthWeighted], ids=lambda t: t.name)
-def test_steps_stay_few_over_twelve_decades(own: type) -> None:
+def test_steps_stay_few_over_twelve_decades(own):
     """Of the term; of the measured rows, too, up to what single precision holds."""
     counts = []
     for weight in 10.0 ** np.arange(-6, 7, 3):
@@ -97,14 +93,14 @@ def test_steps_stay_few_over_twelve_decades(own: type) -> None:
 
 
 @pytest.mark.parametrize("own", OWN, ids=lambda term: term.name)
-def test_steps_stay_few_where_own_terms_are_up_to_the_prior(own: type) -> None:
+def test_steps_stay_few_where_own_terms_are_up_to_the_prior(own):
     for weight in (1e-6, 1e-3, 1.0):
         found = solved((declared(SCENE) + own(SCENE, weight)).compile(), 1e-6)
         assert found.iterations <= 50
 
 
 @pytest.mark.slow
-def test_steps_do_not_grow_with_the_grid() -> None:
+def test_steps_do_not_grow_with_the_grid():
     counts = []
     for shape in ((7, 16, 9), (13, 32, 17), (25, 64, 33)):
         scene = small_scene("trilinear", shape, n_poses=6)
@@ -115,7 +111,7 @@ def test_steps_do_not_grow_with_the_grid() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("own", TERMS, ids=lambda term: term.name)
-def test_steps_from_s_to_m(own: type) -> None:
+def test_steps_from_s_to_m(own):
     counts = []
     for case in reference_cases("S,M"):
         scene = case.build()
@@ -127,7 +123,7 @@ def test_steps_from_s_to_m(own: type) -> None:
     assert counts[1] <= counts[0] + 8
 
 
-def test_other_values_and_weights_are_taken() -> None:
+def test_other_values_and_weights_are_taken():
     first = (declared(SCENE) + TikhonovTerm(SCENE, 1e-3)).compile()
     loaded = SOLVER.prepare(first, Request(1e-9))
     loaded.solve()
@@ -138,7 +134,7 @@ def test_other_values_and_weights_are_taken() -> None:
 
 
 @pytest.mark.slow
-def test_noisy_and_contradictory_measurements() -> None:
+def test_noisy_and_contradictory_measurements():
     for how in ("noise", "reversed"):
         case = replace(reference_cases("S")[0].small(), name="XS").perturbed(how)
         scene = case.build()
@@ -149,7 +145,7 @@ def test_noisy_and_contradictory_measurements() -> None:
 
 
 @pytest.mark.parametrize("own", [TikhonovTerm, AlongZ], ids=lambda t: t.name)
-def test_limits_hold_with_a_wide_term(own: type) -> None:
+def test_limits_hold_with_a_wide_term(own):
     """Against interior point: the same objective, the same limits active."""
     scene = small_scene("trilinear", shape=(7, 12, 8), n_poses=8)
     limits = (Sign(scene), Monotone(scene, 10.0))
@@ -166,7 +162,7 @@ def test_limits_hold_with_a_wide_term(own: type) -> None:
     assert active > 5
 
 
-def test_limits_that_contradict_each_other() -> None:
+def test_limits_that_contradict_each_other():
     far = (declared(SCENE) + TikhonovTerm(SCENE)).with_constraints(
         HardBoundary(SCENE), Monotone(SCENE, 1e6)
     )
@@ -174,7 +170,7 @@ def test_limits_that_contradict_each_other() -> None:
     assert found.claim is Claim.INFEASIBLE
 
 
-def test_says_what_it_does_not_take() -> None:
+def test_says_what_it_does_not_take():
     alone = Formulation([TikhonovTerm(SCENE)]).compile()
     assert "Laplace term" in SOLVER.refusal(alone)
     drag = load("viscous_drag", SCENE).compile()
@@ -183,14 +179,14 @@ def test_says_what_it_does_not_take() -> None:
     assert "not a sum of squares" in SOLVER.refusal(robust)
 
 
-def test_out_of_time_it_says_so() -> None:
+def test_out_of_time_it_says_so():
     program = (declared(SCENE) + TikhonovTerm(SCENE, 1e-3)).compile()
     found = SOLVER.prepare(program, Request(1e-6, 1e-9)).solve()
     assert found.claim is Claim.TIME_LIMIT
 
 
 @pytest.mark.slow
-def test_heavy_differences_leave_constants_to_soft_values() -> None:
+def test_heavy_differences_leave_constants_to_soft_values():
     """Screening at every voxel would hold them: 222 steps where 72 will do."""
     scene = small_scene("trilinear", (12, 36, 15))
     program = (declared(scene) + Differences(scene, 1e3)).compile()

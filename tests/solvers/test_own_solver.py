@@ -1,10 +1,6 @@
 """A user's own solver: as an object, by path, from another package."""
 
-from __future__ import annotations
-
 import importlib.metadata
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,14 +9,12 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
     Prepared,
-    Request,
     Solver,
 )
 
@@ -56,34 +50,34 @@ class Dense(Solver):
     summary = "dense normal equations"
     capabilities = Capabilities(inequalities=False, equalities=False)
 
-    def __init__(self, scale: float = 1.0) -> None:
+    def __init__(self, scale=1.0):
         self.scale = scale
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
+    def prepare(self, program, request):
         self.require(program)
         return _Loaded(program, self.scale)
 
 
 class _Loaded(Prepared):
-    def __init__(self, program: Program, scale: float) -> None:
+    def __init__(self, program, scale):
         self.scale = scale
         self.update(program)
 
-    def update(self, program: Program) -> None:
+    def update(self, program):
         self.Q, self.d = program.normal_equations()
 
-    def solve(self) -> Candidate:
+    def solve(self):
         return Candidate(self.scale * np.linalg.solve(self.Q.toarray(), self.d))
 
 
 @pytest.fixture
-def fresh() -> Iterator[None]:
+def fresh():
     registry.solvers.cache_clear()
     yield
     registry.solvers.cache_clear()
 
 
-def test_an_object_is_verified_like_any_other() -> None:
+def test_an_object_is_verified_like_any_other():
     """A right answer is solved, one that is 1 % off is not."""
     solution = tt.fit(SCENE, "eq10", solver=Dense())
     assert (solution.solver, solution.status) == ("dense", Status.SOLVED)
@@ -92,12 +86,12 @@ def test_an_object_is_verified_like_any_other() -> None:
     assert tt.fit(SCENE, "eq10", solver=Dense(1.01)).status is Status.INACCURATE
 
 
-def test_an_object_says_what_it_cannot_take() -> None:
+def test_an_object_says_what_it_cannot_take():
     with pytest.raises(InputError, match=r"solver dense cannot take .* no bounds"):
         tt.fit(SCENE, "eq10_sign", solver=Dense())
 
 
-def test_a_file_by_path(tmp_path: Path) -> None:
+def test_a_file_by_path(tmp_path):
     own = tmp_path / "mine.py"
     own.write_text(FILE.replace("ANSWER", DENSE))
     for given in (own, str(own)):
@@ -125,7 +119,7 @@ def test_a_file_by_path(tmp_path: Path) -> None:
         ("def broken(:\n", "SyntaxError.*line 1"),
     ],
 )
-def test_a_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) -> None:
+def test_a_file_that_cannot_be_used(tmp_path, text, told):
     own = tmp_path / "own.py"
     own.write_text(text)
     with pytest.raises(InputError, match=told) as caught:
@@ -133,22 +127,22 @@ def test_a_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) -> Non
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_solver_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_solver_is_refused(tmp_path):
     with pytest.raises(InputError, match="solver file not found"):
         tt.fit(SCENE, "eq10", solver=tmp_path / "none.py")
     with pytest.raises(InputError, match="takes a name, the path of a file, or an in"):
-        tt.fit(SCENE, "eq10", solver=3)  # type: ignore[arg-type]
+        tt.fit(SCENE, "eq10", solver=3)
 
 
 @pytest.mark.usefixtures("fresh")
 def test_another_package_offers_solvers_and_formulations(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """By entry points; a name of ours stays ours."""
     from formulations.laplace_only import build
     from ttus_opt.problem.formulation import ENTRY_POINTS, available
 
-    def entries(*, group: str) -> list[SimpleNamespace]:
+    def entries(*, group):
         offered = {
             registry.ENTRY_POINTS: [("dense", Dense)],
             ENTRY_POINTS: [("theirs", build), ("eq10", 3)],

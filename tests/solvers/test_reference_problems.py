@@ -1,15 +1,10 @@
 """Known primal and dual answers for every installed solver, one tolerance table."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
 import numpy as np
 import pytest
 
 from tests.solvers import taking
 from tests.solvers.problems import (
-    Reference,
     bending_references,
     bounds,
     program,
@@ -20,7 +15,7 @@ from tests.solvers.problems import (
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.terms.penalties.linear import Linear
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
-from ttus_opt.solvers.base import Claim, Request, Solver
+from ttus_opt.solvers.base import Claim, Request
 
 #: Relative KKT residual asked for, and the largest error of x and of the duals that
 #: may come with it; one line for all, exceptions by name
@@ -36,15 +31,15 @@ REFERENCES = {reference.name: reference for reference in references()}
 BENDING = {reference.name: reference for reference in bending_references()}
 
 
-def pairs(problems: Mapping[str, Reference]) -> list[object]:
+def pairs(problems):
     return taking.pairs({name: taking.REFERENCES[name] for name in problems})
 
 
-def error_of(got: object, expected: object) -> float:
+def error_of(got, expected):
     return float(np.abs(np.asarray(got) - np.asarray(expected, dtype=float)).max())
 
 
-def check(solver: Solver, reference: Reference) -> None:
+def check(solver, reference):
     reduction = reduce(reference.program)
     taken = reference.program if solver.capabilities.nonquadratic else reduction.program
     candidate = solver.prepare(taken, Request(TOLERANCE, 60.0)).solve()
@@ -74,16 +69,16 @@ def check(solver: Solver, reference: Reference) -> None:
 
 
 @pytest.mark.parametrize(("solver", "name"), pairs(REFERENCES))
-def test_answer_is_the_known_one(solver: Solver, name: str) -> None:
+def test_answer_is_the_known_one(solver, name):
     check(solver, REFERENCES[name])
 
 
 @pytest.mark.parametrize(("solver", "name"), pairs(BENDING))
-def test_bending_penalties(solver: Solver, name: str) -> None:
+def test_bending_penalties(solver, name):
     check(solver, BENDING[name])
 
 
-def test_references_hold_without_any_solver() -> None:
+def test_references_hold_without_any_solver():
     for ref in references() + bending_references():
         duals = Duals(
             {k: np.asarray(v, dtype=float) for k, v in ref.rows.items()},
@@ -95,7 +90,7 @@ def test_references_hold_without_any_solver() -> None:
 
 
 @taking.over(taking.BOUNDED)
-def test_contradiction_is_never_called_done(solver: Solver) -> None:
+def test_contradiction_is_never_called_done(solver):
     contradiction = program(
         [term(np.eye(2), [0, 0])],
         [rows("high", [[1, 1]], [3], [np.inf])],
@@ -111,7 +106,7 @@ def test_contradiction_is_never_called_done(solver: Solver) -> None:
 
 
 @taking.over(taking.BOUNDED)
-def test_no_minimum_is_never_called_done(solver: Solver) -> None:
+def test_no_minimum_is_never_called_done(solver):
     downhill = program(
         [
             term([[1, 0]], [0]),

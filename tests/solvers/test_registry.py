@@ -1,7 +1,5 @@
 """Finding, refusing and choosing solvers; what a backend says of itself."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -17,23 +15,22 @@ from ttus_opt.core.errors import InputError, SolverUnavailableError
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.penalties.groups import Groups
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Capabilities, Claim, Prepared, Request, Solver
+from ttus_opt.solvers.base import Capabilities, Claim, Request, Solver
 
 ALL = list(registry.solvers().values())
 
 
 @pytest.mark.parametrize("solver", ALL, ids=lambda s: s.name)
-def test_says_who_it_is(solver: Solver) -> None:
+def test_says_who_it_is(solver):
     assert solver.summary
     assert bool(solver.module) == bool(solver.pip_name)
 
 
-def bounded(n: int) -> Program:
+def bounded(n):
     """A box over n variables."""
     zero, one = np.zeros(n), np.ones(n)
     fit = ProgramTerm("fit", 1.0, sp.eye_array(n, format="csr"), one)
@@ -46,26 +43,26 @@ class Costing(Solver):
     summary = "stands for another"
     capabilities = Capabilities(inequalities=True, equalities=True, nonquadratic=True)
 
-    def __init__(self, name: str, seconds: float) -> None:
+    def __init__(self, name, seconds):
         self.name, self.seconds = name, seconds
 
-    def cost(self, program: Program) -> float:
+    def cost(self, program):
         return self.seconds
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
+    def prepare(self, program, request):
         raise AssertionError
 
 
 def test_auto_takes_the_cheapest_and_keeps_the_others(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     offered = [Costing("slow", 3.0), Costing("fast", 1.0), Costing("never", math.inf)]
     monkeypatch.setattr(registry, "solvers", lambda: {s.name: s for s in offered})
     order = [s.name for s in registry.candidates("auto", bounded(3))]
     assert order == ["fast", "slow"]
 
 
-def test_auto_takes_interior_point_when_small_and_splitting_when_large() -> None:
+def test_auto_takes_interior_point_when_small_and_splitting_when_large():
     """A small box, and a grid whose factor an interior point repeats."""
     assert registry.choose("auto", bounded(10)).name == "clarabel"
     scene = small_scene("trilinear", shape=(24, 48, 24), n_poses=6)
@@ -74,7 +71,7 @@ def test_auto_takes_interior_point_when_small_and_splitting_when_large() -> None
     assert scs.cost(robust) < clarabel.cost(robust)
 
 
-def test_estimates_grow_with_the_grid_and_with_limits() -> None:
+def test_estimates_grow_with_the_grid_and_with_limits():
     small, large = (
         load("eq10", small_scene("trilinear", shape=shape)).compile()
         for shape in ((9, 20, 10), (18, 40, 20))
@@ -91,29 +88,29 @@ def test_estimates_grow_with_the_grid_and_with_limits() -> None:
         assert solver.cost(small) < solver.cost(limited)
 
 
-def test_auto_takes_the_structured_solver_on_eq10() -> None:
+def test_auto_takes_the_structured_solver_on_eq10():
     scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6)
     assert registry.choose("auto", load("eq10", scene).compile()).name == ("structured")
 
 
-def test_auto_never_takes_a_reference() -> None:
+def test_auto_never_takes_a_reference():
     assert {"amg_pcg", "closed_form"} <= set(registry.solvers())
     assert not {"amg_pcg", "closed_form"} & set(registry.estimating())
 
 
-def test_auto_takes_cones_for_group_norms() -> None:
+def test_auto_takes_cones_for_group_norms():
     bent = program([term(np.eye(2), [1, 1], 1.0, Groups(2))])
     assert registry.choose("auto", bent).name == "cvxpy_clarabel"
 
 
-def test_unknown_name_gets_the_nearest() -> None:
+def test_unknown_name_gets_the_nearest():
     plain = program([term(np.eye(1), [1])])
     refuses(InputError, "did you mean clarabel", registry.choose, "clarabell", plain)
 
 
 def test_solver_that_is_not_installed_gives_its_pip_name(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     plain = program([term(np.eye(1), [1])])
     solver = registry.solvers()["osqp"]
     monkeypatch.setattr(solver, "module", "osqp_that_is_not_here")
@@ -140,14 +137,14 @@ def test_solver_that_is_not_installed_gives_its_pip_name(
     ],
     ids=["bounds", "equality", "no laplace", "group norm"],
 )
-def test_refusals(what: object, refusing: list[str]) -> None:
+def test_refusals(what, refusing):
     for name in refusing:
         solver = registry.solvers()[name]
-        assert solver.refusal(what)  # type: ignore[arg-type]
+        assert solver.refusal(what)
         if solver.installed:
             refuses(
                 InputError, f"solver {name} cannot take", registry.choose, name, what
-            )  # type: ignore[arg-type]
+            )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +152,7 @@ def test_refusals(what: object, refusing: list[str]) -> None:
     [s for s in ALL if s.installed and s.capabilities.time_limit],
     ids=lambda s: s.name,
 )
-def test_time_limit_strikes(solver: Solver) -> None:
+def test_time_limit_strikes(solver):
     scene = small_scene("trilinear", shape=(9, 20, 10))
     declared = load("eq10", scene, force_weight=1.0, torque_weight=1.0)
     problem = declared.compile()
@@ -169,6 +166,6 @@ def test_time_limit_strikes(solver: Solver) -> None:
     assert candidate.claim is Claim.TIME_LIMIT
 
 
-def test_request_refuses_what_cannot_be_asked() -> None:
+def test_request_refuses_what_cannot_be_asked():
     refuses(InputError, "tolerance", Request, 0.0)
     refuses(InputError, "time_limit", Request, 1e-6, -1.0)

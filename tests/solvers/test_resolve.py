@@ -1,7 +1,5 @@
 """Re-solving: ``update`` gives what a fresh ``prepare`` gives and keeps its factor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +9,8 @@ from tests.conftest import small_scene
 from tests.solvers import taking
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Request, Solver
+from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.packages import closed_form
 from ttus_opt.solvers.registry import solvers
 
@@ -22,10 +19,10 @@ KEEPERS = {
     "free": taking.FORMULATIONS["eq10"],
     "signed": taking.FORMULATIONS["eq10_sign"] - taking.HIGHS,
 }
-SHAPE = (6, 14, 7)
+SHAPE = (5, 10, 6)
 
 
-def compiled(signed: bool, factor: float = 1.0, weight: float = 1.0) -> Program:
+def compiled(signed, factor=1.0, weight=1.0):
     """Eq. 10 with all measured forces scaled and another weight."""
     scene = small_scene("trilinear", shape=SHAPE, n_poses=8, seed=3)
     trajectory = scene.trajectory
@@ -39,7 +36,7 @@ def compiled(signed: bool, factor: float = 1.0, weight: float = 1.0) -> Program:
 
 
 @pytest.mark.parametrize(("solver", "limits"), taking.pairs(KEEPERS))
-def test_update_equals_fresh(solver: Solver, limits: str) -> None:
+def test_update_equals_fresh(solver, limits):
     signed = limits == "signed"
     first = compiled(signed)
     tolerance = 1e-8
@@ -62,7 +59,7 @@ def test_update_equals_fresh(solver: Solver, limits: str) -> None:
 
 
 @taking.over({"osqp", "scs"})
-def test_splitting_starts_from_its_last_answer(solver: Solver) -> None:
+def test_splitting_starts_from_its_last_answer(solver):
     prepared = solver.prepare(compiled(True, factor=-2.0), Request(1e-7))
     cold = prepared.solve().iterations
     prepared.update(compiled(True, factor=-2.0001))
@@ -70,14 +67,14 @@ def test_splitting_starts_from_its_last_answer(solver: Solver) -> None:
 
 
 def test_closed_form_factorises_once_per_matrix(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     made = []
     original = closed_form.ClosedForm.factorise
 
-    def counting(self: closed_form.ClosedForm, Q: object) -> object:
+    def counting(self, Q):
         made.append(Q)
-        return original(self, Q)  # type: ignore[arg-type]
+        return original(self, Q)
 
     monkeypatch.setattr(closed_form.ClosedForm, "factorise", counting)
     prepared = solvers()["closed_form"].prepare(compiled(False), Request())
@@ -91,15 +88,15 @@ def test_closed_form_factorises_once_per_matrix(
 
 
 def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     solver = solvers()["amg_pcg"]
     import pyamg
 
     made = []
     original = pyamg.ruge_stuben_solver
 
-    def counting(A: object) -> object:
+    def counting(A):
         made.append(A)
         return original(A)
 

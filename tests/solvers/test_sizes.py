@@ -1,7 +1,5 @@
 """Sizes of a program against counts by hand; estimates grow with what they count."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,13 +12,13 @@ SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 V = SCENE.n_voxels
 
 
-def test_eq10_has_rows_alone() -> None:
+def test_eq10_has_rows_alone():
     sizes = Sizes.of(load("eq10", SCENE).compile())
     measured = 2 * 3 * len(SCENE.trajectory)
     assert sizes == Sizes(V, V, V + measured, measured, 0, 0, 0.0)
 
 
-def test_limits_are_inequalities_and_bounds_alone() -> None:
+def test_limits_are_inequalities_and_bounds_alone():
     program = load("eq10_sign_monotone", SCENE).compile()
     rows = sum(len(c.lower) for c in program.constraints)
     bounded = np.isfinite(program.box).any(axis=0).sum()
@@ -31,13 +29,13 @@ def test_limits_are_inequalities_and_bounds_alone() -> None:
     assert hard.limits == 0
 
 
-def test_a_second_field_and_kinks_are_counted() -> None:
+def test_a_second_field_and_kinks_are_counted():
     assert Sizes.of(load("coulomb_drag", SCENE).compile()).voxels == 2 * V
     sparse = reduce(load("sparse_sources", SCENE).compile()).program
     assert Sizes.of(sparse).kinks > 0
 
 
-def test_estimates_put_larger_and_harder_programs_later() -> None:
+def test_estimates_put_larger_and_harder_programs_later():
     small = load("eq10", SCENE).compile()
     large = load("eq10", small_scene("trilinear")).compile()
     limited = load("eq10_sign_monotone", SCENE).compile()

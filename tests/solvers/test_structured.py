@@ -1,7 +1,5 @@
 """The structured solver against a direct factorisation and the closed form."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +17,11 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.scan.surface import Surface
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.structured import Structured
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -33,7 +29,7 @@ STRUCTURED = registry.solvers()["structured"]
 TIGHT = Request(tolerance=1e-8)
 
 
-def program(scene: Scene, weight: float, hard: bool = False) -> Program:
+def program(scene, weight, hard=False):
     declared = formulation.load(
         "eq10", scene, force_weight=weight, torque_weight=0.5 * weight
     )
@@ -42,7 +38,7 @@ def program(scene: Scene, weight: float, hard: bool = False) -> Program:
     return declared.compile()
 
 
-def direct_answer(scene: Scene, weight: float, hard: bool) -> np.ndarray:
+def direct_answer(scene, weight, hard):
     """The minimiser from the augmented system, no code shared with the solver."""
     scale = 1.0 / scene.torque_length
     root_force, root_torque = np.sqrt(weight), np.sqrt(0.5 * weight) * scale
@@ -58,22 +54,22 @@ def direct_answer(scene: Scene, weight: float, hard: bool) -> np.ndarray:
     return p
 
 
-def relative(a: np.ndarray, b: np.ndarray) -> float:
+def relative(a, b):
     return float(np.linalg.norm(a - b) / np.linalg.norm(b))
 
 
-def solved(loaded: Program) -> Candidate:
+def solved(loaded):
     return STRUCTURED.prepare(loaded, TIGHT).solve()
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("weight", [1e-6, 1e-2, 1e2])
-def test_equals_direct_least_squares(scene: Scene, weight: float, hard: bool) -> None:
+def test_equals_direct_least_squares(scene, weight, hard):
     x = solved(program(scene, weight, hard)).x
     assert relative(x, direct_answer(scene, weight, hard)) < 1e-8
 
 
-def test_hard_boundary_is_kept_and_its_dual_closes_the_kkt(scene: Scene) -> None:
+def test_hard_boundary_is_kept_and_its_dual_closes_the_kkt(scene):
     loaded = program(scene, 1e-2, hard=True)
     candidate = solved(loaded)
     fixed = ~scene.laplace.free
@@ -81,13 +77,13 @@ def test_hard_boundary_is_kept_and_its_dual_closes_the_kkt(scene: Scene) -> None
     assert kkt_residuals(loaded, candidate.x, candidate.duals).worst_relative < 1e-8
 
 
-def test_weight_zero_is_laplace_only(scene: Scene) -> None:
+def test_weight_zero_is_laplace_only(scene):
     x = solved(program(scene, 0.0)).x
     np.testing.assert_allclose(x, scene.laplace.solve(scene.b), atol=1e-12)
 
 
 @pytest.mark.slow
-def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
+def test_a_new_solve_reuses_and_agrees_with_a_fresh_one():
     """New values, boundary and weights need few or no new directions.
 
     Images of kept directions are as exact as the solve they come from asked for. What
@@ -123,13 +119,13 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
 
 
 def test_a_dual_is_solved_more_exactly_until_the_kkt_residuals_hold(
-    scene: Scene,
-) -> None:
+    scene,
+):
     """An answer that is off by what is asked of it, times 1e4."""
     prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
     exact, asked = prepared.solve(), []
 
-    def attempt(accuracy: Accuracy) -> Candidate:
+    def attempt(accuracy):
         asked.append(accuracy.rtol)
         return replace(exact, x=exact.x * (1.0 + 1e4 * accuracy.rtol), iterations=3)
 
@@ -140,7 +136,7 @@ def test_a_dual_is_solved_more_exactly_until_the_kkt_residuals_hold(
     np.testing.assert_array_equal(found.x, exact.x * (1.0 + 1e4 * asked[1]))
 
 
-def test_another_trajectory_is_taken(scene: Scene) -> None:
+def test_another_trajectory_is_taken(scene):
     prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
     prepared.solve()
     longer = Scene.assemble(
@@ -153,7 +149,7 @@ def test_another_trajectory_is_taken(scene: Scene) -> None:
     assert relative(prepared.solve().x, direct_answer(longer, 1e-2, False)) < 1e-8
 
 
-def test_directions_grow_slowly_with_the_weight() -> None:
+def test_directions_grow_slowly_with_the_weight():
     """1e-6 to 1e2 are eight decades; plain CG would need hundreds of steps."""
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
     steps = {w: solved(program(scene, w)).iterations for w in (1e-6, 1e-2, 1e2)}
@@ -161,7 +157,7 @@ def test_directions_grow_slowly_with_the_weight() -> None:
     assert steps[1e-6] <= steps[1e-2] <= steps[1e2] < rows / 2
 
 
-def rough_surface(seed: int) -> Surface:
+def rough_surface(seed):
     """Spikes and dents from voxel to voxel: pockets, necks, slices one voxel thin."""
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.05, 0.1, (24, 12))
@@ -179,9 +175,7 @@ def rough_surface(seed: int) -> Surface:
     ],
     ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
 )
-def test_geometry_that_breaks_careless_solvers(
-    surface: Surface, shape: tuple[int, int, int], r_outer: float | None
-) -> None:
+def test_geometry_that_breaks_careless_solvers(surface, shape, r_outer):
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
     shell = ellipsoid()
     trajectory = presses(surface, 10, np.random.default_rng(2), depth=0.015)
@@ -192,13 +186,13 @@ def test_geometry_that_breaks_careless_solvers(
 
 
 @pytest.mark.parametrize("name", ["total_variation", "robust"])
-def test_refuses_what_it_cannot_take(scene: Scene, name: str) -> None:
+def test_refuses_what_it_cannot_take(scene, name):
     declared = formulation.load(name, scene).compile()
     with pytest.raises(tt.TtusError, match="structured cannot take this problem"):
         STRUCTURED.prepare(declared, TIGHT)
 
 
-def test_says_what_it_cannot_take() -> None:
+def test_says_what_it_cannot_take():
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
     alone = formulation.Formulation([TikhonovTerm(scene)])
     assert STRUCTURED.refusal(alone.compile()) == "it needs a Laplace term"
@@ -208,7 +202,7 @@ def test_says_what_it_cannot_take() -> None:
     assert "bounds and growth along spokes" in told
 
 
-def test_limits_hold_at_clarabels_minimiser() -> None:
+def test_limits_hold_at_clarabels_minimiser():
     scene = contested(1, (6, 9, 6), scale=-3.0)
     declared = formulation.load("eq10_sign", scene, force_weight=1.0).compile()
     found = solved(declared)
@@ -219,7 +213,7 @@ def test_limits_hold_at_clarabels_minimiser() -> None:
     assert "0 active limits" not in found.detail
 
 
-def test_takes_as_many_unknowns_beside_the_field_as_it_says() -> None:
+def test_takes_as_many_unknowns_beside_the_field_as_it_says():
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
     for sectors, told in ((64, ""), (65, "it takes at most 64 unknowns beside")):
         declared = formulation.load("viscous_drag", scene, sectors=sectors)
@@ -227,7 +221,7 @@ def test_takes_as_many_unknowns_beside_the_field_as_it_says() -> None:
         assert bool(STRUCTURED.refusal(declared.compile())) == bool(told)
 
 
-def test_never_forms_q() -> None:
+def test_never_forms_q():
     """Peak size: nothing with more entries than L and the measured rows have."""
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
     assert isinstance(scene.laplace, LaplaceSystem)
@@ -249,9 +243,7 @@ def test_never_forms_q() -> None:
         ),
     ],
 )
-def test_200_poses_equal_the_closed_form(
-    sampling: str, shape: tuple[int, int, int]
-) -> None:
+def test_200_poses_equal_the_closed_form(sampling, shape):
     """Against SuperLU on Q, which takes minutes on case S."""
     scene = small_scene(sampling, shape, n_poses=200)
     loaded = program(scene, 1e-2)
@@ -260,7 +252,7 @@ def test_200_poses_equal_the_closed_form(
 
 
 @pytest.mark.slow
-def test_a_weight_beyond_single_precision_is_no_crash() -> None:
+def test_a_weight_beyond_single_precision_is_no_crash():
     """1e8 times what is usual: the preconditioner errs, residuals must not run away."""
     case = reference_cases("S")[0].perturbed("noise")
     weights = {"force_weight": 1e6, "torque_weight": 1e6}
@@ -279,7 +271,7 @@ def test_a_weight_beyond_single_precision_is_no_crash() -> None:
         ("reversed", "eq10_sign_monotone"),
     ],
 )
-def test_contested_limits_of_a_third_of_a_million_voxels(how: str, name: str) -> None:
+def test_contested_limits_of_a_third_of_a_million_voxels(how, name):
     """Weights 1e4 times too large, voxel-mean rows: K at its largest; a minute each."""
     case = reference_cases("M")[0].sampled("voxel-mean").perturbed(how)
     weights = {"force_weight": 100.0, "torque_weight": 100.0}
@@ -290,7 +282,7 @@ def test_contested_limits_of_a_third_of_a_million_voxels(how: str, name: str) ->
     assert residuals.worst_relative <= 1e-6
 
 
-def test_auto_leaves_terms_over_all_voxels_to_the_normal_equations() -> None:
+def test_auto_leaves_terms_over_all_voxels_to_the_normal_equations():
     """Tikhonov's term once went to a splitting method, two hundred times slower."""
     scene = small_scene("trilinear", shape=(12, 36, 15))
     chosen = {
@@ -300,7 +292,7 @@ def test_auto_leaves_terms_over_all_voxels_to_the_normal_equations() -> None:
     assert chosen == {"eq10": "structured", "tikhonov": "normal_equations"}
 
 
-def test_limits_and_a_second_field_cost_more() -> None:
+def test_limits_and_a_second_field_cost_more():
     """What "auto" weighs: in proportion to the voxels beside a small constant."""
     cost = {}
     for n, shape in (("few", (7, 14, 8)), ("many", (12, 36, 15))):
@@ -316,7 +308,7 @@ def test_limits_and_a_second_field_cost_more() -> None:
 
 
 @pytest.mark.parametrize("name", ["eq10_sign_monotone", "coulomb_drag"])
-def test_a_start_at_the_answer_needs_no_working_set_but_its_own(name: str) -> None:
+def test_a_start_at_the_answer_needs_no_working_set_but_its_own(name):
     """One field's bounds and links, or two fields'."""
     drag = name == "coulomb_drag"
     scene = dragged_scene("contact", shape=(7, 14, 8)) if drag else small_scene()
@@ -340,7 +332,7 @@ def test_a_start_at_the_answer_needs_no_working_set_but_its_own(name: str) -> No
     assert relative(warm.solve().x, cold.x) < 1e-4
 
 
-def test_limits_that_contradict_each_other_come_with_a_proof() -> None:
+def test_limits_that_contradict_each_other_come_with_a_proof():
     """Multipliers, not a claim: only such a verdict is believed."""
     scene = small_scene("trilinear", shape=(7, 14, 8))
     declared = formulation.load("eq10_sign", scene)

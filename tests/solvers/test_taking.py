@@ -1,11 +1,9 @@
 """The table of who takes what against what every solver says, installed or not."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.solvers import taking
-from tests.solvers.problems import Reference, bending_references, references
+from tests.solvers.problems import bending_references, references
 from tests.solvers.test_agreement import reduction
 from ttus_opt.problem.formulation import available
 from ttus_opt.problem.reduction import reduce
@@ -13,7 +11,7 @@ from ttus_opt.solvers.registry import solvers
 
 
 @pytest.mark.parametrize("name", [info.name for info in available()])
-def test_a_formulation_is_taken_by(name: str) -> None:
+def test_a_formulation_is_taken_by(name):
     program = reduction(name).program
     takers = [s.name for s in solvers().values() if not s.refusal(program)]
     assert takers == taking.named(taking.FORMULATIONS[name])
@@ -22,7 +20,7 @@ def test_a_formulation_is_taken_by(name: str) -> None:
 @pytest.mark.parametrize(
     "reference", references() + bending_references(), ids=lambda r: r.name
 )
-def test_a_reference_problem_is_taken_by(reference: Reference) -> None:
+def test_a_reference_problem_is_taken_by(reference):
     reduced = reduce(reference.program).program
     takers = [
         solver.name
@@ -34,7 +32,7 @@ def test_a_reference_problem_is_taken_by(reference: Reference) -> None:
     assert takers == taking.named(taking.REFERENCES[reference.name])
 
 
-def test_the_tables_know_every_name() -> None:
+def test_the_tables_know_every_name():
     assert set(taking.FORMULATIONS) == {info.name for info in available()}
     told = {reference.name for reference in references() + bending_references()}
     assert set(taking.REFERENCES) == told
@@ -43,7 +41,7 @@ def test_the_tables_know_every_name() -> None:
 
 
 @pytest.mark.parametrize("name", taking.named(solvers()))
-def test_a_solver_is_installed(name: str) -> None:
+def test_a_solver_is_installed(name):
     """The one place where an absent solver is skipped; tests run over the others."""
     if not solvers()[name].installed:
         assert name not in taking.REQUIRED, f"{name} comes with the package"

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.solvers.problems import program, term
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers import verified
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.verified import LEAST, TIGHTENINGS, Verified
@@ -22,7 +21,7 @@ ANSWER = 1.5 * TARGET
 Reply = Callable[[float], Candidate]
 
 
-def off(error: float, claim: Claim = Claim.DONE, iterations: int = 7) -> Candidate:
+def off(error, claim=Claim.DONE, iterations=7):
     """The answer but for a relative error."""
     return Candidate(ANSWER * (1 + error), iterations=iterations, claim=claim)
 
@@ -37,20 +36,20 @@ class Package(Verified):
     asked: list[float] = field(default_factory=list)
     limits: list[float | None] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.continuations = self.pauses
         Verified.__init__(self, PROGRAM, self.request)
 
-    def _load(self, program: Program) -> None:
+    def _load(self, program):
         pass
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _attempt(self, eps, seconds):
         self.asked.append(eps)
         self.limits.append(seconds)
         return self.reply(eps)
 
 
-def test_an_answer_that_holds_is_taken_at_once() -> None:
+def test_an_answer_that_holds_is_taken_at_once():
     package = Package(lambda eps: off(eps / 100), Request(1e-6))
     found = package.solve()
     assert found.claim is Claim.DONE
@@ -58,7 +57,7 @@ def test_an_answer_that_holds_is_taken_at_once() -> None:
     assert package.limits == [None]
 
 
-def test_a_package_may_be_asked_for_a_part_of_the_tolerance() -> None:
+def test_a_package_may_be_asked_for_a_part_of_the_tolerance():
     class Careful(Package):
         margin = 0.01
 
@@ -67,7 +66,7 @@ def test_a_package_may_be_asked_for_a_part_of_the_tolerance() -> None:
     assert package.asked == [pytest.approx(1e-8)]
 
 
-def test_an_answer_that_falls_short_is_tightened_until_it_holds() -> None:
+def test_an_answer_that_falls_short_is_tightened_until_it_holds():
     """A package whose own measure is a thousand times too kind."""
     package = Package(lambda eps: off(1000 * eps), Request(1e-6))
     found = package.solve()
@@ -81,7 +80,7 @@ def test_an_answer_that_falls_short_is_tightened_until_it_holds() -> None:
     assert package.asked[count:] == [package.asked[count - 1]]
 
 
-def test_tightening_is_not_for_ever_and_the_best_is_kept() -> None:
+def test_tightening_is_not_for_ever_and_the_best_is_kept():
     errors = iter([9e-5, 3e-5, 6e-5, 5e-5, 4e-5])
     package = Package(lambda eps: off(next(errors)), Request(1e-6))
     found = package.solve()
@@ -90,27 +89,27 @@ def test_tightening_is_not_for_ever_and_the_best_is_kept() -> None:
     assert all(b <= LEAST * a for a, b in itertools.pairwise(package.asked))
 
 
-def test_rounding_ends_the_tightening() -> None:
+def test_rounding_ends_the_tightening():
     package = Package(lambda eps: off(1e-2), Request(1e-6))
     assert package.solve().claim is Claim.DONE
     assert package.asked[-1] == Package.floor
     assert len(package.asked) < TIGHTENINGS + 1
 
 
-def test_what_is_paused_goes_on_as_often_as_it_may() -> None:
+def test_what_is_paused_goes_on_as_often_as_it_may():
     package = Package(lambda eps: off(1e-2, Claim.PAUSED), Request(1e-6), pauses=3)
     assert package.solve().claim is Claim.PAUSED
     assert package.asked == [1e-6] * 4  # not tightened: it was not done
 
 
 @pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.GAVE_UP])
-def test_what_is_not_done_is_not_tried_again(claim: Claim) -> None:
+def test_what_is_not_done_is_not_tried_again(claim):
     package = Package(lambda eps: Candidate(None, claim=claim), Request(1e-6))
     assert package.solve().claim is claim
     assert len(package.asked) == 1
 
 
-def test_time_that_is_up_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_that_is_up_is_said(monkeypatch):
     """Each look at the clock takes a second."""
     clock = iter(range(1000))
     monkeypatch.setattr(verified.time, "perf_counter", lambda: float(next(clock)))

@@ -1,7 +1,5 @@
 """Colours of the skin against single presses and the maps they are taken from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +22,7 @@ from ttus_opt.viewer.skin import SkinMesh
 SKIN = SkinMesh.of(torso(), 0.03)
 
 
-def test_stiffness_is_the_force_of_a_press_there() -> None:
+def test_stiffness_is_the_force_of_a_press_there():
     renderer = tt.Renderer(field(), probe())
     found = colouring.stiffness(field(), renderer, probe(), hold(), SKIN)
     assert found.unit == "N"
@@ -43,7 +41,7 @@ def test_stiffness_is_the_force_of_a_press_there() -> None:
     assert np.nanmin(found.values) <= low < high <= np.nanmax(found.values)
 
 
-def test_uncertainty_is_that_of_the_map() -> None:
+def test_uncertainty_is_that_of_the_map():
     found = colouring.uncertainty(field(), SKIN)
     own = field().uncertainty
     assert own is not None
@@ -53,7 +51,7 @@ def test_uncertainty_is_that_of_the_map() -> None:
         colouring.uncertainty(replace(field(), uncertainty=None), SKIN)
 
 
-def test_what_was_seen_and_what_was_filled() -> None:
+def test_what_was_seen_and_what_was_filled():
     surface = field().voxmap.surface
     hidden = np.broadcast_to((surface.theta > np.pi)[:, None], surface.radius.shape)
     voxmap = replace(field().voxmap, surface=replace(surface, observed=~hidden))
@@ -65,7 +63,7 @@ def test_what_was_seen_and_what_was_filled() -> None:
 
 
 @pytest.mark.filterwarnings(KEPT_SHARE)
-def test_next_presses_are_those_of_the_fit() -> None:
+def test_next_presses_are_those_of_the_fit():
     stated = tt.uncertainty(fitted(), three_presses())
     found, presses = colouring.next_presses(stated, SKIN)
     np.testing.assert_array_equal(found.marks, presses.points[presses.node])

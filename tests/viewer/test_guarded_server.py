@@ -1,11 +1,8 @@
 """Only who knows the link sees the page or speaks to it."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading
-from collections.abc import Iterator
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
@@ -21,14 +18,14 @@ from websockets.sync.client import connect  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def link() -> Iterator[str]:
+def link():
     server, link = guard.guarded_server(0)
     yield link
     with guard.quiet():
         server.stop()
 
 
-def get(link: str, path: str) -> tuple[int, dict[str, str], bytes]:
+def get(link, path):
     connection = HTTPConnection(urlsplit(link).netloc, timeout=10)
     with contextlib.closing(connection):
         connection.request("GET", path)
@@ -36,7 +33,7 @@ def get(link: str, path: str) -> tuple[int, dict[str, str], bytes]:
         return answer.status, dict(answer.getheaders()), answer.read()
 
 
-def test_the_link_opens_the_page(link: str) -> None:
+def test_the_link_opens_the_page(link):
     status, headers, page = get(link, urlsplit(link).path)
     assert status == 200
     assert b"<html" in page
@@ -45,7 +42,7 @@ def test_the_link_opens_the_page(link: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/index.html", "/wrong", "/?token", "/%2e%2e/"])
-def test_another_request_is_refused(link: str, path: str) -> None:
+def test_another_request_is_refused(link, path):
     status, _, page = get(link, path)
     assert status == 403
     assert b"<html" not in page
@@ -55,7 +52,7 @@ def test_another_request_is_refused(link: str, path: str) -> None:
     assert get(link, f"{token}/../secret")[0] == 404
 
 
-def test_a_socket_without_the_token_is_refused(link: str) -> None:
+def test_a_socket_without_the_token_is_refused(link):
     place = urlsplit(link)
     protocol = [f"viser-v{viser.__version__}"]
     with pytest.raises(InvalidStatus, match="403"):
@@ -65,7 +62,7 @@ def test_a_socket_without_the_token_is_refused(link: str) -> None:
         assert len(known.recv(timeout=10)) > 0
 
 
-def test_only_this_machine_is_listened_to(link: str) -> None:
+def test_only_this_machine_is_listened_to(link):
     assert urlsplit(link).hostname == "127.0.0.1"
     port = urlsplit(link).port
     other = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -73,7 +70,7 @@ def test_only_this_machine_is_listened_to(link: str) -> None:
         other.bind(("127.0.0.2", port))  # free: the server has 127.0.0.1 alone
 
 
-def test_a_port_in_use_gives_the_next_and_links_differ(link: str) -> None:
+def test_a_port_in_use_gives_the_next_and_links_differ(link):
     port = urlsplit(link).port
     assert port is not None
     server, other = guard.guarded_server(port)
@@ -84,16 +81,16 @@ def test_a_port_in_use_gives_the_next_and_links_differ(link: str) -> None:
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_started(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     import websockets.asyncio.server as sockets
 
     own = sockets.serve
 
-    class Elsewhere(viser.ViserServer):  # type: ignore[misc, name-defined]
+    class Elsewhere(viser.ViserServer):
         """Serves without the function that is guarded."""
 
-        def __init__(self, *args: object, **options: object) -> None:
+        def __init__(self, *args, **options):
             sockets.serve = own
             super().__init__(*args, **options)
 
@@ -104,5 +101,5 @@ def test_a_viser_that_cannot_be_guarded_is_not_started(
     assert sockets.serve is own
 
 
-def test_a_port_that_is_none_is_refused() -> None:
+def test_a_port_that_is_none_is_refused():
     refuses(InputError, "0 to 65535", guard.guarded_server, 70_000)

@@ -1,14 +1,12 @@
 """Work beside the page: the latest of a kind, none waits for another kind."""
 
-from __future__ import annotations
-
 import threading
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.viewer.jobs import Jobs
 
 
-def test_a_newer_job_replaces_one_that_has_not_begun() -> None:
+def test_a_newer_job_replaces_one_that_has_not_begun():
     jobs, may_end, done = Jobs(print), threading.Event(), []
     begun = threading.Event()
     jobs.post("a", lambda: (begun.set(), may_end.wait(20.0), done.append(1)))
@@ -21,7 +19,7 @@ def test_a_newer_job_replaces_one_that_has_not_begun() -> None:
     assert done == [1, 3]
 
 
-def test_a_long_job_does_not_hold_another_kind_and_none_begins_after_the_end() -> None:
+def test_a_long_job_does_not_hold_another_kind_and_none_begins_after_the_end():
     jobs, may_end, done = Jobs(print), threading.Event(), threading.Event()
     jobs.post("long", lambda: may_end.wait(20.0))
     jobs.post("short", done.set)
@@ -34,11 +32,11 @@ def test_a_long_job_does_not_hold_another_kind_and_none_begins_after_the_end() -
     assert done.is_set()
 
 
-def test_what_fails_is_told_and_the_next_is_done() -> None:
-    told: list[str] = []
+def test_what_fails_is_told_and_the_next_is_done():
+    told = []
     jobs = Jobs(told.append)
 
-    def fails(error: Exception) -> None:
+    def fails(error):
         raise error
 
     for error in (InputError("no such field"), ValueError("odd")):

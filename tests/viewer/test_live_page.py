@@ -1,9 +1,5 @@
 """A live session in a page, without a browser: the hand, the link, the button."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -19,14 +15,14 @@ from ttus_opt.viewer.live_session import LiveSession
 from ttus_opt.viewer.live_tab import numbers
 
 
-def run(session: LiveSession, seconds: float) -> None:
+def run(session, seconds):
     """Frames without waiting for the clock on the wall."""
     for k, _ in enumerate(session._session.run(seconds)):
         if k % 20 == 0:
             session._remember()
 
 
-def test_a_session_without_a_page() -> None:
+def test_a_session_without_a_page():
     session = LiveSession(Trial(round_trip=0.0, prior=1.6))
     run(session, 3.0)
     assert session.learned > 5
@@ -57,17 +53,17 @@ def test_a_session_without_a_page() -> None:
     refuses(InputError, "nothing to re-arm", session.rearm)
 
 
-def test_a_link_that_brings_no_model() -> None:
+def test_a_link_that_brings_no_model():
     refuses(InputError, "no model arrived", LiveSession, Trial(round_trip=20.0))
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[LivePage]:
+def page():
     with LivePage(port=0) as opened:
         yield opened
 
 
-def test_the_page_follows_the_hand_until_somebody_drags(page: LivePage) -> None:
+def test_the_page_follows_the_hand_until_somebody_drags(page):
     state = page.viewer.state
     assert page.tab.presses.value
     before = page.session.view().time

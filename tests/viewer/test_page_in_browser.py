@@ -10,8 +10,6 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -23,7 +21,6 @@ from tests.viewer.conftest import field, probe, recorded
 from tests.viewer.test_viewer import until
 from ttus_opt.contact.standing import skin_points
 from ttus_opt.viewer.guarded_server import guarded_server
-from ttus_opt.viewer.viewer import Viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -56,7 +53,7 @@ ARGUMENTS = (
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[sync_api.Browser]:
+def browser():
     with sync_api.sync_playwright() as play:
         opened = play.chromium.launch(
             executable_path=CHROMIUM,
@@ -68,7 +65,7 @@ def browser() -> Iterator[sync_api.Browser]:
 
 
 @pytest.fixture(scope="module")
-def viewer() -> Iterator[Viewer]:
+def viewer():
     with tt.view(field(), probe(), recorded(), port=0) as opened:
         yield opened
 
@@ -76,9 +73,7 @@ def viewer() -> Iterator[Viewer]:
 class Visit:
     """A page and what went wrong in it."""
 
-    def __init__(
-        self, browser: sync_api.Browser, url: str, size: dict[str, int]
-    ) -> None:
+    def __init__(self, browser, url, size):
         self.page = browser.new_page(viewport=size)
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.faults: list[str] = []
@@ -96,36 +91,36 @@ class Visit:
         self.page.wait_for_selector("canvas")
         self.page.get_by_text("force", exact=True).first.wait_for()
 
-    def until(self, true: Callable[[], bool]) -> None:
+    def until(self, true):
         """Wait, while the browser works, for something to become true."""
         end = time.monotonic() + PATIENCE
         while not true():
             assert time.monotonic() < end, "did not become true in time"
             self.page.wait_for_timeout(100)
 
-    def drawn(self) -> None:
+    def drawn(self):
         """Wait for frames that show, and take, what was done before."""
         self.page.evaluate(FRAMES)
         self.page.wait_for_timeout(100)  # pages send drags 20 times a second
 
-    def tab(self, name: str) -> None:
+    def tab(self, name):
         self.page.get_by_role("tab", name=name).click()
 
-    def field(self, handle: Any) -> sync_api.Locator:
+    def field(self, handle):
         """Where one types the value of an input."""
         row = self.page.locator(f"[id='{handle._impl.uuid}']")
         return row.locator("xpath=..").locator("input:not([type=hidden])")
 
 
 @pytest.fixture(scope="module")
-def visit(browser: sync_api.Browser, viewer: Viewer) -> Iterator[Visit]:
+def visit(browser, viewer):
     opened = Visit(browser, viewer.url, DESK)
     opened.until(lambda: len(viewer._server.get_clients()) > 0)
     yield opened
     opened.page.close()
 
 
-def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
+def pixel(viewer, point):
     """Where a point of the scene is on the latest visitor's canvas [px]."""
     *_, client = viewer._server.get_clients().values()
     camera = client.camera
@@ -138,21 +133,21 @@ def pixel(viewer: Viewer, point: np.ndarray) -> tuple[float, float]:
     )
 
 
-def centre(viewer: Viewer) -> np.ndarray:
+def centre(viewer):
     """Middle of the probe."""
     rotation, position = viewer.state.pose
     return np.asarray(position + rotation @ probe().reference)
 
 
-def felt(viewer: Viewer) -> np.ndarray:
+def felt(viewer):
     wrench = viewer.state.touches[0].wrench
     return np.concatenate([wrench.force, wrench.torque])
 
 
-def rests(viewer: Viewer) -> None:
+def rests(viewer):
     """Wait until what is felt is what the renderer gives where the hand is."""
 
-    def alike() -> bool:
+    def alike():
         wrench = tt.Renderer(field(), probe()).render(*viewer.state.pose)
         expected = np.concatenate([wrench.force, wrench.torque])
         return bool(np.allclose(felt(viewer), expected, atol=1e-9))
@@ -160,11 +155,11 @@ def rests(viewer: Viewer) -> None:
     until(alike)
 
 
-def test_a_click_puts_the_probe_there(visit: Visit, viewer: Viewer) -> None:
+def test_a_click_puts_the_probe_there(visit, viewer):
     theta, z = np.array([1.9]), np.array([0.11])
     goal = skin_points(viewer.state.surface, theta, z)[0]
 
-    def there() -> bool:
+    def there():
         # a page that still draws its first frames takes no click
         visit.page.mouse.click(*pixel(viewer, goal))
         visit.page.wait_for_timeout(2000)
@@ -174,7 +169,7 @@ def test_a_click_puts_the_probe_there(visit: Visit, viewer: Viewer) -> None:
     rests(viewer)
 
 
-def drag(visit: Visit, viewer: Viewer, way: np.ndarray) -> None:
+def drag(visit, viewer, way):
     """Take the probe by the mouse some way [m]."""
     rests(viewer)
     start, mouse = centre(viewer), visit.page.mouse
@@ -189,7 +184,7 @@ def drag(visit: Visit, viewer: Viewer, way: np.ndarray) -> None:
     visit.drawn()
 
 
-def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> None:
+def test_a_drag_moves_the_probe_over_the_skin(visit, viewer):
     viewer.state.slide(1.9, 0.11)
     before, depth, force = viewer.state.place, viewer.state.depth, felt(viewer)
     theta, z = np.array([before[0] - 0.3]), np.array([before[1] - 0.02])
@@ -205,10 +200,10 @@ def test_a_drag_moves_the_probe_over_the_skin(visit: Visit, viewer: Viewer) -> N
     visit.page.get_by_text(f"{size:.2f}", exact=True).first.wait_for()
 
 
-def test_a_drag_with_shift_presses_the_probe_in(visit: Visit, viewer: Viewer) -> None:
+def test_a_drag_with_shift_presses_the_probe_in(visit, viewer):
     viewer.state.slide(1.6, 0.09)
     place, before = viewer.state.place, centre(viewer)
-    events: list[Any] = []
+    events = []
     node = viewer.page._nodes[0].probe
     node.on_drag("left", modifier="shift")(events.append)
     way = -0.01 * viewer.state.outward
@@ -225,7 +220,7 @@ def test_a_drag_with_shift_presses_the_probe_in(visit: Visit, viewer: Viewer) ->
     assert abs(missed @ along) < 1.0 * np.linalg.norm(along)
 
 
-def test_keys_step_by_a_millimetre_and_a_degree(visit: Visit, viewer: Viewer) -> None:
+def test_keys_step_by_a_millimetre_and_a_degree(visit, viewer):
     depth, angles = viewer.state.depth, viewer.state.angles
     visit.page.mouse.move(5, 5)
     visit.page.keyboard.press("o")
@@ -235,7 +230,7 @@ def test_keys_step_by_a_millimetre_and_a_degree(visit: Visit, viewer: Viewer) ->
     rests(viewer)
 
 
-def test_fields_and_buttons_move_the_probe(visit: Visit, viewer: Viewer) -> None:
+def test_fields_and_buttons_move_the_probe(visit, viewer):
     visit.tab("Probe")
     visit.field(viewer.page.probe._depth).fill("8")
     visit.until(lambda: abs(viewer.state.depth - 0.008) < 1e-6)
@@ -245,7 +240,7 @@ def test_fields_and_buttons_move_the_probe(visit: Visit, viewer: Viewer) -> None
     rests(viewer)
 
 
-def test_the_section_follows_its_slider(visit: Visit, viewer: Viewer) -> None:
+def test_the_section_follows_its_slider(visit, viewer):
     visit.tab("Section")
     choice = visit.page.locator("input[aria-haspopup=listbox]:visible")
     choice.click()
@@ -265,7 +260,7 @@ def test_the_section_follows_its_slider(visit: Visit, viewer: Viewer) -> None:
     visit.until(lambda: viewer.page.section.shown == [])
 
 
-def test_a_click_on_the_plot_goes_to_that_pose(visit: Visit, viewer: Viewer) -> None:
+def test_a_click_on_the_plot_goes_to_that_pose(visit, viewer):
     visit.tab("Recording")
     plot = visit.page.locator(".u-over:visible")
     visit.page.wait_for_timeout(1500)  # the plot hears clicks half a second later
@@ -283,9 +278,7 @@ def test_a_click_on_the_plot_goes_to_that_pose(visit: Visit, viewer: Viewer) -> 
     visit.page.get_by_text("a recorded pose").wait_for()
 
 
-def test_two_pages_see_one_state(
-    browser: sync_api.Browser, visit: Visit, viewer: Viewer
-) -> None:
+def test_two_pages_see_one_state(browser, visit, viewer):
     other = Visit(browser, viewer.url, DESK)
     other.tab("Probe")
     other.field(viewer.page.probe._depth).fill("6.5")
@@ -296,13 +289,13 @@ def test_two_pages_see_one_state(
     visit.page.get_by_text("4.5", exact=True).first.wait_for()
 
 
-def test_a_phone_is_wide_enough(browser: sync_api.Browser, viewer: Viewer) -> None:
+def test_a_phone_is_wide_enough(browser, viewer):
     phone = Visit(browser, viewer.url, PHONE)
     width = phone.page.evaluate("document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
     phone.until(lambda: len(viewer._server.get_clients()) == 2)
 
-    def in_sight() -> bool:  # beside and above the panel
+    def in_sight():  # beside and above the panel
         skin = viewer.page.stage.skin.vertices
         x, y = np.transpose([pixel(viewer, point) for point in skin[::7]])
         seen = x.min() > 0 and x.max() < PHONE["width"] and y.min() > 0
@@ -313,7 +306,7 @@ def test_a_phone_is_wide_enough(browser: sync_api.Browser, viewer: Viewer) -> No
     assert phone.faults == []
 
 
-def test_nothing_else_is_asked_for_and_no_error_is_shown(visit: Visit) -> None:
+def test_nothing_else_is_asked_for_and_no_error_is_shown(visit):
     hosts = {
         urlsplit(url).hostname
         for url in visit.asked
@@ -323,7 +316,7 @@ def test_nothing_else_is_asked_for_and_no_error_is_shown(visit: Visit) -> None:
     assert visit.faults == []
 
 
-def test_another_host_cannot_be_asked(visit: Visit) -> None:
+def test_another_host_cannot_be_asked(visit):
     """The browser itself refuses, by the page's policy."""
     answer = visit.page.evaluate(
         "fetch('http://127.0.0.2:9/').then(() => 'sent', e => String(e))"
@@ -333,7 +326,7 @@ def test_another_host_cannot_be_asked(visit: Visit) -> None:
     visit.faults.clear()
 
 
-def test_a_browser_may_come_before_the_patient(browser: sync_api.Browser) -> None:
+def test_a_browser_may_come_before_the_patient(browser):
     server, url = guarded_server(0)
     page = browser.new_page(viewport=DESK)
     page.set_default_timeout(1e3 * PATIENCE)
@@ -355,7 +348,7 @@ def test_a_browser_may_come_before_the_patient(browser: sync_api.Browser) -> Non
     page.close()
 
 
-def test_a_page_whose_viewer_has_ended_says_so(browser: sync_api.Browser) -> None:
+def test_a_page_whose_viewer_has_ended_says_so(browser):
     with tt.view(field(), probe(), port=0) as one:
         left = Visit(browser, one.url, DESK)
         left.until(lambda: len(one._server.get_clients()) > 0)
@@ -364,8 +357,8 @@ def test_a_page_whose_viewer_has_ended_says_so(browser: sync_api.Browser) -> Non
 
 
 def test_a_live_session_is_stopped_armed_again_and_delayed(
-    browser: sync_api.Browser,
-) -> None:
+    browser,
+):
     pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
     from ttus_opt.live.trial import Trial
     from ttus_opt.viewer.live_page import LivePage
@@ -382,7 +375,7 @@ def test_a_live_session_is_stopped_armed_again_and_delayed(
         live.viewer.state.press(-0.02)  # lifted
         again = visit.page.get_by_role("button", name="re-arm, at zero contact")
 
-        def armed() -> bool:  # refused, with a word, until there is no contact
+        def armed():  # refused, with a word, until there is no contact
             again.click()
             visit.page.wait_for_timeout(1000)
             return session.view().state == "NORMAL"

@@ -1,7 +1,5 @@
 """Sections against the field's own voxels and an analytic field."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def test_samples_at_the_voxels_are_the_field() -> None:
+def test_samples_at_the_voxels_are_the_field():
     grid = field().voxmap.grid
     i, j, k = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
     r, theta, z = grid.r[i], grid.theta[j], grid.z[k]
@@ -27,7 +25,7 @@ def test_samples_at_the_voxels_are_the_field() -> None:
 
 
 @pytest.mark.parametrize(("direction", "at"), [("axial", 0.11), ("along", 0.7)])
-def test_a_section_shows_an_analytic_field(direction: str, at: float) -> None:
+def test_a_section_shows_an_analytic_field(direction, at):
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     voxmap = Voxmap.from_surface(cylinder, shape=(41, 60, 31), r_inner=0.02)
     grid = voxmap.grid
@@ -48,7 +46,7 @@ def test_a_section_shows_an_analytic_field(direction: str, at: float) -> None:
     np.testing.assert_allclose(found.normal @ found.up, 0.0, atol=1e-15)
 
 
-def test_isolines_lie_where_the_field_passes_their_values() -> None:
+def test_isolines_lie_where_the_field_passes_their_values():
     found = section(field(), "axial", 0.1)
     lines = found.isolines
     assert 0.005 < lines.mean() < 0.2
@@ -62,7 +60,7 @@ def test_isolines_lie_where_the_field_passes_their_values() -> None:
     assert 4.0 <= found.top / found.step <= 10.0
 
 
-def test_beyond_a_sector_there_is_no_field() -> None:
+def test_beyond_a_sector_there_is_no_field():
     voxmap = Voxmap.from_surface(
         torso(), shape=(24, 24, 20), r_inner=0.03, sector=(0.5, 2.6)
     )

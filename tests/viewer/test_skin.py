@@ -1,7 +1,5 @@
 """The skin's mesh, its cut, and rays against analytic bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.skin import SkinMesh, place_on_ray
 
 
-def test_nodes_lie_on_the_skin_and_faces_look_outwards() -> None:
+def test_nodes_lie_on_the_skin_and_faces_look_outwards():
     skin = SkinMesh.of(torso(), 0.012)
     radius = torso().radius_at(skin.theta, skin.z)
     np.testing.assert_allclose(np.hypot(*skin.vertices[:, :2].T), radius)
@@ -21,7 +19,7 @@ def test_nodes_lie_on_the_skin_and_faces_look_outwards() -> None:
     assert np.linalg.norm(b - a, axis=1).max() < 0.03
 
 
-def test_the_area_is_that_of_a_cylinder() -> None:
+def test_the_area_is_that_of_a_cylinder():
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     skin = SkinMesh.of(cylinder, 0.005)
     a, b, c = (skin.vertices[skin.faces[:, k]] for k in range(3))
@@ -29,7 +27,7 @@ def test_the_area_is_that_of_a_cylinder() -> None:
     assert area == pytest.approx(2.0 * np.pi * 0.1 * 0.3, rel=1e-3)
 
 
-def test_a_cut_leaves_what_lies_behind_the_plane() -> None:
+def test_a_cut_leaves_what_lies_behind_the_plane():
     skin = SkinMesh.of(torso())
     left = skin.vertices[skin.cut(np.array([0.0, 0.0, 1.0]), 0.1)]
     assert left[:, :, 2].min(axis=1).max() <= 0.1
@@ -37,7 +35,7 @@ def test_a_cut_leaves_what_lies_behind_the_plane() -> None:
     assert len(skin.cut(np.array([0.0, 0.0, 1.0]), 9.0)) == len(skin.faces)
 
 
-def test_a_ray_meets_a_cylinder_where_geometry_says() -> None:
+def test_a_ray_meets_a_cylinder_where_geometry_says():
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     # x = 0.3 − t, z = 0.1 + t/4, from the right: meets r = 0.1 at t = 0.2
     theta, z = place_on_ray(
@@ -52,7 +50,7 @@ def test_a_ray_meets_a_cylinder_where_geometry_says() -> None:
     assert abs(theta) == pytest.approx(np.pi, abs=1e-6)
 
 
-def test_a_ray_that_misses_gives_the_closest_place() -> None:
+def test_a_ray_that_misses_gives_the_closest_place():
     cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     theta, z = place_on_ray(
         cylinder, np.array([0.12, -0.5, 0.2]), np.array([0.0, 1.0, 0.0])

@@ -1,7 +1,5 @@
 """The viewer's state against the renderer, and motion without jumps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -20,7 +18,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 FRAME = 1.0 / 60.0  # [s]
 
 
-def settle(state: ViewState) -> int:
+def settle(state):
     """Let the probe arrive; the frames that it took."""
     for frame in range(2000):
         if not state.advance(FRAME):
@@ -28,18 +26,18 @@ def settle(state: ViewState) -> int:
     raise AssertionError("the probe did not come to rest")
 
 
-def expected(state: ViewState, which: int = 0) -> np.ndarray:
+def expected(state, which=0):
     """What a renderer of its own gives where the hand is."""
     wrench = tt.Renderer(state.fields[which], probe()).render(*state.pose)
     return np.concatenate([wrench.force, wrench.torque])
 
 
-def felt(state: ViewState, which: int = 0) -> np.ndarray:
+def felt(state, which=0):
     wrench = state.touches[which].wrench
     return np.concatenate([wrench.force, wrench.torque])
 
 
-def test_the_probe_stands_on_the_skin_before_anything_is_done(state: ViewState) -> None:
+def test_the_probe_stands_on_the_skin_before_anything_is_done(state):
     assert state.depth == pytest.approx(0.005, abs=1e-6)
     assert np.linalg.norm(felt(state)) > 0.1
     np.testing.assert_allclose(felt(state), expected(state), atol=1e-12)
@@ -47,9 +45,7 @@ def test_the_probe_stands_on_the_skin_before_anything_is_done(state: ViewState) 
 
 
 @pytest.mark.parametrize("act", ["slide", "press", "move", "tilt", "put"])
-def test_what_is_felt_at_rest_is_what_the_renderer_gives(
-    state: ViewState, act: str
-) -> None:
+def test_what_is_felt_at_rest_is_what_the_renderer_gives(state, act):
     before = felt(state)
     R = Rotation.from_rotvec([0.1, 0.0, 0.2]).as_matrix() @ state.pose[0]
     {
@@ -65,7 +61,7 @@ def test_what_is_felt_at_rest_is_what_the_renderer_gives(
     assert np.abs(felt(state) - before).max() > 1e-3
 
 
-def test_a_place_a_depth_and_angles_are_reached(state: ViewState) -> None:
+def test_a_place_a_depth_and_angles_are_reached(state):
     state.slide(2.0, 0.11)
     state.press(0.008)
     state.tilt(np.array([20.0, -10.0, 5.0]))
@@ -77,7 +73,7 @@ def test_a_place_a_depth_and_angles_are_reached(state: ViewState) -> None:
     np.testing.assert_allclose(state.angles, [20.0, -10.0, 5.0], atol=1.0)
 
 
-def test_a_millimetre_is_a_millimetre(state: ViewState) -> None:
+def test_a_millimetre_is_a_millimetre(state):
     place = state.pose[1].copy()
     state.move(along=0.001)
     assert state.pose[1][2] - place[2] == pytest.approx(0.001, abs=1e-4)
@@ -92,8 +88,8 @@ def test_a_millimetre_is_a_millimetre(state: ViewState) -> None:
 
 
 def test_the_force_does_not_step_while_drags_come_20_times_a_second(
-    state: ViewState,
-) -> None:
+    state,
+):
     theta, z = state.place
     forces = [np.linalg.norm(felt(state)[:3])]
     raw = []
@@ -108,7 +104,7 @@ def test_the_force_does_not_step_while_drags_come_20_times_a_second(
     assert steps < 0.5 * raw_steps
 
 
-def test_depths_stay_within_reason(state: ViewState) -> None:
+def test_depths_stay_within_reason(state):
     state.move(deeper=1.0)
     assert state.depth == pytest.approx(MOST, abs=1e-6)
     state.move(deeper=-1.0)
@@ -119,8 +115,8 @@ def test_depths_stay_within_reason(state: ViewState) -> None:
 
 
 def test_a_recorded_frame_is_felt_as_the_recording_is_rendered(
-    state: ViewState,
-) -> None:
+    state,
+):
     assert state.recording is not None
     for frame in (0, 5, 11):
         state.show_frame(frame)
@@ -137,7 +133,7 @@ def test_a_recorded_frame_is_felt_as_the_recording_is_rendered(
     np.testing.assert_allclose(felt(state), expected(state), atol=1e-12)
 
 
-def test_two_fields_are_felt_with_one_probe() -> None:
+def test_two_fields_are_felt_with_one_probe():
     both = ViewState([field(), field(2.0)], probe())
     both.press(0.008)
     settle(both)
@@ -145,7 +141,7 @@ def test_two_fields_are_felt_with_one_probe() -> None:
     np.testing.assert_allclose(felt(both, 1), expected(both, 1), atol=1e-12)
 
 
-def test_poses_from_outside_are_felt_at_once(state: ViewState) -> None:
+def test_poses_from_outside_are_felt_at_once(state):
     R, x = recorded().rotation[3], recorded().position[3]
     state.follow(R, x, measured=np.array([0.0, 1.0, 0.0]))
     assert state.source == "outside"
@@ -156,14 +152,14 @@ def test_poses_from_outside_are_felt_at_once(state: ViewState) -> None:
     refuses(InputError, "not go back", state.follow, R, x, time=0.5)
 
 
-def test_a_new_field_is_felt_without_a_new_page(state: ViewState) -> None:
+def test_a_new_field_is_felt_without_a_new_page(state):
     force = np.linalg.norm(felt(state)[:3])
     state.update(field(1.5))
     assert state.advance(FRAME)
     assert np.linalg.norm(felt(state)[:3]) == pytest.approx(1.5 * force, rel=1e-6)
 
 
-def test_a_touch_beyond_the_model_says_so() -> None:
+def test_a_touch_beyond_the_model_says_so():
     voxmap = Voxmap.from_surface(
         torso(), shape=(24, 24, 20), r_inner=0.03, sector=(0.5, 2.6)
     )
@@ -181,7 +177,7 @@ def test_a_touch_beyond_the_model_says_so() -> None:
     assert "part of the contact" in part.touches[0].notes[0]
 
 
-def test_what_limits_a_force_is_said() -> None:
+def test_what_limits_a_force_is_said():
     strong = ViewState([field(20.0)], probe())
     strong.press(0.03)
     settle(strong)
@@ -193,7 +189,7 @@ def test_what_limits_a_force_is_said() -> None:
     assert any("end of the model" in note for note in ends.touches[0].notes)
 
 
-def test_without_a_probe_there_is_nothing_to_move() -> None:
+def test_without_a_probe_there_is_nothing_to_move():
     still = ViewState([field()], None, recorded())
     assert not still.advance(FRAME)
     assert still.touches == ()
@@ -201,7 +197,7 @@ def test_without_a_probe_there_is_nothing_to_move() -> None:
     refuses(InputError, "no recording", still.show_frame, 0)
 
 
-def test_fields_of_two_patients_are_refused() -> None:
+def test_fields_of_two_patients_are_refused():
     other = Surface.from_radius(np.full((90, 31), 0.1), torso().z)
     voxmap = Voxmap.from_surface(other, shape=(24, 48, 20), r_inner=0.03)
     round_one = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
@@ -209,7 +205,7 @@ def test_fields_of_two_patients_are_refused() -> None:
     refuses(InputError, "one field or two", ViewState, [], probe())
 
 
-def test_depth_is_that_of_the_deepest_point(state: ViewState) -> None:
+def test_depth_is_that_of_the_deepest_point(state):
     state.put(state.pose[0], state.pose[1] + [0.0, 0.01, 0.0])
     settle(state)
     R, x = state.pose

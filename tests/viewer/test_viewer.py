@@ -1,12 +1,9 @@
 """A served page without a browser: what it sends, and that it ends."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,13 +18,12 @@ from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.page import along_line, front_of
-from ttus_opt.viewer.skin import SkinMesh
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
 
-def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
+def until(true, seconds=60.0):
     """Wait for something to become true."""
     end = time.monotonic() + seconds
     while not true():
@@ -35,7 +31,7 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
         time.sleep(0.02)
 
 
-def vertex_colours(glb: bytes) -> np.ndarray:
+def vertex_colours(glb):
     """COLOR_0 of a binary glTF of one mesh, red, green and blue."""
     (length,) = struct.unpack_from("<I", glb, 12)
     tree = json.loads(glb[20 : 20 + length])
@@ -47,14 +43,14 @@ def vertex_colours(glb: bytes) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def viewer() -> Iterator[Viewer]:
+def viewer():
     both = [field(), field(2.0)]
     with tt.view(both, probe(), recorded(), names=["one", "two"], port=0) as open_one:
         assert open_one.page.jobs.wait(30.0)
         yield open_one
 
 
-def test_the_colour_of_a_node_is_that_of_its_value(viewer: Viewer) -> None:
+def test_the_colour_of_a_node_is_that_of_its_value(viewer):
     skin = viewer.page.skin
     lows, highs = zip(*(one.span for one in skin.colourings("Stiffness")), strict=True)
     span = min(lows), max(highs)  # one scale for both fields
@@ -73,7 +69,7 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer: Viewer) -> None:
         )
 
 
-def test_the_probe_goes_where_the_hand_is(viewer: Viewer) -> None:
+def test_the_probe_goes_where_the_hand_is(viewer):
     viewer.state.slide(2.0, 0.08)
     viewer.state.press(0.009)
     until(
@@ -93,7 +89,7 @@ def test_the_probe_goes_where_the_hand_is(viewer: Viewer) -> None:
     np.testing.assert_allclose(arrow[1] - arrow[0], 0.008 * force, atol=1e-6)
 
 
-def test_sections_follow_and_cut_the_skin_open(viewer: Viewer) -> None:
+def test_sections_follow_and_cut_the_skin_open(viewer):
     tab, nodes = viewer.page.section, viewer.page.stage.nodes[0]
     whole = len(nodes._faces)
     tab.choice.value = "axial"
@@ -111,7 +107,7 @@ def test_sections_follow_and_cut_the_skin_open(viewer: Viewer) -> None:
     assert not nodes._image.visible
 
 
-def test_a_recording_plays_to_its_end(viewer: Viewer) -> None:
+def test_a_recording_plays_to_its_end(viewer):
     tab = viewer.page.recording
     assert tab is not None
     tab._go(0)
@@ -123,7 +119,7 @@ def test_a_recording_plays_to_its_end(viewer: Viewer) -> None:
     until(lambda: "moved by hand" in viewer.page._numbers.content)
 
 
-def test_what_a_colouring_needs_is_said(viewer: Viewer) -> None:
+def test_what_a_colouring_needs_is_said(viewer):
     viewer.page.skin.show("Next press")
     until(lambda: "tt.uncertainty" in viewer.page.skin._legend.content)
     viewer.page.skin.show("Uncertainty")
@@ -133,15 +129,15 @@ def test_what_a_colouring_needs_is_said(viewer: Viewer) -> None:
 
 
 def test_where_to_press_next_is_computed_when_it_is_looked_at(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked: list[object] = []
+    monkeypatch,
+):
+    asked = []
 
-    def found(stated: object, skin: SkinMesh) -> tuple[Colouring, None]:
+    def found(stated, skin):
         values, marks = np.ones(len(skin.theta)), skin.vertices[:2]
         return Colouring("Next press", "spread", "N", values, marks=marks), None
 
-    def stated() -> object:
+    def stated():
         asked.append("once")
         return object()
 
@@ -159,8 +155,8 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(
 
 
 def test_the_running_plots_are_level_while_nothing_moves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(Viewer, "_run", lambda _: None)  # this test's clock alone
     with tt.view(field(), probe(), port=0) as one:
         tab, points = one.page.probe, one.page.probe._points
@@ -186,13 +182,11 @@ def test_the_running_plots_are_level_while_nothing_moves(
         assert force[0] == 1.0
 
 
-def test_a_fault_is_told_and_the_page_goes_on(
-    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[str] = []
+def test_a_fault_is_told_and_the_page_goes_on(viewer, monkeypatch):
+    told = []
     monkeypatch.setattr(viewer.page, "tell", told.append)
 
-    def broken() -> None:
+    def broken():
         raise RuntimeError("no numbers")
 
     monkeypatch.setattr(viewer.page, "write", broken)
@@ -203,7 +197,7 @@ def test_a_fault_is_told_and_the_page_goes_on(
     until(lambda: "7.0" in viewer.page._numbers.content)
 
 
-def test_a_new_field_is_shown(viewer: Viewer) -> None:
+def test_a_new_field_is_shown(viewer):
     with tt.view(field(), probe(), port=0) as one:
         before = np.linalg.norm(one.state.touches[0].wrench.force)
         one.update(field(3.0))
@@ -214,7 +208,7 @@ def test_a_new_field_is_shown(viewer: Viewer) -> None:
         )
 
 
-def test_it_closes_twice_and_frees_its_port() -> None:
+def test_it_closes_twice_and_frees_its_port():
     one = tt.view(field(), probe(), port=0)
     port = one._server.get_port()
     one.close()
@@ -225,7 +219,7 @@ def test_it_closes_twice_and_frees_its_port() -> None:
     again.close()
 
 
-def test_a_notebook_shows_the_page() -> None:
+def test_a_notebook_shows_the_page():
     named = replace(field(), provenance={"probe": "ellipsoid:0.02,0.015,0.015"})
     with named.view(port=0) as one:
         assert one.state.shell is not None  # of the provenance
@@ -233,13 +227,13 @@ def test_a_notebook_shows_the_page() -> None:
         assert one.url in repr(one)
 
 
-def test_a_probe_is_taken_from_the_provenance_where_it_says_all() -> None:
+def test_a_probe_is_taken_from_the_provenance_where_it_says_all():
     for spec, points in (("sphere:0.02", 1500), ("probe.stl", None), ("", None)):
         found = probe_of(replace(field(), provenance={"probe": spec}))
         assert (found and len(found)) == points
 
 
-def test_without_a_probe_one_looks_only() -> None:
+def test_without_a_probe_one_looks_only():
     with tt.view(field(), port=0) as one:
         assert one.page.probe is None
         assert one.page.jobs.wait(20.0)
@@ -247,19 +241,19 @@ def test_without_a_probe_one_looks_only() -> None:
         assert one.page.skin.choice.options == ("Seen", "Uncertainty")
 
 
-def test_names_are_as_many_as_fields() -> None:
+def test_names_are_as_many_as_fields():
     with pytest.raises(InputError, match="as many names"):
         tt.view([field(), field(2.0)], probe(), names=["one"], port=0)
 
 
-def test_the_front_is_what_was_seen() -> None:
+def test_the_front_is_what_was_seen():
     assert front_of(torso()).tolist() == [0.0, 1.0, 0.0]
     right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
     one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
     np.testing.assert_allclose(front_of(one_side), [1.0, 0.0, 0.0], atol=1e-6)
 
 
-def test_a_pointer_is_followed_along_a_line() -> None:
+def test_a_pointer_is_followed_along_a_line():
     rng = np.random.default_rng(3)
     point, way = np.array([0.1, -0.2, 0.6]), rng.normal(size=3)
     way /= np.linalg.norm(way)

@@ -2,7 +2,6 @@
 
 import functools
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -68,7 +67,7 @@ def late(t, frames=4):
 
 
 #: The option that mends a mistake: what was written, and how it is told
-MISTAKES: dict[str, tuple[Callable[[Trajectory], Trajectory], str]] = {
+MISTAKES = {
     "--flip-wrench": (flipped, "forces of the opposite sign"),
     "--wrench-frame tool": (in_tool_axes, "wrenches in the tool's axes"),
     "--wrench-frame tool --flip-wrench": (

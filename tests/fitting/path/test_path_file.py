@@ -3,7 +3,6 @@
 import functools
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ def scene():
 
 
 def solve(file, name="eq10", **given):
-    asked: dict[str, Any] = {"weights": {("force", "torque"): WEIGHTS}, **given}
+    asked = {"weights": {("force", "torque"): WEIGHTS}, **given}
     asked.setdefault("held_out", presses(torso(), 5, np.random.default_rng(3)))
     return tt.solution_path(name, asked.pop("scene", scene()), file=file, **asked)
 
@@ -43,7 +42,7 @@ def kept():
 def solved(monkeypatch):
     """The points that were computed."""
     kept()
-    seen: list[object] = []
+    seen = []
     plain = PathRecord.add
 
     def counted(self, at, solution, *more):
@@ -87,7 +86,7 @@ def same(one, other, rtol):
 
 @pytest.mark.parametrize("name", EVERY_KIND)
 def test_a_stopped_path_ends_like_one_that_was_not(name, tmp_path, monkeypatch, solved):
-    more: dict[str, Any] = {"extras": ["potential"]}
+    more = {"extras": ["potential"]}
     if name == "eq10":
         more["extras"] = ["potential", "criteria"]
     whole, file = solve(None, name, **more), tmp_path / "path.nc"

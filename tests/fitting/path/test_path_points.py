@@ -1,7 +1,6 @@
 """Points of a path in several processes."""
 
 import warnings
-from typing import Any
 
 import pytest
 
@@ -17,7 +16,7 @@ def warned(declared):
 
 def test_a_warning_of_several_points_is_told_once():
     points = [(0,), (1,), (2,)]
-    found: Any = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")
+    found = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")
     with pytest.warns(TtusWarning) as told:
         by_point = {index: fit for index, fit, _ in found}
     assert by_point == {(i,): f"fit of {i % 2}" for i in range(3)}

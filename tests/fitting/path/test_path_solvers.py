@@ -1,7 +1,6 @@
 """How the points of a path are solved: each the minimiser of its own weights."""
 
 import functools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from tests.solvers.own_terms import Differences
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.path import path_solvers
 from ttus_opt.fitting.path.path_solvers import point_solver
-from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.solution import Solution, Status
+from ttus_opt.problem.formulation import load
+from ttus_opt.problem.solution import Status
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
@@ -47,8 +46,8 @@ def in_basis(declared, request=None):
 @pytest.fixture
 def singly(monkeypatch):
     """Formulations that were solved by fits of their own."""
-    seen: list[Formulation] = []
-    plain: Callable[..., Solution] = path_solvers._InTurn.__call__
+    seen = []
+    plain = path_solvers._InTurn.__call__
 
     def counted(self, declared):
         seen.append(declared)
@@ -61,7 +60,7 @@ def singly(monkeypatch):
 @pytest.fixture
 def asked(monkeypatch):
     """Accuracies that the basis was asked for."""
-    seen: list[float] = []
+    seen = []
     plain = WeightSweep.solve
 
     def told(self, root, rtol, *more):

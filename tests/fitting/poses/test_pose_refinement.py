@@ -4,7 +4,6 @@ import warnings
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -183,10 +182,10 @@ def standing(deep, segment):
     frames = np.arange(n)
     xi = np.zeros((n, 6))
     xi[:, 2] = -np.array(deep)
-    scene: Any = SimpleNamespace(trajectory=trajectory)
+    scene = SimpleNamespace(trajectory=trajectory)
     alike, unused = noise.correlations(trajectory, frames), None
     normal = sp.csr_array(np.kron(np.eye(n), [[0.0, 0.0, 1.0]]))
-    at: Any = unused, frames, frames, alike, unused, normal
+    at = unused, frames, frames, alike, unused, normal
     return PoseErrorProblem(scene, noise, *at), xi
 
 
@@ -214,7 +213,7 @@ def test_no_forces_refine_nothing():
 def test_steps_that_do_not_end_give_no_poses(monkeypatch):
     monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
-    begun: list[int] = []
+    begun = []
     with pytest.raises(NumericalError, match=r"still move by .* after 2 steps"):
         refine_poses(examined(1.0, 60)[0], progress=lambda: begun.append(1))
     assert len(begun) == 2

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -7,8 +5,6 @@ from hypothesis import strategies as st
 
 from tests.conftest import small_scene
 from tests.refusals import refuses
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.fitting.recursion import dual_recursion, field_refinement
 from ttus_opt.fitting.recursion.dual_recursion import DualRecursion
@@ -22,7 +18,7 @@ HEIGHT = 3
 class Problem:
     """Random local rows on a small torso, and eq. 10 by explicit dense Q."""
 
-    def __init__(self, scene: Scene, n_blocks: int, seed: int, weight: float) -> None:
+    def __init__(self, scene, n_blocks, seed, weight):
         rng = np.random.default_rng(seed)
         self.scene = scene
         self.blocks, rows = [], []
@@ -36,17 +32,15 @@ class Problem:
         self.D = np.array(rows)
         self.targets = rng.normal(size=(n_blocks, HEIGHT)) * 3.0 * np.sqrt(weight)
 
-    def start(self) -> DualRecursion:
+    def start(self):
         scene = self.scene
         return DualRecursion(scene.laplace, scene.b, height=HEIGHT)
 
-    def fold(self, system: DualRecursion, which: list[int]) -> None:
+    def fold(self, system, which):
         for s in which:
             system.append(system.forecast(self.blocks[s]), self.targets[s])
 
-    def dense(
-        self, which: list[int], weights: Array | None = None
-    ) -> tuple[Array, Array]:
+    def dense(self, which, weights=None):
         """Q and p of the blocks, each with a weight of its own."""
         L = self.scene.L.toarray()
         w = np.ones(len(which)) if weights is None else weights
@@ -65,7 +59,7 @@ def coarse():
     return small_scene(shape=(7, 12, 7), n_poses=2)
 
 
-def close(a: Array, b: Array, tolerance: float = 1e-8) -> bool:
+def close(a, b, tolerance=1e-8):
     return bool(np.linalg.norm(a - b) <= tolerance * np.linalg.norm(b))
 
 
@@ -207,7 +201,7 @@ def test_solves_that_fail_leave_what_is_held(coarse, monkeypatch):
     # whatever goes with the first two blocks is known from the next two
     problem.fold(system, [0, 1, 0, 1, 2])
 
-    def fails(*_: object, **__: object) -> Array:
+    def fails(*_, **__):
         raise NumericalError("no convergence")
 
     with monkeypatch.context() as patch:
@@ -247,7 +241,7 @@ def test_a_factor_that_is_not_positive_is_made_anew(coarse, monkeypatch):
     problem.fold(system, list(range(4)))
     spoilt, rebuild = system._kernel, system._rebuild
     monkeypatch.setattr(spoilt, "solve", lambda residual: -residual, raising=False)
-    rebuilt: list[bool] = []
+    rebuilt = []
     monkeypatch.setattr(
         system, "_rebuild", lambda: (rebuilt.append(True), rebuild())[1]
     )

@@ -1,13 +1,9 @@
 """Conjugate gradients of the dual system against its dense solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.recursion import field_refinement
 from ttus_opt.fitting.recursion.field_refinement import FIELD_RTOL, refined
 from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel
@@ -20,7 +16,7 @@ HEIGHT, BLOCKS = 3, 4
 class Unpreconditioned(LowRankKernel):
     """No factor at all: R = 0."""
 
-    def solve(self, right_side: Array) -> Array:
+    def solve(self, right_side):
         return right_side
 
 
@@ -29,11 +25,11 @@ def coarse():
     return small_scene(shape=(7, 12, 7), n_poses=2)
 
 
-def prior_of(scene: Scene) -> LaplacePrior:
+def prior_of(scene):
     return LaplacePrior(scene.laplace, np.ones(scene.n_voxels))
 
 
-def measured(scene: Scene, weight: float) -> tuple[MeasuredRows, Array]:
+def measured(scene, weight):
     """Random local rows, and the same dense."""
     rng, V = np.random.default_rng(12), scene.n_voxels
     rows, dense = MeasuredRows(V, HEIGHT), np.zeros((BLOCKS * HEIGHT, V))

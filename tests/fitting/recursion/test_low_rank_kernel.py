@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.low_rank_kernel import MORE, LowRankKernel
 from ttus_opt.fitting.recursion.pivots import JITTER
@@ -13,26 +10,26 @@ from ttus_opt.fitting.recursion.pivots import JITTER
 TOLERANCE = 1e-9
 
 
-def gram(n: int, rank: int, rng: np.random.Generator, scale: float = 1.0) -> Array:
+def gram(n, rank, rng, scale=1.0):
     """K of so low a rank."""
     G = rng.normal(size=(n, rank)) * scale
     return G @ G.T
 
 
-def dense(kernel: LowRankKernel) -> Array:
+def dense(kernel):
     """R with all its zeros, shape (n, k)."""
     columns = [kernel.times(column) for column in np.eye(kernel.rank)]
     return np.array(columns).reshape(kernel.rank, len(kernel)).T
 
 
 def extend(
-    kernel: LowRankKernel,
-    K: Array,
-    held: Array,
-    new: Array,
-    tolerance: float = TOLERANCE,
-    numbers: Array | None = None,
-) -> None:
+    kernel,
+    K,
+    held,
+    new,
+    tolerance=TOLERANCE,
+    numbers=None,
+):
     """Take rows `new` of K in, beside those that rows of the kernel are."""
     o = kernel.project(
         kernel.coordinates(K[np.ix_(new, held[kernel.pivots])]),
@@ -44,13 +41,13 @@ def extend(
 
 
 def shrink(
-    kernel: LowRankKernel,
-    K: Array,
-    kept: Array,
-    start: int,
-    count: int,
-    tolerance: float = TOLERANCE,
-) -> None:
+    kernel,
+    K,
+    kept,
+    start,
+    count,
+    tolerance=TOLERANCE,
+):
     """Take rows out, and compare anew what stands for them; `kept` are the others."""
     rows = kernel.remove(start, count, tolerance)
     if len(rows):
@@ -58,7 +55,7 @@ def shrink(
         extend(kernel, K, kept, kept[rows], tolerance, rows)
 
 
-def grown(K: Array, step: int, tolerance: float = TOLERANCE) -> LowRankKernel:
+def grown(K, step, tolerance=TOLERANCE):
     """The kernel of K, a few rows at a time."""
     kernel = LowRankKernel()
     for low in range(0, len(K), step):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,9 +9,7 @@ from ttus_opt.fitting.recursion.measured_rows import ROOM, Block, MeasuredRows
 V = 30
 
 
-def random_rows(
-    counts: list[int], height: int, rng: np.random.Generator
-) -> tuple[MeasuredRows, np.ndarray]:
+def random_rows(counts, height, rng):
     """Rows with so many voxels per block, and the same as a dense matrix."""
     rows, dense = MeasuredRows(V, height), []
     for count in counts:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +8,16 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, some, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.field_refinement import FIELD_RTOL
-from ttus_opt.fitting.recursion.recursive import Innovation, RecursiveFit
+from ttus_opt.fitting.recursion.recursive import RecursiveFit
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.voxmap import Voxmap
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 3e-3}
 
 
-def batch(scene: Scene, frames: list[int] | slice) -> Scene:
+def batch(scene, frames):
     """The scene with some of its frames, assembled anew."""
     at = np.arange(len(scene.trajectory))[frames]
     return Scene.assemble(
@@ -34,9 +30,7 @@ def batch(scene: Scene, frames: list[int] | slice) -> Scene:
     )
 
 
-def fold(
-    fit: RecursiveFit, trajectory: Trajectory, frames: list[int]
-) -> list[Innovation]:
+def fold(fit, trajectory, frames):
     assert trajectory.force is not None
     assert trajectory.torque is not None
     return [
@@ -50,18 +44,18 @@ def fold(
     ]
 
 
-def difference(fit: RecursiveFit, other: Array) -> float:
+def difference(fit, other):
     values = fit.field.values
     return float(np.linalg.norm(values - other) / np.linalg.norm(other))
 
 
-def speaking(scene: Scene) -> list[int]:
+def speaking(scene):
     """Frames that sample the field; touching the skin alone says nothing."""
     entries = np.diff(scene.N.indptr).reshape(-1, 3).sum(axis=1)
     return np.flatnonzero(entries).tolist()
 
 
-def closed_form(scene: Scene, **options: float) -> Array:
+def closed_form(scene, **options):
     return tt.fit(scene, "eq10", solver="closed_form", **options).field.values
 
 
@@ -209,7 +203,7 @@ def test_innovation_is_predicted_by_the_dense_posterior(which):
     assert seen.accepted == (seen.nis <= seen.threshold)
 
 
-def consistent(scene: Scene, std: float, seed: int) -> Trajectory:
+def consistent(scene, std, seed):
     """The scene's poses with wrenches of a field drawn from the prior, and noise."""
     rng = np.random.default_rng(seed)
     scale = np.sqrt(WEIGHTS["force_weight"]) * std

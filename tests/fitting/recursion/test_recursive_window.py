@@ -20,7 +20,6 @@ from hypothesis.stateful import (
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.recursion.dual_recursion import DualRecursion
 from ttus_opt.fitting.recursion.recursive import RecursiveFit
 from ttus_opt.probe.trajectory import Trajectory
@@ -37,7 +36,7 @@ SILENT = -1
 
 
 @functools.cache
-def scene() -> Scene:
+def scene():
     """A handful of voxels, and a probe that lingers, wanders and jumps."""
     surface, rng = torso(), np.random.default_rng(3)
     at, poses = np.repeat([0, 1, 2], [7, 7, 6]), presses(surface, 3, rng)
@@ -64,29 +63,29 @@ def scene() -> Scene:
 class DenseSolves:
     """Solves with a dense L, and as wrong as their relative residual may be."""
 
-    def __init__(self, told: Scene) -> None:
+    def __init__(self, told):
         self.grid = told.laplace.grid
         self._inverse = np.linalg.inv(told.L.toarray())
         self._error = np.random.default_rng(1).normal(size=told.n_voxels)
         self._error /= np.linalg.norm(self._error)
 
-    def solve(self, right_side: Array, *, rtol: float = 1e-12) -> Array:
+    def solve(self, right_side, *, rtol=1e-12):
         error = rtol * np.linalg.norm(right_side) * self._error
         return self._inverse @ (right_side + error)
 
-    def solve_adjoint(self, right_side: Array, *, rtol: float = 1e-12) -> Array:
+    def solve_adjoint(self, right_side, *, rtol=1e-12):
         error = rtol * np.linalg.norm(right_side) * self._error
         return (right_side + error) @ self._inverse
 
 
 @functools.cache
-def quick() -> Scene:
+def quick():
     """The scene with solves that take no time."""
-    return replace(scene(), laplace=DenseSolves(scene()))  # type: ignore[arg-type]
+    return replace(scene(), laplace=DenseSolves(scene()))
 
 
 @functools.cache
-def dense() -> tuple[Array, Array, Array, Array]:
+def dense():
     """p₀, unweighted rows H of all poses, L⁻¹L⁻ᵀHᵀ, and targets."""
     told = scene()
     L, n = told.L.toarray(), len(told.trajectory)
@@ -103,7 +102,7 @@ def dense() -> tuple[Array, Array, Array, Array]:
     return np.linalg.solve(L, told.b), H, X, t.reshape(-1)
 
 
-def batch(poses: list[int], weights: list[float]) -> Array:
+def batch(poses, weights):
     """Eq. 10's field of poses with weights of their own, without any recursion."""
     p0, H, X, t = dense()
     # what was measured twice has twice the weight
@@ -114,7 +113,7 @@ def batch(poses: list[int], weights: list[float]) -> Array:
     return p0 + X @ (roots * y)
 
 
-def start(weight: float, told: Scene) -> RecursiveFit:
+def start(weight, told):
     return RecursiveFit(
         told,
         force_weight=weight,
@@ -124,7 +123,7 @@ def start(weight: float, told: Scene) -> RecursiveFit:
     )
 
 
-def add(fit: RecursiveFit, pose: int) -> None:
+def add(fit, pose):
     if pose == SILENT:
         far = np.array([9.0, 0.0, 0.1])
         fit.update(np.eye(3), far, np.ones(3), np.zeros(3))
@@ -140,38 +139,38 @@ def add(fit: RecursiveFit, pose: int) -> None:
 class Held:
     """A fit, and what it shall hold: number, pose and weight, in the order of time."""
 
-    def __init__(self, weight: float, told: Scene) -> None:
+    def __init__(self, weight, told):
         self.fit = start(weight, told)
         self.weight = weight
         self.count = 0
         self.entries: list[tuple[int, int, float]] = []
 
-    def add(self, pose: int) -> None:
+    def add(self, pose):
         add(self.fit, pose)
         self.entries.append((self.count, pose, self.weight))
         self.count += 1
 
-    def keep(self, window: int) -> None:
+    def keep(self, window):
         self.fit.forget(window=window)
         self.entries = self.entries[max(0, len(self.entries) - window) :]
         # one too many that goes now would have gone next: look at once
         self.compare_numbers()
 
-    def fade(self, factor: float) -> None:
+    def fade(self, factor):
         self.fit.forget(factor)
         self.entries = [(i, pose, factor * w) for i, pose, w in self.entries]
 
-    def remove(self, place: int) -> None:
+    def remove(self, place):
         number, _, _ = self.entries.pop(place % len(self.entries))
         self.fit.downdate(number)
 
-    def compare_numbers(self) -> None:
+    def compare_numbers(self):
         """What shall be held is held, and nothing else."""
         touching = tuple(i for i, pose, _ in self.entries if pose != SILENT)
         assert self.fit.measurements == len(self.entries)
         assert self.fit.in_contact == touching
 
-    def check(self) -> float:
+    def check(self):
         """The distance from the batch fit of what shall be held."""
         self.compare_numbers()
         touching = [entry for entry in self.entries if entry[1] != SILENT]
@@ -193,45 +192,45 @@ class Measurements(RuleBasedStateMachine):
     """Anything a caller may do, in any order."""
 
     @initialize(weight=st.sampled_from(WEIGHTS))
-    def begin(self, weight: float) -> None:
+    def begin(self, weight):
         self.held = Held(weight, quick())
 
     @rule(poses=st.lists(st.integers(-1, 39), min_size=1, max_size=6))
-    def add(self, poses: list[int]) -> None:
+    def add(self, poses):
         for pose in poses:
             self.held.add(pose)
 
     @rule(pose=st.integers(0, 39), times=st.integers(1, 5))
-    def linger(self, pose: int, times: int) -> None:
+    def linger(self, pose, times):
         for _ in range(times):
             self.held.add(pose)
 
     @rule(window=st.integers(0, 12))
-    def keep(self, window: int) -> None:
+    def keep(self, window):
         self.held.keep(window)
 
     @rule(factor=st.floats(0.05, 1.0))
-    def fade(self, factor: float) -> None:
+    def fade(self, factor):
         self.held.fade(factor)
 
     @precondition(lambda self: self.held.entries)
     @rule()
-    def remove_the_oldest(self) -> None:
+    def remove_the_oldest(self):
         self.held.remove(0)
 
     @precondition(lambda self: self.held.entries)
     @rule(place=st.integers(0, 100))
-    def remove_any(self, place: int) -> None:
+    def remove_any(self, place):
         self.held.remove(place)
 
     @rule(weight=st.sampled_from(WEIGHTS))
-    def fold_what_is_held_with_another_weight(self, weight: float) -> None:
+    def fold_what_is_held_with_another_weight(self, weight):
         entries, self.held = self.held.entries, Held(weight, quick())
         for _, pose, _ in entries:
             self.held.add(pose)
 
     @invariant()
-    def is_the_batch_fit(self) -> None:
+    def is_the_batch_fit(self):
         assert self.held.check() < EXACT
 
 
@@ -244,7 +243,7 @@ Measurements.TestCase.settings = settings(
 TestMeasurements = Measurements.TestCase
 
 
-def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> None:
+def slide(held, updates, window, every, fading):
     """Measure for ever, and compare with the batch fit every so often."""
     rng = np.random.default_rng(window)
     pose = 0

@@ -1,23 +1,20 @@
 """Every change of a factor against a factorisation anew, by numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.recursion import triangular_factor as triangle
 
 SIZES = [1, 2, 7, 40]
 
 
-def factor(k: int, seed: int = 0) -> Array:
+def factor(k, seed=0):
     """A lower triangle with a positive diagonal."""
     A = np.random.default_rng(seed).normal(size=(k, k + 3))
     return np.linalg.cholesky(A @ A.T + np.eye(k))
 
 
-def close(found: Array, expected: Array) -> None:
+def close(found, expected):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)
 

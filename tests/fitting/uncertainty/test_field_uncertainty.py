@@ -1,7 +1,5 @@
 """Covariance of errors against dense algebra, draws, and fits of perturbed data."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -16,11 +14,9 @@ from tests.fitting.uncertainty import test_wrench_noise
 from tests.fitting.weights import test_weight_criteria
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
+from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.uncertainty.wrench_noise import PRIORS
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.solution import Solution
 
 FORCE, TORQUE = 30.0, 3.0
 
@@ -29,28 +25,28 @@ KEPT_SHARE = "ignore:uncertainty. the recordings do not tell errors of whole pla
 
 
 @functools.cache
-def three_presses() -> Scene:
+def three_presses():
     """Frames in contact with one in the air after every four."""
     return test_weight_criteria.three_presses()
 
 
 @functools.cache
-def fitted() -> Solution:
+def fitted():
     return tt.fit(three_presses(), "eq10", force_weight=FORCE, torque_weight=TORQUE)
 
 
 @functools.cache
-def exact() -> Uncertainty:
+def exact():
     with pytest.warns(TtusWarning, match="errors of whole places"):
         return uncertainty(fitted(), three_presses())
 
 
 @functools.cache
-def unseen() -> Trajectory:
+def unseen():
     return presses(torso(), 5, np.random.default_rng(7))
 
 
-def wrench_rows(scene: Scene, trajectory: Trajectory) -> np.ndarray:
+def wrench_rows(scene, trajectory):
     """Six rows per frame, one frame after the other."""
     there = Scene.assemble(scene.voxmap, scene.shell, trajectory, inner=1.0)
     T, V = len(trajectory), scene.n_voxels
@@ -58,7 +54,7 @@ def wrench_rows(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     return np.concatenate(parts, axis=1).reshape(6 * T, V)
 
 
-def noise_of(found: Uncertainty) -> np.ndarray:
+def noise_of(found):
     """Covariance of the errors of force and torque over ℓ, by dense algebra."""
     scene = found.scene
     wrench = np.hstack(
@@ -75,9 +71,7 @@ def noise_of(found: Uncertainty) -> np.ndarray:
     return np.asarray(whole[np.ix_(order, order)] * np.outer(scale, scale))
 
 
-def dense_errors(
-    C: np.ndarray, found: Uncertainty, weights: tuple[float, float] = (FORCE, TORQUE)
-) -> np.ndarray:
+def dense_errors(C, found, weights=(FORCE, TORQUE)):
     """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ.
 
     Args:
@@ -93,7 +87,7 @@ def dense_errors(
     return np.asarray(found.variance * left @ C @ left.T + G @ noise_of(found) @ G.T)
 
 
-def of_model(found: Uncertainty, trajectory: Trajectory) -> np.ndarray:
+def of_model(found, trajectory):
     """Errors of the model at places of their own, six rows per frame."""
     wrench = wrench_rows(found.scene, trajectory) @ found.potential.values.ravel()
     frames = len(trajectory)
@@ -101,12 +95,12 @@ def of_model(found: Uncertainty, trajectory: Trajectory) -> np.ndarray:
     return test_wrench_noise.dense(noise, wrench.reshape(-1, 6), np.arange(frames))
 
 
-def of_field(found: Uncertainty) -> np.ndarray:
+def of_field(found):
     """Errors of the field alone in unseen frames, shape (5, 6, 6)."""
     return found.covariance(sp.csr_array(wrench_rows(found.scene, unseen())), 6)
 
 
-def laplace_covariance(scene: Scene) -> np.ndarray:
+def laplace_covariance(scene):
     """(LᵀL)⁻¹."""
     L = scene.L.toarray()
     return np.linalg.inv(L.T @ L)
@@ -187,7 +181,7 @@ def test_prior_and_noise_are_the_likeliest():
     t = np.concatenate([scene.f, scene.tau / scene.torque_length])[touching]
     misfit = t - D @ np.linalg.solve(scene.L.toarray(), scene.b)
 
-    def log_posterior(other: Uncertainty) -> float:
+    def log_posterior(other):
         """But for a constant."""
         noise = noise_of(other)[np.ix_(touching, touching)]
         density = scipy.stats.multivariate_normal(
@@ -266,7 +260,7 @@ def test_a_fitted_scale_is_doubted_too():
     np.testing.assert_allclose(more, size, rtol=0.03)
 
 
-def replaced(given: Uncertainty, other: Uncertainty) -> Uncertainty:
+def replaced(given, other):
     """One with the prior and the noise of another."""
     errors = other._posterior.errors
     return replace(given, _posterior=replace(given._posterior, errors=errors))
@@ -297,6 +291,6 @@ def test_what_has_no_such_posterior_is_refused():
         with pytest.raises(InputError, match="depth must be"):
             uncertainty(fitted(), three_presses(), depth=depth)
     with pytest.raises(InputError, match="exact or samples"):
-        uncertainty(fitted(), three_presses(), method="sample")  # type: ignore[arg-type]
+        uncertainty(fitted(), three_presses(), method="sample")
     with pytest.raises(InputError, match="comparators have no uncertainty"):
-        uncertainty(tt.Renderer(fitted().field, three_presses().shell), three_presses())  # type: ignore[arg-type]
+        uncertainty(tt.Renderer(fitted().field, three_presses().shell), three_presses())

@@ -1,7 +1,5 @@
 """Covariance and draws of a field's error against dense algebra, on few voxels."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from unittest.mock import patch
@@ -11,7 +9,6 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.uncertainty import laplace_posterior
 from ttus_opt.fitting.uncertainty.laplace_posterior import (
     SCALE_DEVIATION,
@@ -26,7 +23,7 @@ V = SCENE.n_voxels
 VARIANCE = 0.3
 
 
-def errors_of(n_rows: int) -> ErrorModel:
+def errors_of(n_rows):
     """Noise of frames of three rows each, with parts that frames of a place share."""
     rng, n = np.random.default_rng(0), n_rows // 3
     own = np.tril(rng.normal(0.0, 0.3, (n, 3, 3))) + 0.5 * np.eye(3)
@@ -36,7 +33,7 @@ def errors_of(n_rows: int) -> ErrorModel:
     return ErrorModel(VARIANCE, own, shared, np.arange(n) // 2, at, rows)
 
 
-def noise_of(errors: ErrorModel) -> Array:
+def noise_of(errors):
     """Σ of an error model, row by row."""
     n = len(errors.own)
     out = np.zeros((3 * n, 3 * n))
@@ -52,7 +49,7 @@ def noise_of(errors: ErrorModel) -> Array:
 
 
 @functools.cache
-def made(scale: bool = False) -> tuple[LaplacePosterior, Array, Array]:
+def made(scale=False):
     """The posterior, its weighted rows D and what dense algebra says of the error."""
     weights = {"force_weight": 40.0, "torque_weight": 5.0}
     data = DualData.of(load("eq10", SCENE, **weights).compile())
@@ -72,7 +69,7 @@ def made(scale: bool = False) -> tuple[LaplacePosterior, Array, Array]:
     return bare.with_errors(errors), D, exact
 
 
-def some_rows() -> sp.csr_array:
+def some_rows():
     """Four blocks of three rows, one of them empty."""
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, V)) * (rng.uniform(size=(12, V)) < 0.05)

@@ -1,7 +1,5 @@
 """Greedy choice against conditioning, and suggestions on a torso with three presses."""
 
-from __future__ import annotations
-
 import functools
 import math
 
@@ -11,9 +9,8 @@ import pytest
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import KEPT_SHARE, three_presses
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
+from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.next_press import (
-    NextPresses,
     greedy,
     next_press,
     normal_forces,
@@ -21,7 +18,7 @@ from ttus_opt.fitting.uncertainty.next_press import (
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 
 
-def conditioned(C: np.ndarray, noise: np.ndarray, chosen: list[int]) -> np.ndarray:
+def conditioned(C, noise, chosen):
     """Covariance of all, given measurements of some."""
     among = C[np.ix_(chosen, chosen)] + np.diag(noise[chosen])
     return np.asarray(C - C[:, chosen] @ np.linalg.solve(among, C[chosen]))
@@ -34,7 +31,7 @@ def test_it_takes_what_explains_most_of_what_is_left():
     noise[3] = np.inf  # cannot be measured
     region = np.arange(12) < 7
     chosen, shares, std = greedy(C, noise, region, 4)
-    taken: list[int] = []
+    taken = []
     before = C
     for one, share in zip(chosen.tolist(), shares.tolist(), strict=True):
         left = [
@@ -52,12 +49,12 @@ def test_it_takes_what_explains_most_of_what_is_left():
 
 
 @functools.cache
-def stated() -> Uncertainty:
+def stated():
     return uncertainty(tt.fit(three_presses(), "depth_map"), three_presses())
 
 
 @functools.cache
-def suggested() -> NextPresses:
+def suggested():
     return next_press(stated(), 3, spacing=0.04, depth=0.006)
 
 
@@ -126,4 +123,4 @@ def test_poses_are_written_as_a_trajectory(tmp_path):
 )
 def test_what_gives_no_place_is_refused(given, told):
     with pytest.raises(InputError, match=told):
-        next_press(stated(), **{"spacing": 0.04, "depth": 0.006} | given)  # type: ignore[arg-type]
+        next_press(stated(), **{"spacing": 0.04, "depth": 0.006} | given)

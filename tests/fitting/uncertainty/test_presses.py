@@ -1,7 +1,5 @@
 """Presses, and those of one place."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -30,7 +28,7 @@ def test_recordings_and_air_part_presses():
 
 
 @functools.cache
-def pressed() -> Scene:
+def pressed():
     """Two presses at one place, two beside it, and a line over them."""
     angle = np.concatenate(
         [np.repeat([1.5, 1.9, 1.506, 1.2], 4), [1.2], np.linspace(1.2, 1.9, 9)]

@@ -1,7 +1,5 @@
 """Uncertainty that is written and read back."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -73,7 +71,7 @@ def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(file, tmp_p
     whole = io.read_dataset(file, kind=KIND, version=VERSION)
     facts = json.loads(whole.attrs[FACTS])
     short = whole.isel(uncertainty_voxel=slice(10))
-    spoilt: list[dict[str, object]] = [
+    spoilt = [
         {},
         *({**facts, "depth": depth} for depth in (np.nan, 1e300, 0.0)),
         {**facts, "noise": {**facts["noise"], "force": -1.0}},

@@ -1,7 +1,5 @@
 """The map over the skin against the uncertainty of single presses."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
 )
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty import skin_uncertainty
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
+from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.saved_uncertainty import save_with_uncertainty
 from ttus_opt.fitting.uncertainty.skin_uncertainty import uncertainty_map
 from ttus_opt.voxmap.field import PotentialField
@@ -24,7 +22,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @functools.cache
-def drawn() -> Uncertainty:
+def drawn():
     return uncertainty(fitted(), three_presses(), method="samples")
 
 

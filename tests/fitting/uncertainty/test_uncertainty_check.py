@@ -1,7 +1,5 @@
 """Coverage and rank correlation where the truth is drawn from what is stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -75,13 +73,13 @@ def test_error_in_the_order_of_uncertainty_has_rank_correlation_one():
 class _Stated:
     """What is stated, as it was given."""
 
-    def __init__(self, std: np.ndarray, noise: np.ndarray) -> None:
+    def __init__(self, std, noise):
         eye = np.eye(6)
         self.told = WrenchUncertainty(
             std[:, None, None] ** 2 * eye, noise[:, None, None] ** 2 * eye
         )
 
-    def std(self, trajectory: Trajectory) -> WrenchUncertainty:
+    def std(self, trajectory):
         return self.told
 
 

@@ -1,7 +1,5 @@
 """The noise of measured wrenches against dense algebra and numbers drawn from it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,6 @@ from ttus_opt.fitting.uncertainty import wrench_noise
 from ttus_opt.fitting.uncertainty.wrench_noise import (
     MOST_SHARE,
     PRIORS,
-    ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
 )
@@ -22,13 +19,13 @@ from ttus_opt.fitting.uncertainty.wrench_noise import (
 NOISE = WrenchNoise(0.08, 0.03, 0.06, 0.04, 0.003, 0.002)
 
 
-def crossed(vector: np.ndarray) -> np.ndarray:
+def crossed(vector):
     """X with X a = a × vector."""
     x, y, z = vector
     return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
-def dense(noise: WrenchNoise, wrench: np.ndarray, place: np.ndarray) -> np.ndarray:
+def dense(noise, wrench, place):
     """Covariance of the errors of all frames, six after six, (6n, 6n)."""
     n = len(wrench)
     out = np.zeros((n, 6, n, 6))
@@ -44,7 +41,7 @@ def dense(noise: WrenchNoise, wrench: np.ndarray, place: np.ndarray) -> np.ndarr
     return out.reshape(6 * n, 6 * n)
 
 
-def recorded(n: int, n_places: int, k: int = 5) -> MeasuredWrenches:
+def recorded(n, n_places, k=5):
     """Wrenches, and measurements drawn with a prior variance of 0.5."""
     rng = np.random.default_rng(4)
     force = rng.normal((4.0, 0.0, 0.0), 1.0, (n, 3))
@@ -100,14 +97,14 @@ def test_a_share_just_below_its_limit_is_at_the_limit(
     monkeypatch,
 ):
     """The search ends on either side of the corner: 0.247 for the patient `lean`."""
-    asked: list[dict[str, float]] = []
+    asked = []
 
     def likeliest(
-        given: MeasuredWrenches,
-        variance: float,
-        held: dict[str, float],
-        place_share: tuple[float, float],
-    ) -> tuple[float, WrenchNoise]:
+        given,
+        variance,
+        held,
+        place_share,
+    ):
         asked.append(held)
         return variance, replace(NOISE, **({"place_share": found} | held))
 
@@ -178,7 +175,7 @@ def test_fields_that_frames_do_not_tell_apart_are_left_out():
         assert few.log_density(variance, NOISE) == pytest.approx(expected, abs=1e-3)
 
 
-def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
+def weighted():
     """Rows by term, one of them missing, and their dense covariance."""
     given = recorded(6, 2)
     scale = np.array([3.0, 3.0, 3.0, 40.0, 40.0, 40.0])

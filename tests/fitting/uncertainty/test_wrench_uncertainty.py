@@ -1,7 +1,5 @@
 """Rows of rendered wrenches against the scene's and the renderer's; sizes by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import ttus_opt as tt
@@ -19,7 +17,7 @@ from ttus_opt.voxmap.field import PotentialField
 SCENE = small_scene("trilinear")
 
 
-def field(scene: Scene, **parameters: float) -> PotentialField:
+def field(scene, **parameters):
     rng = np.random.default_rng(0)
     values = rng.normal(size=scene.voxmap.grid.shape)
     return PotentialField(scene.voxmap, values, scene.sampling, parameters)

@@ -1,7 +1,5 @@
 """Places left out, against dense fits without them."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ WEIGHTS = np.array([20.0, 3.0])
 
 
 @functools.cache
-def judge(free_scale: bool = False) -> PlaceLeftOut:
+def judge(free_scale=False):
     """Rows of two terms at four places, which a field of six parts explains."""
     rng, n = np.random.default_rng(5), 24
     place = np.tile(np.repeat([4, 7, 8, 9], 3), 2)
@@ -29,7 +27,7 @@ def judge(free_scale: bool = False) -> PlaceLeftOut:
     return PlaceLeftOut(rows, 2, 6.0, 1e3, 1.0, free_scale)
 
 
-def refitted(scale: float, coefficient: float = 0.0) -> np.ndarray:
+def refitted(scale, coefficient=0.0):
     """The errors of every place by a fit without it."""
     rows = judge().rows.at(coefficient)
     W, out = WEIGHTS[rows.term] * rows.every, np.empty(len(rows.target))
@@ -78,7 +76,7 @@ def test_the_density_counts_places_not_rows():
 def test_no_other_hyperparameters_are_more_likely():
     steps, spread = judge().best()
 
-    def log_posterior(steps: np.ndarray) -> float:
+    def log_posterior(steps):
         density = judge().log_density(*judge().values(steps))
         return float(density - 0.5 * steps @ steps)
 
@@ -107,7 +105,7 @@ def test_the_search_may_start_at_given_weights():
     given = np.array([90.0, 0.02])
     steps, _ = judge().best([given])
 
-    def log_posterior(steps: np.ndarray) -> float:
+    def log_posterior(steps):
         return judge().log_density(*judge().values(steps)) - 0.5 * float(steps @ steps)
 
     start = judge()._steps(given, 3)

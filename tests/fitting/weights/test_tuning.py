@@ -19,7 +19,6 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights import coarse_scene, tuning
 from ttus_opt.fitting.weights.tuning import tune
-from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.force import ForceTerm
@@ -30,7 +29,7 @@ NOISE, SCALE = 0.02, 1.4
 
 
 @functools.cache
-def drawn() -> Scene:
+def drawn():
     """Forces and torques of a field drawn from the prior, and white noise."""
     scene, rng = three_presses(), np.random.default_rng(1)
     L = scene.L.toarray()
@@ -43,7 +42,7 @@ def drawn() -> Scene:
 
 
 @functools.cache
-def tuned() -> Tuning:
+def tuned():
     return tune(drawn(), "eq10")
 
 
@@ -125,7 +124,7 @@ class OwnForceTerm(ForceTerm):
 
     name: ClassVar[str] = "own_force"
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         given = super().rows()
         blocks = {name: 3.0 * M for name, M in given.blocks.items()}
         return AffineRows(blocks, 3.0 * given.target)
@@ -180,7 +179,7 @@ def test_forces_alone_are_tuned():
 
 
 def test_one_thread_does_the_dense_algebra():
-    seen: list[set[int]] = []
+    seen = []
     with threadpool_limits(limits=2, user_api="blas"):
         tune(drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads()))
     assert seen and all(one == {1} for one in seen)
@@ -192,7 +191,7 @@ def test_an_option_is_chosen_among_others():
     option = next(h for h in found.hyperparameters if h.name == "option_skin")
     assert 1e-7 < option.value < 1.0
     prior = next(t for t in found.formulation.terms if not t.measures)
-    assert prior.skin == option.value  # type: ignore[attr-defined]
+    assert prior.skin == option.value
 
 
 def test_a_coarse_grid_finds_nearly_the_same(monkeypatch):
@@ -205,7 +204,7 @@ def test_a_coarse_grid_finds_nearly_the_same(monkeypatch):
     assert found.formulation.scene.n_voxels == scene.n_voxels
 
 
-def prior_variance(scene: Scene) -> float:
+def prior_variance(scene):
     """Mean of N (LᵀL)⁻¹ Nᵀ's diagonal in contact, by dense algebra."""
     N = scene.N.toarray()[np.repeat(scene.rows.contact_points > 0, 3)]
     return float(np.square(np.linalg.solve(scene.L.toarray().T, N.T)).sum() / len(N))
@@ -247,7 +246,7 @@ def test_what_another_grid_finds_is_rescaled_by_its_prior(
         ({"weights": "evidence"}, "take auto or own"),
     ],
 )
-def test_what_cannot_be_tuned_is_refused(given, told):  # type: ignore[type-arg]
+def test_what_cannot_be_tuned_is_refused(given, told):
     with pytest.raises(InputError, match=told):
         tt.fit(drawn(), **{"weights": "auto", **given})
 

@@ -1,10 +1,7 @@
 """When a fit's weights are chosen from its recordings, and why not."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,11 +29,11 @@ from ttus_opt.voxmap.sampling import least_length
 OWN = {"force": 1e-2, "torque": 1e-2}
 
 
-def weights(choice: WeightChoice) -> dict[str, float]:
+def weights(choice):
     return {t.name: t.weight for t in choice.formulation.terms if t.measures}
 
 
-def refused(scene: Scene, told: str) -> WeightChoice:
+def refused(scene, told):
     """The choice for a scene that cannot bear one; it has the formulation's own."""
     with pytest.warns(TtusWarning, match=told):
         choice = choice_of("auto", scene, "eq10")
@@ -175,7 +172,7 @@ def test_where_drag_acts_is_found_and_given_options_come_first(
     looked, asked = [], []
     estimate, load = weight_choice.estimate_drag, weight_choice.load
 
-    def noted(name: str, scene: Scene, **options: Any) -> Formulation:
+    def noted(name, scene, **options):
         asked.append((name, scene.sampling, options))
         return load(name, scene, **options)
 
@@ -216,7 +213,7 @@ def test_a_formulation_that_cannot_be_tuned_keeps_its_weights():
         choice_of("auto", drawn(), "eq10", {"strength": 1.0})
 
 
-def test_weights_that_were_given_are_nothing_to_choose(tmp_path):  # type: ignore[no-untyped-def]
+def test_weights_that_were_given_are_nothing_to_choose(tmp_path):
     assert has_weights("eq10") and has_weights("coulomb_global")
     assert not has_weights("laplace_only")
     assert not has_weights("depth_map")  # chooses its own
@@ -286,7 +283,7 @@ def test_own_weights():
 
 @pytest.mark.parametrize("word", WORDS)
 def test_a_fit_takes_what_the_word_chose(word, monkeypatch):
-    def choose(scene: Scene, *_: object, **__: object) -> WeightChoice:
+    def choose(scene, *_, **__):
         other = scene.with_boundary(2.0, 1.0)
         return WeightChoice(other, tt.load_formulation("tikhonov", other))
 

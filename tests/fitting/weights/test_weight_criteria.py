@@ -1,7 +1,5 @@
 """Criteria of weights against dense algebra and against fits with a press left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
 FORCE, TORQUE = 30.0, 3.0
 
 
-def three_presses() -> Scene:
+def three_presses():
     """Frames in contact with one in the air after every four."""
     scene = small_scene("trilinear", n_poses=15)
     position = scene.trajectory.position.copy()
@@ -28,7 +26,7 @@ def three_presses() -> Scene:
     )
 
 
-def dense(scene: Scene) -> tuple[np.ndarray, ...]:
+def dense(scene):
     """C, misfit and weights of the rows that say something."""
     ell = scene.torque_length
     D = np.vstack([scene.N.toarray(), scene.W.toarray() / ell])
@@ -56,7 +54,7 @@ def test_evidence_and_gcv_are_those_of_dense_algebra(path):
     m = len(d)
     scale = d @ np.linalg.solve(covariance, d) / m
     normal = scipy.stats.multivariate_normal(np.zeros(m), scale * covariance)
-    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)  # type: ignore[attr-defined]
+    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)
     assert float(at["log_evidence"]) == pytest.approx(normal.logpdf(d), abs=0.3)
     # the hat matrix of the rows as they are, its residual in the rows' own metric
     W = np.diag(np.sqrt(weights))
@@ -84,7 +82,7 @@ def test_presses_left_out_are_fits_without_them(path):
         force = (scene.N @ solution.candidate).reshape(-1, 3)[out]
         told = scene.trajectory.force[out]
         off += [np.abs(np.linalg.norm(told, axis=1) - np.linalg.norm(force, axis=1))]
-    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)  # type: ignore[attr-defined]
+    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)
     assert len(off) == 3
     expected = np.concatenate(off).mean()
     assert float(at["left_out_force_error"]) == pytest.approx(expected, rel=1e-3)

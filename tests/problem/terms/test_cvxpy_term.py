@@ -1,8 +1,6 @@
 """Terms from cvxpy expressions: verified without cvxpy, multipliers by name."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -25,7 +23,7 @@ def eq10():
     return load("eq10", SCENE, force_weight=1.0, torque_weight=1.0)
 
 
-IDEAS: dict[str, tuple[Callable[[Any], Any], str]] = {
+IDEAS = {
     "edges of a slice": (lambda p: cp.tv(p[:, :, 4]), "edge:cones"),
     "plateaus": (lambda p: cp.sum(cp.abs(cp.diff(p, axis=2))), "edge:rows"),
     "squares": (lambda p: cp.sum_squares(cp.diff(p, axis=2)) + 3.0, "edge:cones"),

@@ -1,7 +1,5 @@
 """The term of a depth map."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import DepthMapEstimate
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
@@ -17,7 +14,7 @@ from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
 PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
 
 
-def term(**options: float) -> DepthMapTerm:
+def term(**options):
     return DepthMapTerm(small_scene("trilinear"), profile=PROFILE, **options)
 
 
@@ -82,7 +79,7 @@ def test_the_formula_has_a_length_for_each_direction():
 class Wrong(DepthMapTerm):
     """Declares the covariance of other rows."""
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         rows = super().rows()
         return replace(rows, blocks={"p": rows.blocks["p"] * 1.01})
 

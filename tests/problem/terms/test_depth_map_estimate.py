@@ -1,9 +1,6 @@
 """Evidence against the density of a Gaussian, and what it finds of a drawn field."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,13 +25,13 @@ from ttus_opt.problem.terms.part_noise import PartNoise, contact_directions
 from ttus_opt.voxmap.sampling import sized
 
 
-def with_forces(scene: Scene, force: np.ndarray) -> Scene:
+def with_forces(scene, force):
     return replace(
         scene, trajectory=replace(scene.trajectory, force=force.reshape(-1, 3))
     )
 
 
-def drawn(seed: int, n_poses: int = 80, ratio: float = 1.0) -> Scene:
+def drawn(seed, n_poses=80, ratio=1.0):
     """Forces of φ(d)(1 + g) with g drawn from the prior, and noise of 0.1 N."""
     scene = small_scene("trilinear", (9, 24, 14), n_poses, seed)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
@@ -56,7 +53,7 @@ def drawn(seed: int, n_poses: int = 80, ratio: float = 1.0) -> Scene:
     return with_forces(scene, force + rng.normal(0.0, 0.1, force.shape))
 
 
-def matern(distance: np.ndarray, length: float) -> np.ndarray:
+def matern(distance, length):
     scaled = np.sqrt(3.0) * distance / length
     return (1.0 + scaled) * np.exp(-scaled)
 
@@ -64,7 +61,7 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
 CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04, 3e-4)
 
 
-def dense(scene: Scene, chosen: _Chosen) -> float:
+def dense(scene, chosen):
     """Log density of the normal forces of frames in contact, voxel by voxel."""
     frames = np.flatnonzero(scene.rows.contact_points > 0)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
@@ -163,7 +160,7 @@ def test_the_posterior_has_the_priors_of_the_method(
     """Medians and factors as in docs/method/formulations.md, (8.15)."""
     asked = []
 
-    def climbed(evidence: Any, n: int, calls: int) -> PosteriorMode:
+    def climbed(evidence, n, calls):
         asked.append((evidence, n))
         return PosteriorMode(np.zeros(n), 0.0)
 
@@ -200,11 +197,11 @@ def test_the_posterior_has_the_priors_of_the_method(
 def test_what_is_given_is_not_estimated(name, value):
     """It keeps its value, where the evidence would have another one."""
     scene = drawn(0, 40)
-    found = estimate_depth_map(scene, **{name: value})  # type: ignore[arg-type]
+    found = estimate_depth_map(scene, **{name: value})
     assert getattr(found, name) == value
     assert getattr(estimate_depth_map(scene), name) != pytest.approx(value, rel=0.1)
     with pytest.raises(InputError, match=f"{name} must lie between .*, got -1.0"):
-        estimate_depth_map(scene, **{name: -1.0})  # type: ignore[arg-type]
+        estimate_depth_map(scene, **{name: -1.0})
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "contact-size", "contact-size:0.04"])
@@ -253,7 +250,7 @@ def test_a_field_of_another_unit_has_the_profile_of_another_unit():
     assert two.depth_length == 0.015
 
 
-def lifted(scene: Scene, frame: int) -> Scene:
+def lifted(scene, frame):
     """A frame's probe lifted off the patient."""
     trajectory = scene.trajectory
     position = trajectory.position.copy()
@@ -291,8 +288,8 @@ def test_further_errors_count_along_the_contact_alone():
     u = contact_directions(scene)
     plain = _Problem.of(scene, scene.N).evidence(CHOSEN)
 
-    def covariance(blocks: np.ndarray) -> Any:
-        def of(frames: np.ndarray) -> np.ndarray:
+    def covariance(blocks):
+        def of(frames):
             out = np.zeros((3 * len(frames),) * 2)
             for k, t in enumerate(frames):
                 out[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[t]
@@ -337,7 +334,7 @@ def test_the_fit_has_the_noise_and_the_depth_error_of_the_evidence():
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
     u = contact_directions(scene)
 
-    def normal(p: np.ndarray) -> np.ndarray:
+    def normal(p):
         return np.asarray(np.einsum("ti,ti->t", u, (scene.N @ p).reshape(-1, 3)))
 
     force = normal(found.profile(depth))
@@ -422,7 +419,7 @@ def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(
     problem = _Problem.of(scene, scene.N)
     lengths, formed = [], depth_map_estimate.matern
 
-    def counted(distance: np.ndarray, length: float) -> np.ndarray:
+    def counted(distance, length):
         lengths.append(length)
         return formed(distance, length)
 

@@ -1,7 +1,5 @@
 """Ranges of a depth map's lengths."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.4, (11, 36, 21))
 LIMITS = depth_map_limits(GRID)
 
 
-def matern(distance: float, length: float) -> float:
+def matern(distance, length):
     scaled = np.sqrt(3.0) * distance / length
     return float((1.0 + scaled) * np.exp(-scaled))
 

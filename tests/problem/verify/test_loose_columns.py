@@ -1,8 +1,6 @@
 """Bounds of the gap beside auxiliary variables, against optima of other solvers."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -54,7 +52,7 @@ def test_a_field_that_ignores_all_data_is_not_solved(tolerance):
         assert judged(*at).status is Status.SOLVED
 
 
-MORE: dict[str, Callable[[Any], Any]] = {
+MORE = {
     **{name: idea for name, (idea, _) in IDEAS.items()},
     "huber": lambda p: cp.sum(cp.huber(cp.diff(p, axis=2), 0.1)),
     "a norm": lambda p: cp.norm(cp.vec(p[1:3], order="C")),

@@ -1,17 +1,13 @@
 """Where an iteration over working sets stands, after each of them."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tests.solvers.dual.test_field_pair import contested as contested_pair
 from tests.solvers.dual.test_field_pair import coulomb
 from tests.solvers.dual.user_limits import contested, eq10
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.solvers.dual import active_set, options
@@ -20,7 +16,7 @@ from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField, Subproblem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
@@ -29,13 +25,13 @@ PROGRAM = eq10(SCENE, 1.0).with_constraints(Sign(SCENE)).compile()
 LIMITS = SpokeLimits.of(PROGRAM)
 
 
-def iteration(accuracy: Accuracy, tolerance: float = 1e-6) -> ActiveSetIteration:
+def iteration(accuracy, tolerance=1e-6):
     data = DualData.of(PROGRAM)
     problem = LimitedField(PROGRAM, LIMITS, data, DualSolver(data.system))
     return ActiveSetIteration(problem, None, tolerance, accuracy)
 
 
-def test_the_empty_set_violates_limits_and_pivots_mend_them() -> None:
+def test_the_empty_set_violates_limits_and_pivots_mend_them():
     at = iteration(Accuracy(1e-8))
     assert at.sets == 0 and at.active.count == 0 and not at.over
     found = at.solve(at.active, 1e-8)
@@ -52,8 +48,8 @@ def test_the_empty_set_violates_limits_and_pivots_mend_them() -> None:
 
 
 def test_it_is_over_when_time_or_working_sets_are(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     late = iteration(Accuracy(1e-8, deadline=time.perf_counter() - 1.0))
     late.solve(late.active, 1e-3)
     assert late.late and late.over and not late.settled
@@ -63,7 +59,7 @@ def test_it_is_over_when_time_or_working_sets_are(
     assert once.over and not once.settled
 
 
-def test_no_violation_at_the_last_accuracy_settles_it() -> None:
+def test_no_violation_at_the_last_accuracy_settles_it():
     wide = replace(LIMITS, lower=np.full(len(LIMITS.lower), -np.inf))
     wide = replace(wide, upper=np.full(len(wide.upper), np.inf))
     at = iteration(Accuracy(1e-8))
@@ -74,7 +70,7 @@ def test_no_violation_at_the_last_accuracy_settles_it() -> None:
     assert at.settled and at.over
 
 
-def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
+def test_violations_that_may_remain_settle_it_after_some_working_sets():
     """Two are allowed; the third settles it, as any after it."""
     at = iteration(Accuracy(1e-8), tolerance=1e6)
     at.solve(at.active, 1e-3)  # solved less exactly than it is to be: not counted
@@ -86,8 +82,8 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
 
 
 def test_what_may_remain_is_a_part_of_the_tolerance(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """A tenth, and of one field all of it."""
     monkeypatch.setattr(active_set, "ACCEPTABLE_SETS", 0)
     first = iteration(Accuracy(1e-8))
@@ -101,8 +97,8 @@ def test_what_may_remain_is_a_part_of_the_tolerance(
 
 
 def test_a_model_is_asked_where_bounds_alone_are_violated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(LimitedField, "predicted", lambda self, active, *_: active)
     at = iteration(Accuracy(1e-8))
     found = at.solve(at.active, 1e-8)
@@ -118,7 +114,7 @@ def test_a_model_is_asked_where_bounds_alone_are_violated(
     assert pair.predicts_roughly
 
 
-def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
+def test_violations_that_may_remain_count_by_the_smaller_field():
     """The KKT residuals of a second field are relative to its own size."""
     scene = contested_pair(1, noise=0.2, mu=0.0)
     pair = FieldPair.of(coulomb(scene, 1e-4, largest_friction=10.0).compile())
@@ -138,14 +134,14 @@ def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
 
 
 def test_solves_are_as_exact_as_their_working_set_is_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """At the accuracy asked for to rounding, before it as far as that needs."""
-    asked: list[Accuracy] = []
-    steps: list[int] = []
+    asked = []
+    steps = []
     plain = Subproblem.solve
 
-    def noted(self: Subproblem, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+    def noted(self, accuracy, last):
         asked.append(accuracy)
         answer = plain(self, accuracy, last)
         steps.append(answer.steps)

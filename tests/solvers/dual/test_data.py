@@ -1,24 +1,21 @@
 """What the dual reads of a program: its minimiser is that of dense least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.problem import formulation
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
 
 SCENE = small_scene("trilinear", shape=(5, 8, 5), n_poses=4)
 
 
-def compiled(name: str) -> Program:
+def compiled(name):
     return formulation.load(name, SCENE, force_weight=3.0, torque_weight=2.0).compile()
 
 
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
-def test_multipliers_give_the_minimiser(name: str) -> None:
+def test_multipliers_give_the_minimiser(name):
     program = compiled(name)
     data = DualData.of(program)
     system, L = data.system, SCENE.L.toarray()
@@ -39,7 +36,7 @@ def test_multipliers_give_the_minimiser(name: str) -> None:
     np.testing.assert_allclose(p[fixed], value[fixed], atol=1e-12)
 
 
-def test_priors_that_are_none() -> None:
+def test_priors_that_are_none():
     assert laplace_prior(compiled("total_variation")) is None
     plain, weighted = compiled("eq10"), compiled("volume_weighted")
     prior, scaled = laplace_prior(plain), laplace_prior(weighted)

@@ -1,8 +1,5 @@
 """Attempts that become more exact, and what a working set's end is told as."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,23 +7,20 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import duals_without_limits
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 PROGRAM = formulation.load("eq10", SCENE).compile()
 
 
-def minimiser(program: Program) -> Array:
+def minimiser(program):
     """By dense algebra."""
     roots = [np.sqrt(term.weight) for term in program.terms]
     pairs = list(zip(roots, program.terms, strict=True))
@@ -42,24 +36,22 @@ EXACT = minimiser(PROGRAM)
 class Loaded(Limited):
     """Holds a program, as a solver of working sets does."""
 
-    def update(self, program: Program) -> None:
+    def update(self, program):
         self._program = program
 
-    def _limited(self, accuracy: Accuracy) -> Candidate:
+    def _limited(self, accuracy):
         raise NotImplementedError
 
-    def facing(self, limits: SpokeLimits) -> Candidate | None:
+    def facing(self, limits):
         """The answer where limits contradict each other."""
         self._limits = limits
         return self._contradiction()
 
 
-def off_by(
-    error: Callable[[float], float], asked: list[float]
-) -> Callable[..., Candidate]:
+def off_by(error, asked):
     """Attempts whose answers are off by a function of what is asked."""
 
-    def attempt(accuracy: Accuracy) -> Candidate:
+    def attempt(accuracy):
         asked.append(accuracy.rtol)
         x = EXACT * (1.0 + error(accuracy.rtol))
         return Candidate(x, duals_without_limits(PROGRAM, x), iterations=2)
@@ -67,35 +59,35 @@ def off_by(
     return attempt
 
 
-def loaded(tolerance: float = 1e-6) -> Loaded:
+def loaded(tolerance=1e-6):
     return Loaded(PROGRAM, Request(tolerance=tolerance))
 
 
-def test_one_attempt_that_holds_is_enough() -> None:
-    asked: list[float] = []
+def test_one_attempt_that_holds_is_enough():
+    asked = []
     found = loaded()._tightened(off_by(lambda rtol: 0.0, asked))
     assert asked == [pytest.approx(1e-8)]  # margin times tolerance
     assert found.iterations == 2
 
 
-def test_accuracy_is_tightened_until_it_holds() -> None:
-    asked: list[float] = []
+def test_accuracy_is_tightened_until_it_holds():
+    asked = []
     found = loaded()._tightened(off_by(lambda rtol: 1e5 * rtol, asked))
     assert asked == pytest.approx([1e-8, 1e-11])
     assert found.iterations == 4
     np.testing.assert_allclose(found.x, EXACT, rtol=1e-5)
 
 
-def test_the_best_answer_is_kept_where_another_is_worse() -> None:
-    asked: list[float] = []
+def test_the_best_answer_is_kept_where_another_is_worse():
+    asked = []
     errors = iter([0.1, 0.2])
     found = loaded()._tightened(off_by(lambda rtol: next(errors), asked))
     assert len(asked) == 2
     np.testing.assert_allclose(found.x, 1.1 * EXACT)
 
 
-def test_an_attempt_that_ran_out_of_time_is_the_last() -> None:
-    def attempt(accuracy: Accuracy) -> Candidate:
+def test_an_attempt_that_ran_out_of_time_is_the_last():
+    def attempt(accuracy):
         assert accuracy.deadline is not None
         return Candidate(2.0 * EXACT, iterations=1, claim=Claim.TIME_LIMIT)
 
@@ -104,7 +96,7 @@ def test_an_attempt_that_ran_out_of_time_is_the_last() -> None:
     assert (found.iterations, found.claim) == (1, Claim.TIME_LIMIT)
 
 
-def crossed(by: float) -> SpokeLimits:
+def crossed(by):
     """Four voxels, one of which must be at least 5 and at most 5 - by."""
     lower, upper = np.full(4, -np.inf), np.full(4, np.inf)
     lower[2], upper[2] = 5.0, 5.0 - by
@@ -113,7 +105,7 @@ def crossed(by: float) -> SpokeLimits:
     )
 
 
-def test_a_contradiction_counts_beside_the_largest_limit() -> None:
+def test_a_contradiction_counts_beside_the_largest_limit():
     assert loaded(1e-6).facing(crossed(4e-6)) is None
     found = loaded(1e-6).facing(crossed(6e-6))
     assert found is not None
@@ -130,7 +122,7 @@ def test_a_contradiction_counts_beside_the_largest_limit() -> None:
         (False, False, Claim.GAVE_UP),
     ],
 )
-def test_an_iterations_end_is_told(settled: bool, late: bool, claim: Claim) -> None:
+def test_an_iterations_end_is_told(settled, late, claim):
     active = WorkingSet(np.array([1, 0, -1], np.int8), np.array([True, False, False]))
     end = SimpleNamespace(settled=settled, late=late, sets=4, steps=9, active=active)
     found = candidate_of(cast(ActiveSetIteration, end), EXACT, Duals())

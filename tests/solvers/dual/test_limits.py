@@ -1,7 +1,5 @@
 """Limits read off programs, and their contradictions against a linear program."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from scipy.optimize import linprog
 
 from tests.conftest import small_scene, some
 from tests.solvers.dual.user_limits import Rows, Steeper, Within
-from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.base import Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
@@ -24,15 +20,15 @@ INF = np.inf
 
 
 @pytest.fixture(scope="module")
-def small() -> Scene:
+def small():
     return small_scene("trilinear", shape=(6, 10, 5), n_poses=4)
 
 
-def read(scene: Scene, *constraints: Constraint) -> SpokeLimits:
+def read(scene, *constraints):
     return SpokeLimits.of(load("eq10", scene).with_constraints(*constraints).compile())
 
 
-def rows_of(scene: Scene, entries: list[dict[int, float]]) -> sp.csr_array:
+def rows_of(scene, entries):
     M = sp.lil_array((len(entries), scene.n_voxels))
     for i, row in enumerate(entries):
         for column, value in row.items():
@@ -40,7 +36,7 @@ def rows_of(scene: Scene, entries: list[dict[int, float]]) -> sp.csr_array:
     return sp.csr_array(M)
 
 
-def test_nothing_given_is_nothing_limited(small: Scene) -> None:
+def test_nothing_given_is_nothing_limited(small):
     limits = read(small)
     assert not limits.binding
     assert not limits.given.any()
@@ -50,7 +46,7 @@ def test_nothing_given_is_nothing_limited(small: Scene) -> None:
     assert not duals.rows
 
 
-def test_sign_is_bounds_inside_and_outside(small: Scene) -> None:
+def test_sign_is_bounds_inside_and_outside(small):
     limits = read(small, Sign(small))
     region = small.voxmap.region.reshape(-1)
     np.testing.assert_array_equal(limits.lower, np.where(region == 1, 0.0, -INF))
@@ -59,7 +55,7 @@ def test_sign_is_bounds_inside_and_outside(small: Scene) -> None:
     assert np.isneginf(limits.least).all()
 
 
-def test_growth_is_read_voxel_by_voxel(small: Scene) -> None:
+def test_growth_is_read_voxel_by_voxel(small):
     slope = 7.0
     limits = read(small, Monotone(small, slope))
     region, fixed = small.voxmap.region, small.voxmap.dirichlet
@@ -77,7 +73,7 @@ def test_growth_is_read_voxel_by_voxel(small: Scene) -> None:
         assert limits.least[v] == least
 
 
-def test_hard_boundary_gives_values(small: Scene) -> None:
+def test_hard_boundary_gives_values(small):
     limits = read(small, HardBoundary(small))
     fixed = ~small.laplace.free
     np.testing.assert_array_equal(limits.given, fixed)
@@ -87,7 +83,7 @@ def test_hard_boundary_gives_values(small: Scene) -> None:
     assert read(small, HardBoundary(small), Sign(small)).binding
 
 
-def test_limits_are_the_same_in_any_order(small: Scene) -> None:
+def test_limits_are_the_same_in_any_order(small):
     members = HardBoundary(small), Monotone(small, 3.0), Sign(small)
     first, last = read(small, *members), read(small, *reversed(members))
     assert np.isfinite(first.least).any()
@@ -95,7 +91,7 @@ def test_limits_are_the_same_in_any_order(small: Scene) -> None:
         np.testing.assert_array_equal(getattr(first, name), getattr(last, name))
 
 
-def test_several_bounds_and_links_leave_the_tightest(small: Scene) -> None:
+def test_several_bounds_and_links_leave_the_tightest(small):
     rng = np.random.default_rng(0)
     V, stride = small.n_voxels, small.voxmap.grid.strides[0]
     lower, upper = -rng.random(V), rng.random(V)
@@ -116,7 +112,7 @@ def test_several_bounds_and_links_leave_the_tightest(small: Scene) -> None:
     np.testing.assert_array_equal(both.least[stride:], limits.least[stride:])
 
 
-def test_a_row_may_be_written_the_other_way_round(small: Scene) -> None:
+def test_a_row_may_be_written_the_other_way_round(small):
     """p_w - p_v ≤ -s is p_v - p_w ≥ s."""
     stride = small.voxmap.grid.strides[0]
     entries = [{3: 1.0, 3 + stride: -1.0}, {9: -1.0, 9 + stride: 1.0}]
@@ -159,7 +155,7 @@ _REFUSED = {
 
 
 @pytest.mark.parametrize("what", _REFUSED)
-def test_other_rows_are_refused_by_name(small: Scene, what: str) -> None:
+def test_other_rows_are_refused_by_name(small, what):
     entries, lower, upper = _REFUSED[what]
     assert small.voxmap.grid.strides[0] == 50
     m = len(entries)
@@ -168,7 +164,7 @@ def test_other_rows_are_refused_by_name(small: Scene, what: str) -> None:
         read(small, Sign(small), bad)
 
 
-def random_limits(seed: int, spoke: int = 6, spokes: int = 4) -> SpokeLimits:
+def random_limits(seed, spoke=6, spokes=4):
     """Bounds, given values and links at random, contradicting each other or not."""
     rng = np.random.default_rng(seed)
     n = spoke * spokes
@@ -182,7 +178,7 @@ def random_limits(seed: int, spoke: int = 6, spokes: int = 4) -> SpokeLimits:
     return SpokeLimits((spoke, 2, spokes // 2), lower, upper, given, least, {})
 
 
-def least_give(limits: SpokeLimits) -> float:
+def least_give(limits):
     """The least t for which limits hold when each bound gives way by t / 2."""
     n, stride = len(limits.lower), limits.stride
     rows, sides = [], []
@@ -212,7 +208,7 @@ def least_give(limits: SpokeLimits) -> float:
 
 
 @pytest.mark.slow
-def test_contradiction_is_the_least_give_of_a_linear_program() -> None:
+def test_contradiction_is_the_least_give_of_a_linear_program():
     """Two bounds in conflict by x can both hold when each gives way by x / 2."""
     found = []
     for seed in range(150):
@@ -224,7 +220,7 @@ def test_contradiction_is_the_least_give_of_a_linear_program() -> None:
 
 
 @pytest.mark.parametrize("seeds", some([range(60), range(60, 300)], 1))
-def test_a_proof_is_of_the_worst_contradiction(seeds: range) -> None:
+def test_a_proof_is_of_the_worst_contradiction(seeds):
     """Multipliers under which the limits' sum reads 0 ≤ −(what is missing)."""
     proved = 0
     for seed in seeds:
@@ -254,7 +250,7 @@ def test_a_proof_is_of_the_worst_contradiction(seeds: range) -> None:
     assert proved > len(seeds) / 10
 
 
-def test_each_kind_of_limit_binds() -> None:
+def test_each_kind_of_limit_binds():
     """A lower or an upper bound of a voxel without a given value, or a link."""
     free, none = np.full(8, -INF), np.zeros(8, bool)
     limits = SpokeLimits((2, 2, 2), free, -free, none, free, {})
@@ -267,7 +263,7 @@ def test_each_kind_of_limit_binds() -> None:
     assert not replace(limits, lower=one, upper=np.abs(one), given=given).binding
 
 
-def test_contradiction_leaves_the_limits_alone() -> None:
+def test_contradiction_leaves_the_limits_alone():
     limits = random_limits(1)
     before = limits.lower.copy(), limits.upper.copy(), limits.least.copy()
     limits.contradiction()
@@ -277,7 +273,7 @@ def test_contradiction_leaves_the_limits_alone() -> None:
         np.testing.assert_array_equal(kept, now)
 
 
-def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
+def test_duals_have_names_signs_and_balance_the_gradient(small):
     """Any multipliers, put back through the rows, is what was handed in."""
     declared = load("eq10", small).with_constraints(
         Sign(small), Monotone(small), HardBoundary(small)
@@ -301,7 +297,7 @@ def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
     np.testing.assert_allclose(total, expected, atol=1e-14)
 
 
-def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -> None:
+def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small):
     loaded = (
         load("eq10", small)
         .with_constraints(Monotone(small, 0.0), Steeper(small, 3.0))
@@ -314,14 +310,14 @@ def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -
     np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
 
 
-def test_a_given_value_outside_its_bound_is_a_contradiction(small: Scene) -> None:
+def test_a_given_value_outside_its_bound_is_a_contradiction(small):
     """The inner layer is given as -1 N where the sign says it is not negative."""
     scene = small.with_boundary(-1.0, 1.0)
     limits = read(scene, Sign(scene), HardBoundary(scene))
     assert limits.contradiction() == pytest.approx(1.0)
 
 
-def test_the_sweeps_answer_is_a_field_that_holds(small: Scene) -> None:
+def test_the_sweeps_answer_is_a_field_that_holds(small):
     """Without a contradiction there is a field; its primal residual is zero."""
     declared = load("eq10", small).with_constraints(Sign(small), Monotone(small, 3.0))
     limits = read(small, Sign(small), Monotone(small, 3.0))
@@ -338,7 +334,7 @@ def test_the_sweeps_answer_is_a_field_that_holds(small: Scene) -> None:
     assert kkt_residuals(loaded, p.reshape(-1), duals).primal <= 1e-15
 
 
-def least_value(limits: SpokeLimits, v: int, sign: float) -> float:
+def least_value(limits, v, sign):
     """The least value sign · p_v can have within limits, by a linear program."""
     n, stride = len(limits.lower), limits.stride
     linked = np.flatnonzero(np.isfinite(limits.least))
@@ -358,7 +354,7 @@ def least_value(limits: SpokeLimits, v: int, sign: float) -> float:
 
 
 @pytest.mark.parametrize("seeds", some([range(12), range(12, 60)], 1))
-def test_bounds_are_dropped_only_where_others_imply_them(seeds: range) -> None:
+def test_bounds_are_dropped_only_where_others_imply_them(seeds):
     dropped = 0
     for seed in seeds:
         limits = random_limits(seed)
@@ -379,7 +375,7 @@ def test_bounds_are_dropped_only_where_others_imply_them(seeds: range) -> None:
     assert dropped > len(seeds) / 3
 
 
-def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small: Scene) -> None:
+def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small):
     """The skin itself has no bound; what grows inwards from 0 stays above 0."""
     limits = read(small, Sign(small), Monotone(small)).without_implied()
     left = np.flatnonzero(np.isfinite(limits.lower) & np.isfinite(limits.least))
@@ -388,7 +384,7 @@ def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small: Scene) -
     assert (region[left + limits.stride] == 0).all()
 
 
-def test_two_entries_come_by_columns_whatever_their_order() -> None:
+def test_two_entries_come_by_columns_whatever_their_order():
     rows = sp.csr_array(([1.0, -2.0, 3.0, -4.0], [5, 0, 1, 6], [0, 2, 4]), shape=(2, 9))
     columns, values = two_entries(rows)
     np.testing.assert_array_equal(columns, [[0, 5], [1, 6]])

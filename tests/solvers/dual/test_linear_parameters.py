@@ -1,7 +1,5 @@
 """Unknowns beside the field, against a dense bounded least-squares solver."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -19,7 +17,7 @@ from ttus_opt.solvers.dual.solver import DualSolver
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", [1e-2, 1.0])
-def test_equals_dense_bounded_least_squares(weight: float) -> None:
+def test_equals_dense_bounded_least_squares(weight):
     """Four columns, one of them empty, and bounds of which two are active."""
     scene = small_scene("trilinear", (8, 12, 8), n_poses=8)
     program = formulation.load(
@@ -52,7 +50,7 @@ def test_equals_dense_bounded_least_squares(weight: float) -> None:
     assert answer.c[3] == pytest.approx(upper[3], abs=1e-9)
 
 
-def test_the_bound_of_a_coefficient_carries_a_multiplier() -> None:
+def test_the_bound_of_a_coefficient_carries_a_multiplier():
     """Drag along the motion: c ≥ 0 holds it back, and the KKT residuals close."""
     scene = dragged_scene("contact", mu=0.0, viscous=-20.0)
     solution = fit(scene, "viscous_drag", solver="structured", force_weight=1e-2)
@@ -61,7 +59,7 @@ def test_the_bound_of_a_coefficient_carries_a_multiplier() -> None:
     assert solution.duals_by_name["viscous_sign"][0] < 0.0
 
 
-def test_what_violates_is_what_could_lessen_the_cost() -> None:
+def test_what_violates_is_what_could_lessen_the_cost():
     """The cost falls along Eᵀy; columns and multipliers of any size."""
     y = np.array([3e4, -4e4, 1e-6, 1e-4])  # of norm 5e4
     E = np.zeros((4, 5))
@@ -91,7 +89,7 @@ def test_what_violates_is_what_could_lessen_the_cost() -> None:
 
 
 @pytest.mark.parametrize("columns", [0, 1, 3])
-def test_across_columns_is_dense_algebra(columns: int) -> None:
+def test_across_columns_is_dense_algebra(columns):
     """With a column that is the sum of the others."""
     rng = np.random.default_rng(columns)
     root = rng.normal(size=(7, 7))
@@ -110,7 +108,7 @@ def test_across_columns_is_dense_algebra(columns: int) -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-20, 1e20])
-def test_the_unit_of_columns_is_of_no_matter(scale: float) -> None:
+def test_the_unit_of_columns_is_of_no_matter(scale):
     """Two columns and their sum: two directions, in whatever unit."""
     E = np.random.default_rng(6).normal(size=(9, 2))
     E = np.column_stack([E, E.sum(axis=1)])

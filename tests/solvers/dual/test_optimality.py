@@ -1,7 +1,5 @@
 """KKT violations and signs of multipliers, on one spoke of four voxels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -25,11 +23,11 @@ LIMITS = SpokeLimits(
 )
 
 
-def working_set(bounds: list[int], links: list[bool]) -> WorkingSet:
+def working_set(bounds, links):
     return WorkingSet(np.array(bounds, dtype=np.int8), np.array(links))
 
 
-def test_multipliers_are_told_with_the_right_sign() -> None:
+def test_multipliers_are_told_with_the_right_sign():
     """A lower bound's is not positive, an upper one's and a link's not negative."""
     active = working_set([-1, 1, 0, 0], [True, True, False, False])
     found = Multipliers(
@@ -39,7 +37,7 @@ def test_multipliers_are_told_with_the_right_sign() -> None:
     np.testing.assert_array_equal(found.links, [0.0, 2.0, 0.0, 0.0])
 
 
-def test_wrong_signs_and_violated_limits_are_found() -> None:
+def test_wrong_signs_and_violated_limits_are_found():
     active = working_set([-1, 0, 0, 0], [False, True, False, False])
     p = np.array([0.0, 8.0, -4.0, 2.0])
     signs = Multipliers(np.array([5.0, 0.0, 0.0, 7.0]), np.array([0.0, -2.0, 0.0, 0.0]))
@@ -58,7 +56,7 @@ def test_wrong_signs_and_violated_limits_are_found() -> None:
     np.testing.assert_array_equal(following.links, [True, False, False, False])
 
 
-def test_the_worse_half_goes_on() -> None:
+def test_the_worse_half_goes_on():
     sizes = np.array([0.3, -INF, 0.1, 0.2])
     found = Violations(sizes, np.zeros(4, np.int8), sizes[::-1].copy())
     half = found.worse_half()

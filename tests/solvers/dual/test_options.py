@@ -1,13 +1,11 @@
 """The deadline of a solve."""
 
-from __future__ import annotations
-
 import time
 
 from ttus_opt.solvers.dual.options import Accuracy
 
 
-def test_a_deadline_passes() -> None:
+def test_a_deadline_passes():
     now = time.perf_counter()
     assert not Accuracy(1e-8).late
     assert not Accuracy(1e-8, deadline=now + 60.0).late

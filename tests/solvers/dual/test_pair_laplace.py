@@ -1,12 +1,9 @@
 """Two coupled blocks: solves with L and its adjoint against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.solvers.dual.pair_laplace import PairBlock
 
@@ -14,7 +11,7 @@ LAPLACE = small_scene("trilinear", shape=(6, 10, 6), n_poses=4).laplace
 FREE, RADII, V = LAPLACE.free, LAPLACE.radii, len(LAPLACE.free)
 
 
-def made() -> tuple[BlockSystem, Array]:
+def made():
     """Some free rows of the second field take from free columns of the first."""
     rng = np.random.default_rng(0)
     free = np.flatnonzero(FREE)
@@ -33,7 +30,7 @@ def made() -> tuple[BlockSystem, Array]:
     return system, L
 
 
-def test_solves_and_adjoint_solves_are_dense_ones() -> None:
+def test_solves_and_adjoint_solves_are_dense_ones():
     system, L = made()
     g = np.random.default_rng(1).normal(size=2 * V)
     x = system.solve(g)
@@ -42,7 +39,7 @@ def test_solves_and_adjoint_solves_are_dense_ones() -> None:
     np.testing.assert_allclose(L.T @ w, g, atol=1e-9 * np.abs(L.T @ np.abs(w)).max())
 
 
-def test_answers_say_what_they_took() -> None:
+def test_answers_say_what_they_took():
     system, _ = made()
     b = np.where(np.tile(FREE, 2), 1.0, 0.0)
     answer = system.multigrid.solve(b, rtol=1e-8)

@@ -1,17 +1,14 @@
 """Block pivoting against the one set without wrong signs, also where blocks cycle."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
 import pytest
 
-from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.solvers.dual.solver import BlockPivoting
 
 
-def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
+def wrong_signs(matrix, constant, active):
     """Where z or M z + c is negative."""
     at = np.flatnonzero(active)
     z = np.zeros(len(constant))
@@ -20,8 +17,8 @@ def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
 
 
 @pytest.mark.parametrize("tries", [0, 3])
-@pytest.mark.parametrize("seed", range(20))
-def test_it_ends_at_the_one_set_without_wrong_signs(seed: int, tries: int) -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_it_ends_at_the_one_set_without_wrong_signs(seed, tries):
     """Nearly singular matrices, for some of which blocks alone cycle."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 3))
@@ -42,7 +39,7 @@ def test_it_ends_at_the_one_set_without_wrong_signs(seed: int, tries: int) -> No
     np.testing.assert_array_equal(pivoting.best, only)
 
 
-def test_all_change_while_there_are_fewer_and_the_last_alone_after_that() -> None:
+def test_all_change_while_there_are_fewer_and_the_last_alone_after_that():
     none, both = np.zeros(4, bool), np.array([True, False, True, False])
     pivoting = BlockPivoting()
     np.testing.assert_array_equal(pivoting.following(none, both), both)

@@ -1,7 +1,5 @@
 """The approximate Schur complement against the exact one, written down as matrices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +12,9 @@ from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual import preconditioner
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
-from ttus_opt.solvers.dual.system import DualSystem
 
 
-def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
+def dual_system(sampling, weight, name="eq10"):
     scene = small_scene(sampling, (12, 24, 16), n_poses=6)
     program = formulation.load(
         name, scene, force_weight=weight, torque_weight=weight
@@ -28,9 +25,7 @@ def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
 @pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
-def test_is_spectrally_equivalent_at_light_and_heavy_weights(
-    sampling: str, name: str
-) -> None:
+def test_is_spectrally_equivalent_at_light_and_heavy_weights(sampling, name):
     """Ratios of S̃ to S stay in one band, whatever the weight."""
     for weight in (1e-4, 1.0, 1e2):
         system = dual_system(sampling, weight, name)
@@ -44,7 +39,7 @@ def test_is_spectrally_equivalent_at_light_and_heavy_weights(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
-def test_a_box_of_the_grid_is_enough(name: str) -> None:
+def test_a_box_of_the_grid_is_enough(name):
     """Every voxel of a press measured: nearly the same band, at a part of the cost."""
     scene = small_scene("trilinear", (24, 64, 32), n_poses=1)
     program = formulation.load(name, scene).compile()
@@ -63,7 +58,7 @@ def test_a_box_of_the_grid_is_enough(name: str) -> None:
         assert 0.3 < ratios.min() <= ratios.max() < 1.3
 
 
-def test_preconditioner_nearly_inverts() -> None:
+def test_preconditioner_nearly_inverts():
     system = dual_system("voxel-mean", 1e2)
     right_side = np.random.default_rng(0).normal(size=len(system.root_weights))
     precondition = SchurPreconditioner(system)
@@ -74,8 +69,8 @@ def test_preconditioner_nearly_inverts() -> None:
 
 
 def test_where_directions_become_many_a_factor_takes_over(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """It inverts S̃ to single precision, symmetric, and rows without contact alone."""
     monkeypatch.setattr(preconditioner, "MANY", 3)
     monkeypatch.setattr(preconditioner, "SHARE", 0.0)
@@ -96,8 +91,8 @@ def test_where_directions_become_many_a_factor_takes_over(
 
 
 def test_a_factor_at_any_weight_is_positive_definite(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Where rounding of single precision exceeds I, too."""
     monkeypatch.setattr(preconditioner, "MANY", 3)
     monkeypatch.setattr(preconditioner, "SHARE", 0.0)

@@ -1,7 +1,5 @@
 """Contested limits: the iteration to its end, against Clarabel and all active sets."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,7 +7,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
@@ -17,17 +14,12 @@ from tests.conftest import some, torso
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
-from ttus_opt.problem.constraints.base import Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import active_set, options
 from ttus_opt.solvers.dual.active_set import (
     LimitedProblem,
@@ -50,11 +42,11 @@ STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
 TOLERANCE = 1e-6
 
 
-def solved(program: Program, tolerance: float = TOLERANCE) -> Candidate:
+def solved(program, tolerance=TOLERANCE):
     return Structured().prepare(program, Request(tolerance, 60.0)).solve()
 
 
-def active_limits(program: Program, p: Array) -> int:
+def active_limits(program, p):
     """How many limits hold with equality, given values apart."""
     scale = 1e-7 * np.abs(p).max()
     lower, upper = program.box
@@ -69,7 +61,7 @@ def active_limits(program: Program, p: Array) -> int:
     return count
 
 
-def check(declared: Formulation, least_active: int = 1, close: float = 1e-5) -> None:
+def check(declared, least_active=1, close=1e-5):
     """Verified to the tolerance, and Clarabel's field."""
     program = declared.compile()
     assert not STRUCTURED.refusal(program)
@@ -88,7 +80,7 @@ def check(declared: Formulation, least_active: int = 1, close: float = 1e-5) -> 
 FORCES = {"noise": (1.0, 2.0), "reversed": (-3.0, 0.3), "both": (-3.0, 2.0)}
 
 
-def limits_of(scene: Scene, kind: str) -> list[Constraint]:
+def limits_of(scene, kind):
     return {
         "sign": [Sign(scene)],
         "monotone": [Monotone(scene)],
@@ -108,9 +100,9 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("weight", [1.0, 100.0])
+@pytest.mark.parametrize("weight", some([100.0, 1.0], 1))
 @pytest.mark.parametrize("forces", some(FORCES, 2))
-def test_contested(forces: str, weight: float, kind: str) -> None:
+def test_contested(forces, weight, kind):
     scale, noise = FORCES[forces]
     scene = contested(1, scale=scale, noise=noise)
     check(eq10(scene, weight, *limits_of(scene, kind)))
@@ -118,19 +110,19 @@ def test_contested(forces: str, weight: float, kind: str) -> None:
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @pytest.mark.parametrize("kind", KINDS[:4])
-def test_contested_with_hard_boundary(kind: str, sampling: str) -> None:
+def test_contested_with_hard_boundary(kind, sampling):
     scene = contested(2, sampling=sampling, scale=-3.0)
     check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
 
 
-def working_sets(candidate: Candidate) -> int:
+def working_sets(candidate):
     return int(candidate.detail.split(" working sets")[0])
 
 
 @pytest.mark.slow
 def test_a_volume_of_growth_limits_does_not_grow_by_layers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """With the peaks alone, as for bounds, the same takes far more working sets."""
     scene = contested(0, (14, 28, 16), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
@@ -146,8 +138,8 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
 
 @pytest.mark.slow
 def test_limits_that_hardly_matter_end_the_iteration(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """What may remain is within the tolerance, also if it may remain at once."""
     sets = []
     for seed in (2, 4, 5):
@@ -166,7 +158,7 @@ def test_limits_that_hardly_matter_end_the_iteration(
 
 
 @pytest.mark.slow
-def test_too_few_working_sets_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_working_sets_are_no_answer(monkeypatch):
     """What it ended on is told as that, and not started from."""
     scene = contested(1, scale=-3.0, noise=2.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
@@ -183,16 +175,16 @@ def test_too_few_working_sets_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> 
     assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)
 
 
-def inside(scene: Scene) -> NDArray[np.bool_]:
+def inside(scene):
     return scene.voxmap.inside.reshape(-1)
 
 
-def layer(scene: Scene) -> NDArray[np.int64]:
+def layer(scene):
     shape = scene.voxmap.grid.shape
     return np.repeat(np.arange(shape[0]), shape[1] * shape[2])
 
 
-def random_box(scene: Scene, seed: int, hard: bool) -> Within:
+def random_box(scene, seed, hard):
     """Bounds at half of the inside's voxels, at random."""
     rng = np.random.default_rng(seed)
     V = scene.n_voxels
@@ -203,14 +195,14 @@ def random_box(scene: Scene, seed: int, hard: bool) -> Within:
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-@pytest.mark.parametrize("seed", range(3))
-def test_lower_and_upper_bounds(seed: int, hard: bool) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_lower_and_upper_bounds(seed, hard):
     scene = contested(seed, scale=[1.0, -3.0, 3.0][seed])
     more = [HardBoundary(scene)] if hard else []
     check(eq10(scene, 1.0, random_box(scene, seed, hard), *more), least_active=5)
 
 
-def test_upper_bounds_that_fall_outwards() -> None:
+def test_upper_bounds_that_fall_outwards():
     scene = contested()
     upper = np.where(inside(scene), 2.0 - 0.35 * layer(scene), INF)
     within = Within(scene, np.full(scene.n_voxels, -INF), upper)
@@ -219,7 +211,7 @@ def test_upper_bounds_that_fall_outwards() -> None:
 
 
 @pytest.mark.slow
-def test_bounds_that_hold_everywhere() -> None:
+def test_bounds_that_hold_everywhere():
     """Lower and upper bound are one value, at every voxel or in one layer."""
     scene = contested()
     same = np.full(scene.n_voxels, 0.3)
@@ -233,7 +225,7 @@ def test_bounds_that_hold_everywhere() -> None:
     check(hard, int(free.sum()))
 
 
-def test_bounds_out_of_reach_push_the_whole_field() -> None:
+def test_bounds_out_of_reach_push_the_whole_field():
     """All of the field far above what measurements and boundary ask for."""
     scene = contested()
     lower = np.where(inside(scene), 50.0, -INF)
@@ -241,7 +233,7 @@ def test_bounds_out_of_reach_push_the_whole_field() -> None:
     check(eq10(scene, 1.0, within), least_active=20)
 
 
-def test_no_field_and_no_force_is_no_field() -> None:
+def test_no_field_and_no_force_is_no_field():
     scene = contested().with_boundary(0.0, 0.0)
     trajectory = scene.trajectory
     assert trajectory.force is not None
@@ -255,7 +247,7 @@ def test_no_field_and_no_force_is_no_field() -> None:
     assert not candidate.x.any()
 
 
-def test_nothing_active_is_the_unconstrained_field() -> None:
+def test_nothing_active_is_the_unconstrained_field():
     scene = contested(noise=0.0)
     free = solved(eq10(scene, 1e-3).compile())
     far = np.full(scene.n_voxels, 100.0)
@@ -296,16 +288,14 @@ SURFACES = {
     ],
 )
 @pytest.mark.parametrize("name", SURFACES)
-def test_geometry_that_breaks_careless_solvers(
-    hard: bool, name: str, kind: str
-) -> None:
+def test_geometry_that_breaks_careless_solvers(hard, name, kind):
     surface, shape, r_outer = SURFACES[name]
     scene = shaped(surface, shape, r_outer)
     more = [HardBoundary(scene)] if hard else []
     check(eq10(scene, 1.0, *more, *limits_of(scene, kind)), least_active=0)
 
 
-def enumerated(program: Program) -> Array | None:
+def enumerated(program):
     """The minimiser, from all active sets by dense algebra; None if none will do.
 
     The first set whose point holds all limits, with multipliers of the right sign, is
@@ -351,8 +341,8 @@ def enumerated(program: Program) -> Array | None:
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-@pytest.mark.parametrize("seed", some(range(8), 4))
-def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
+@pytest.mark.parametrize("seed", some(range(8), 2))
+def test_all_active_sets_of_a_tiny_problem(seed, hard):
     """Sixty voxels, four bounds and all links; where no set will do, none is found."""
     rng = np.random.default_rng(seed)
     scene = louder(shaped(torso(), (5, 4, 3), None), seed, [1.0, -3.0][seed % 2])
@@ -363,7 +353,7 @@ def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
     lower, upper = np.full(V, -INF), np.full(V, INF)
     lower[loose[:2]] = plain[loose[:2]] + rng.uniform(-0.1, 0.5, 2) * size
     upper[loose[2:4]] = plain[loose[2:4]] - rng.uniform(-0.1, 0.5, 2) * size
-    more: list[Constraint] = [HardBoundary(scene)] if hard else []
+    more = [HardBoundary(scene)] if hard else []
     within = Within(scene, lower, upper)
     program = eq10(scene, 1.0, within, Monotone(scene, 2.0), *more).compile()
     expected = enumerated(program)
@@ -376,7 +366,7 @@ def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
     assert apart <= 1e-7 * np.linalg.norm(expected)
 
 
-def test_contradictions_are_named() -> None:
+def test_contradictions_are_named():
     """Given values of both ends of a spoke are too near for the slope asked."""
     scene = contested()
     declared = eq10(
@@ -390,7 +380,7 @@ def test_contradictions_are_named() -> None:
     assert "contradict" in solution.detail
 
 
-def test_bounds_against_growth_are_named() -> None:
+def test_bounds_against_growth_are_named():
     scene = contested()
     where = inside(scene) & scene.laplace.free
     growing = np.where(where, 0.1 * layer(scene), -INF)  # lower bounds rise outwards
@@ -407,7 +397,7 @@ def test_bounds_against_growth_are_named() -> None:
     assert set(solution.conflict) == {"monotone", "within"}
 
 
-def test_a_given_value_against_its_bound_is_named() -> None:
+def test_a_given_value_against_its_bound_is_named():
     scene = contested().with_boundary(-1.0, 1.0)
     declared = eq10(scene, 1.0, Sign(scene), HardBoundary(scene))
     solution = tt.fit(scene, declared, solver="structured")
@@ -415,7 +405,7 @@ def test_a_given_value_against_its_bound_is_named() -> None:
     assert set(solution.conflict) == {"boundary", "sign"}
 
 
-def test_stops_when_the_time_is_up() -> None:
+def test_stops_when_the_time_is_up():
     """Cut short it has taken fewer steps, and says so."""
     scene = contested(0, (14, 36, 16), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)).compile()
@@ -436,7 +426,7 @@ def test_stops_when_the_time_is_up() -> None:
         solution.field  # noqa: B018
 
 
-def updated(first: Formulation, second: Formulation) -> None:
+def updated(first, second):
     """A solve after an update is a fresh solve."""
     prepared = STRUCTURED.prepare(first.compile(), Request(1e-8, 60.0))
     prepared.solve()
@@ -450,11 +440,11 @@ def updated(first: Formulation, second: Formulation) -> None:
     assert apart <= 1e-6 * np.linalg.norm(fresh.x)
 
 
-def limited(scene: Scene, weight: float = 1.0, slope: float = 5.0) -> Formulation:
+def limited(scene, weight=1.0, slope=5.0):
     return eq10(scene, weight, Sign(scene), Monotone(scene, slope))
 
 
-def test_other_values_weights_and_slopes_agree_with_a_fresh_solve() -> None:
+def test_other_values_weights_and_slopes_agree_with_a_fresh_solve():
     scene = contested(0)
     first = limited(scene)
     updated(first, limited(contested(0, scale=-2.0)))
@@ -465,7 +455,7 @@ def test_other_values_weights_and_slopes_agree_with_a_fresh_solve() -> None:
     updated(first, limited(contested(0, n_poses=14)))
 
 
-def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
+def test_an_update_after_too_little_time_agrees_with_a_fresh_solve():
     program = limited(contested(0)).compile()
     prepared = STRUCTURED.prepare(program, Request(1e-8, 1e-6))
     assert prepared.solve().claim is Claim.TIME_LIMIT
@@ -474,7 +464,7 @@ def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
     assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
 
 
-def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with() -> None:
+def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with():
     """Forces draw below the skin's 0 what has a bound above it: bound, not link."""
     scene = contested(scale=-3.0)
     where = inside(scene) & scene.laplace.free
@@ -484,14 +474,14 @@ def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with() -> None:
 
 
 @pytest.mark.parametrize(("seed", "hard"), [(1, True), (5, False)])
-def test_of_two_bounds_in_a_block_the_tighter_one_holds(seed: int, hard: bool) -> None:
+def test_of_two_bounds_in_a_block_the_tighter_one_holds(seed, hard):
     """Random bounds and links together."""
     scene = contested(seed, (6, 9, 5), n_poses=6, scale=[1.0, -3.0][seed % 2])
     more = [HardBoundary(scene)] if hard else []
     check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
 
 
-def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds() -> None:
+def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds():
     """Tight outside, loose inside, and all of the spoke is drawn up."""
     scene = contested(2, (6, 9, 5), n_poses=6)
     rng = np.random.default_rng(2)
@@ -501,24 +491,24 @@ def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds() -> None:
     check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
 
 
-def test_two_growths_on_one_link() -> None:
+def test_two_growths_on_one_link():
     scene = contested()
     check(eq10(scene, 1.0, Monotone(scene), Steeper(scene, 30.0)))
 
 
-def test_two_growths_on_one_link_the_steeper_first() -> None:
+def test_two_growths_on_one_link_the_steeper_first():
     scene = contested()
     check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
 
 
 @pytest.mark.slow
-def test_an_update_whose_bound_has_become_implied() -> None:
+def test_an_update_whose_bound_has_become_implied():
     """The same constraints; the second layer's bound now implies the first one's."""
     scene = contested()
     V, i = scene.n_voxels, layer(scene)
     where = inside(scene) & scene.laplace.free
 
-    def bounded(first: float) -> Formulation:
+    def bounded(first):
         lower = np.where(where & (i == 1), first, np.where(where & (i == 2), 5.0, -INF))
         within = Within(scene, lower, np.full(V, INF))
         return eq10(scene, 1.0, within, Monotone(scene))
@@ -527,10 +517,10 @@ def test_an_update_whose_bound_has_become_implied() -> None:
 
 
 @pytest.mark.parametrize("what", ["no growth", "no sign", "hard"])
-def test_an_update_with_other_constraints(what: str) -> None:
+def test_an_update_with_other_constraints(what):
     scene = contested()
     sign, monotone, hard = Sign(scene), Monotone(scene, 5.0), HardBoundary(scene)
-    left: dict[str, list[Constraint]] = {
+    left = {
         "no growth": [sign],
         "no sign": [monotone],
         "hard": [sign, monotone, hard],
@@ -538,18 +528,18 @@ def test_an_update_with_other_constraints(what: str) -> None:
     updated(limited(scene), eq10(scene, 1.0, *left[what]))
 
 
-def test_an_update_without_limits() -> None:
+def test_an_update_without_limits():
     scene = contested()
     updated(limited(scene), eq10(scene, 1.0))
 
 
-def test_an_update_with_another_grid() -> None:
+def test_an_update_with_another_grid():
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", some([range(6), range(6, 60)], 1))
-def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
+def test_random_limits_of_all_kinds_are_settled(seeds):
     """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""
     unsettled = []
     for seed in seeds:
@@ -557,7 +547,7 @@ def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
         shape = [(6, 9, 5), (7, 8, 6), (5, 4, 3)][seed % 3]
         scale, hard = rng.choice([1.0, -3.0, 5.0]), bool(rng.random() < 0.5)
         scene = contested(seed, shape, n_poses=6, scale=scale)
-        constraints: list[Constraint] = [
+        constraints = [
             random_box(scene, seed, hard),
             Monotone(scene, rng.choice([0.0, 3.0])),
         ]
@@ -575,8 +565,8 @@ def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
 
 @pytest.mark.parametrize("height", [2.0, 1.0 - 1e-9], ids=["risen", "but for rounding"])
 def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
-    height: float,
-) -> None:
+    height,
+):
     """From the last working set after which it rose; a single change cannot fail."""
     V = 6
     limits = SpokeLimits(
@@ -598,15 +588,15 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
 
 
 def test_patience_ends_where_nothing_gets_better(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Better: the worst or the number falls by a part, or more limits are active."""
 
-    def violations(worst: float, count: int) -> Violations:
+    def violations(worst, count):
         sizes = np.where(np.arange(9) < count, worst, -INF)
         return Violations(sizes, np.ones(9, np.int8), np.full(9, -INF))
 
-    def active(count: int) -> WorkingSet:
+    def active(count):
         return WorkingSet((np.arange(9) < count).astype(np.int8), np.zeros(9, bool))
 
     monkeypatch.setattr(active_set, "PROGRESS", 0.5)
@@ -633,7 +623,7 @@ def test_patience_ends_where_nothing_gets_better(
     assert [n for n, stalled in enumerate(told) if stalled] == stalls
 
 
-def test_peaks_are_those_of_a_filter_over_six_neighbours() -> None:
+def test_peaks_are_those_of_a_filter_over_six_neighbours():
     """With plateaus; around the patient the last spoke is beside the first."""
     sizes = np.random.default_rng(0).integers(0, 4, (2, 6, 9, 7)).astype(float)
     cross = generate_binary_structure(3, 1)[None]
@@ -642,7 +632,7 @@ def test_peaks_are_those_of_a_filter_over_six_neighbours() -> None:
     np.testing.assert_array_equal(_peak(sizes), (sizes > 0) & (sizes == largest))
 
 
-def test_links_of_every_field_join_by_their_peaks() -> None:
+def test_links_of_every_field_join_by_their_peaks():
     shape = (3, 2, 2)
     problem = SimpleNamespace(shape=shape, alone=False, links_along_spokes=False)
     links = np.full((2, *shape), -INF)
@@ -653,30 +643,30 @@ def test_links_of_every_field_join_by_their_peaks() -> None:
     assert sorted(chosen.links[chosen.links > 0.0]) == [0.3, 0.5, 0.5]
 
 
-def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_how_exactly_working_sets_are_solved(monkeypatch):
     """Roughly on the way, by the worst violation; the last one to the end."""
     n, script = 400, list[tuple[int, float, int | None]]()
     nothing = np.full(n, -INF)
-    told: list[tuple[float, int]] = []
+    told = []
 
     class Scripted:
         """Violations come as written: number, size, limits of a prediction."""
 
-        def __init__(self, problem: SimpleNamespace, *_: object):
+        def __init__(self, problem, *_):
             self.limits, self.p = problem.limits, nothing
             self.active = WorkingSet.empty(n)
 
         @property
-        def over(self) -> bool:
+        def over(self):
             return not script
 
-        def predicted(self, _: Violations) -> WorkingSet | None:
+        def predicted(self, _):
             if self._following is None:
                 return None
             bounds = (np.arange(n) < self._following).astype(np.int8)
             return WorkingSet(bounds, np.zeros(n, bool))
 
-        def solve(self, active: WorkingSet, rtol: float) -> Violations:
+        def solve(self, active, rtol):
             self.active = active
             told.append((rtol, active.count))
             count, size, self._following = script.pop(0)
@@ -693,7 +683,7 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
         predicts_roughly=True, objective=lambda _: 0.0,
     )  # fmt: skip
 
-    def asked(*lines: tuple[int, float, int | None]) -> list[tuple[float, int]]:
+    def asked(*lines):
         script[:] = lines
         told.clear()
         given = cast(LimitedProblem, problem)
@@ -716,8 +706,8 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_what_joins_is_a_share_of_the_worst_around(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """The smaller the worst of all, the more joins."""
     monkeypatch.setattr(options, "SHARE", 0.5)
     monkeypatch.setattr(options, "NEIGHBOURHOOD", 1)
@@ -732,9 +722,7 @@ def test_what_joins_is_a_share_of_the_worst_around(
 
 
 @pytest.mark.parametrize("reach", [1, 2, 3])
-def test_around_is_so_many_voxels_each_way(
-    reach: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_around_is_so_many_voxels_each_way(reach, monkeypatch):
     """Also past the last spoke, not past the ends of the patient, nor of a field."""
     shape = (2, 9, 10, 9)
     sizes = np.random.default_rng(reach).uniform(0.1, 1.0, shape)

@@ -1,17 +1,11 @@
 """Soft values within limits: the equation of their multipliers, solved densely."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.conjugate_gradients import Run
 from ttus_opt.solvers.dual import soft_values
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
@@ -26,19 +20,19 @@ from ttus_opt.solvers.structured import Structured
 SCENE = small_scene("trilinear", shape=(8, 16, 10), n_poses=6)
 
 
-def data(weight: float = 1.0) -> DualData:
+def data(weight=1.0):
     weights = {"force_weight": weight, "torque_weight": weight}
     return DualData.of(load("free_surface", SCENE, **weights).compile())
 
 
-def dense(of: DualData) -> tuple[Array, Array]:
+def dense(of):
     """L⁻¹ and D."""
     system = of.system
     inverse = np.linalg.inv(SCENE.laplace.L.toarray())
     return inverse, system.root_weights[:, None] * system.rows.toarray()
 
 
-def test_slopes_and_fields_are_those_of_l() -> None:
+def test_slopes_and_fields_are_those_of_l():
     of, rng = data(), np.random.default_rng(0)
     made, (inverse, D) = ApproximateSchur(of.system), dense(of)
     y, values = rng.normal(size=len(D)), rng.normal(size=len(made.fixed))
@@ -51,7 +45,7 @@ def test_slopes_and_fields_are_those_of_l() -> None:
 
 
 @pytest.mark.parametrize("weight", [1e-2, 1.0])
-def test_held_are_those_of_the_equation_itself(weight: float) -> None:
+def test_held_are_those_of_the_equation_itself(weight):
     """From the minimiser without limits, against Newton's method in dense algebra."""
     of = data(weight)
     inverse, D = dense(of)
@@ -60,7 +54,7 @@ def test_held_are_those_of_the_equation_itself(weight: float) -> None:
     at, compliance = model.voxels, of.system.compliance
     lower = np.zeros(len(at))
 
-    def solved(held: Array) -> tuple[Array, Array]:
+    def solved(held):
         own = compliance.copy()
         own[at[held]] = 0.0
         b = of.b.copy()
@@ -81,17 +75,17 @@ def test_held_are_those_of_the_equation_itself(weight: float) -> None:
 
 
 def test_it_is_told_what_soft_values_would_be_without_limits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """b + ω q, where they are held and where they are free, against dense algebra."""
     program = load("free_surface", SCENE).compile()
     of, limits = DualData.of(program), SpokeLimits.of(program)
     problem = LimitedField(program, limits, of, DualSolver(of.system))
     at = ActiveSetIteration(problem, None, 1e-6, Accuracy(1e-11))
-    told: list[Array] = []
+    told = []
     plain = SoftValues.held
 
-    def noted(self: SoftValues, p: Array, natural: Array, lower: Array) -> Mask | None:
+    def noted(self, p, natural, lower):
         told[:] = p, natural
         return plain(self, p, natural, lower)
 
@@ -109,12 +103,12 @@ def test_it_is_told_what_soft_values_would_be_without_limits(
 
 
 @pytest.fixture
-def goals(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+def goals(monkeypatch):
     """Size of what every run of conjugate gradients has to solve."""
-    asked: list[float] = []
+    asked = []
     plain = soft_values.conjugate_gradients
 
-    def noted(*given: Any) -> Run:
+    def noted(*given):
         asked.append(float(np.linalg.norm(given[1])))
         return plain(*given)
 
@@ -123,8 +117,8 @@ def goals(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_steps_end_where_the_working_set_stays_whatever_its_size(
-    goals: list[float],
-) -> None:
+    goals,
+):
     model = SoftValues(data().system)
     rng = np.random.default_rng(2)
     p, natural = rng.normal(size=(2, len(model.voxels)))
@@ -139,7 +133,7 @@ def test_steps_end_where_the_working_set_stays_whatever_its_size(
     np.testing.assert_allclose(goals[steps:], 1e6 * np.array(goals[:steps]), rtol=1e-3)
 
 
-def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_free_surface_takes_few_working_sets(monkeypatch):
     program = load("free_surface", SCENE).compile()
     found = Structured().prepare(program, Request(1e-6)).solve()
     # without a model the same answer, and more of them
@@ -152,9 +146,7 @@ def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) 
     assert sets[0] < sets[1]
 
 
-def test_where_directions_do_not_suffice_nothing_is_predicted(
-    monkeypatch: pytest.MonkeyPatch, goals: list[float]
-) -> None:
+def test_where_directions_do_not_suffice_nothing_is_predicted(monkeypatch, goals):
     """It is found out once, by one step."""
     monkeypatch.setattr(soft_values, "MOST_DIRECTIONS", 1)
     monkeypatch.setattr(soft_values, "RESIDUAL", 1e-9)

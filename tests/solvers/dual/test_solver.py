@@ -1,15 +1,10 @@
 """One dual solve: refinement, and unknowns beside the field that change sides."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.core.arrays import Array
-from ttus_opt.solvers.conjugate_gradients import Run
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
@@ -18,27 +13,27 @@ from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 
 
-def data_of(weight: float, seed: int = 0) -> DualData:
+def data_of(weight, seed=0):
     return DualData.of(eq10(contested(seed), weight).compile())
 
 
 class Inexact(DualSystem):
     """Products with the Schur complement that are off by a thousandth."""
 
-    def apply(self, y: Array, rtol: float = 1e-12) -> Array:
+    def apply(self, y, rtol=1e-12):
         return y + 1.001 * (super().apply(y, rtol) - y)
 
 
 def test_refinement_makes_up_for_inexact_products(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """What such products leave is solved for again, from the field's own residual."""
     data = data_of(1.0)
     exact = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-12)).p
     s = data.system
     system = Inexact(s.laplace, s.compliance, s.rows, s.root_weights)
 
-    def error(refinements: int) -> float:
+    def error(refinements):
         monkeypatch.setattr(options, "REFINEMENTS", refinements)
         solver = DualSolver(system)
         found = solver.solve(data.b, data.t, Accuracy(1e-9)).p
@@ -49,12 +44,12 @@ def test_refinement_makes_up_for_inexact_products(
 
 
 @pytest.fixture
-def taken(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def taken(monkeypatch):
     """Steps of every run of conjugate gradients."""
-    counts: list[int] = []
+    counts = []
     plain = Complement.solve
 
-    def counted(*given: Any) -> Run:
+    def counted(*given):
         found = plain(*given)
         counts.append(found.steps)
         return found
@@ -63,7 +58,7 @@ def taken(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return counts
 
 
-def test_steps_are_those_of_all_refinements(taken: list[int]) -> None:
+def test_steps_are_those_of_all_refinements(taken):
     data = data_of(1.0)
     s = data.system
     system = Inexact(s.laplace, s.compliance, s.rows, s.root_weights)
@@ -72,20 +67,20 @@ def test_steps_are_those_of_all_refinements(taken: list[int]) -> None:
     assert answer.steps == sum(taken) > 0
 
 
-def test_what_is_exact_enough_is_not_refined(taken: list[int]) -> None:
+def test_what_is_exact_enough_is_not_refined(taken):
     data = data_of(1.0)
     answer = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6))
     assert taken == [answer.steps]
 
 
-def test_out_of_time_there_is_one_refinement(taken: list[int]) -> None:
+def test_out_of_time_there_is_one_refinement(taken):
     data = data_of(1.0)
     late = Accuracy(1e-9, deadline=0.0)
     answer = DualSolver(data.system).solve(data.b, data.t, late)
     assert answer.late and len(taken) == 1
 
 
-def dense(data: DualData, beside: LinearParameters) -> Array:
+def dense(data, beside):
     """The best c between its bounds, by projected coordinate descent on EᵀS⁻¹E."""
     system = data.system
     S = np.array([system.apply(e) for e in np.eye(len(data.t))])
@@ -102,8 +97,8 @@ def dense(data: DualData, beside: LinearParameters) -> Array:
     return c
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_bounds_of_many_unknowns_beside_the_field(seed):
     """Correlated columns and narrow bounds: several sets are tried."""
     data = data_of(1.0, seed)
     rng = np.random.default_rng(seed)
@@ -118,14 +113,14 @@ def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
         np.testing.assert_allclose(answer.c, expected, atol=1e-7)
 
 
-def test_bounds_that_never_settle_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds_that_never_settle_end(monkeypatch):
     """Where solves are too rough for Murty's rule, sets of bounds return."""
     data = data_of(1.0)
     columns = np.random.default_rng(0).normal(size=(len(data.t), 3))
     beside = LinearParameters(columns, np.full(3, -1.0), np.full(3, 1.0))
     solved = []
 
-    def never_right(self: LinearParameters, c: Array, y: Array, free: Any) -> Any:
+    def never_right(self, c, y, free):
         solved.append(free)
         return np.ones(3, dtype=bool)
 
@@ -138,8 +133,8 @@ def test_bounds_that_never_settle_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("weight", [0.5, 2.0])
 def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
-    weight: float,
-) -> None:
+    weight,
+):
     """Whether all weights rise or all fall."""
     data = data_of(1.0)
     rng = np.random.default_rng(1)
@@ -160,14 +155,14 @@ def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
 
 
 def test_the_prior_s_field_is_kept_while_it_serves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """Solved for anew with another b, and where more is asked of it."""
     data = data_of(1.0)
     solver, laplace = DualSolver(data.system), type(data.system.laplace)
     plain, solved = laplace.solve, list[Array]()
 
-    def counted(self: Any, b: Array, *given: Any, **more: Any) -> Array:
+    def counted(self, b, *given, **more):
         solved.append(b)
         return plain(self, b, *given, **more)
 
@@ -184,7 +179,7 @@ def test_the_prior_s_field_is_kept_while_it_serves(
     assert new == [True, True, True, False, False, True]
 
 
-def test_dependent_columns_share_what_they_explain() -> None:
+def test_dependent_columns_share_what_they_explain():
     E = np.random.default_rng(0).normal(size=(9, 2))
     twice = Complement(np.column_stack([E, E[:, 0]]), lambda r: r)
     residual = E @ np.array([2.0, 3.0])

@@ -1,11 +1,8 @@
 """Subproblems against direct least squares over P z + o, and their multipliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
@@ -13,12 +10,8 @@ from tests.conftest import ellipsoid, presses, torso
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
-from ttus_opt.problem.constraints.base import Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.program import Program
-from ttus_opt.scan.surface import Surface
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
@@ -29,25 +22,25 @@ from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def random_limits(scene: Scene, seed: int, hard: bool) -> list[Constraint]:
+def random_limits(scene, seed, hard):
     """Random bounds on every voxel and links along all spokes of the inside."""
     rng = np.random.default_rng(seed)
     V = scene.n_voxels
     lower, upper = rng.uniform(-1.0, 0.0, V), rng.uniform(0.0, 1.0, V)
     if hard:
         lower[~scene.laplace.free], upper[~scene.laplace.free] = -INF, INF
-    constraints: list[Constraint] = [Within(scene, lower, upper), Monotone(scene, 4.0)]
+    constraints = [Within(scene, lower, upper), Monotone(scene, 4.0)]
     if hard:
         constraints.append(HardBoundary(scene))
     return constraints
 
 
-def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program:
+def limited(scene, seed, hard, weight=1.0):
     """Eq. 10 under random limits."""
     return eq10(scene, weight, *random_limits(scene, seed, hard)).compile()
 
 
-def blocks(limits: SpokeLimits, links: NDArray[np.bool_]) -> NDArray[np.int64]:
+def blocks(limits, links):
     """Which pooled block a voxel belongs to, from the graph of links."""
     n = len(links)
     linked = np.flatnonzero(links)
@@ -57,9 +50,7 @@ def blocks(limits: SpokeLimits, links: NDArray[np.bool_]) -> NDArray[np.int64]:
     return connected_components(graph, directed=False)[1]
 
 
-def random_working_set(
-    limits: SpokeLimits, seed: int, held: float, linked: float
-) -> WorkingSet:
+def random_working_set(limits, seed, held, linked):
     """Links and bounds at random; at most one bound or given value a block."""
     rng = np.random.default_rng(seed)
     n = len(limits.lower)
@@ -81,7 +72,7 @@ def random_working_set(
     return WorkingSet(bounds, links)
 
 
-def eliminated(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
+def eliminated(program, limits, active):
     """The minimiser: constraints eliminated, the augmented system solved.
 
     Every block has one unknown unless it has a value; offsets come from walking the
@@ -119,13 +110,13 @@ def eliminated(program: Program, limits: SpokeLimits, active: WorkingSet) -> Arr
     return np.asarray(P @ z + offset)
 
 
-def solved(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
+def solved(program, limits, active):
     data = DualData.of(program)
     left = reduced(program.laplace, limits, active, data)
     return left.solve(Accuracy(1e-12)).p
 
 
-def compare(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> None:
+def compare(scene, seed, hard, weight=1.0):
     program = limited(scene, seed, hard, weight)
     limits = SpokeLimits.of(program)
     for k, (held, linked) in enumerate(
@@ -141,18 +132,16 @@ def compare(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> None:
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_equals_eliminated_least_squares(seed: int, sampling: str, hard: bool) -> None:
+def test_equals_eliminated_least_squares(seed, sampling, hard):
     compare(contested(seed, (8, 13, 7), sampling=sampling), seed, hard)
 
 
 @pytest.mark.parametrize("weight", [1e-6, 100.0])
-def test_equals_eliminated_least_squares_at_other_weights(weight: float) -> None:
+def test_equals_eliminated_least_squares_at_other_weights(weight):
     compare(contested(2), 2, False, weight)
 
 
-def shaped(
-    surface: Surface, shape: tuple[int, int, int], r_outer: float | None
-) -> Scene:
+def shaped(surface, shape, r_outer):
     """A scene on a surface that breaks careless solvers."""
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
     shell = ellipsoid()
@@ -175,13 +164,11 @@ def shaped(
     ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
 )
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-def test_geometry_that_breaks_careless_subproblems(
-    surface: Surface, shape: tuple[int, int, int], r_outer: float | None, hard: bool
-) -> None:
+def test_geometry_that_breaks_careless_subproblems(surface, shape, r_outer, hard):
     compare(shaped(surface, shape, r_outer), 5, hard)
 
 
-def test_no_limit_active_is_the_whole_problem() -> None:
+def test_no_limit_active_is_the_whole_problem():
     program = limited(contested(3), 3, False)
     limits = SpokeLimits.of(program)
     nothing = random_working_set(limits, 0, 0.0, 0.0)
@@ -192,7 +179,7 @@ def test_no_limit_active_is_the_whole_problem() -> None:
     assert np.linalg.norm(found - whole) <= 1e-10 * np.linalg.norm(whole)
 
 
-def test_all_voxels_held_leave_nothing_to_solve() -> None:
+def test_all_voxels_held_leave_nothing_to_solve():
     program = limited(contested(3), 3, False)
     limits = SpokeLimits.of(program)
     V = len(limits.lower)
@@ -202,8 +189,8 @@ def test_all_voxels_held_leave_nothing_to_solve() -> None:
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-@pytest.mark.parametrize("seed", range(3))
-def test_multipliers_solve_the_dense_balance(seed: int, hard: bool) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_multipliers_solve_the_dense_balance(seed, hard):
     """Cᵀμ = -g, a row of C per active limit or given value; C has full rank."""
     program = limited(contested(seed, (6, 10, 5), n_poses=5), seed, hard)
     limits = SpokeLimits.of(program)

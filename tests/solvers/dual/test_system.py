@@ -1,7 +1,5 @@
 """The Schur complement against dense algebra, hard and scaled rows included."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +13,13 @@ from ttus_opt.solvers.dual.system import DualSystem
 SCENE = small_scene("trilinear", shape=(5, 8, 5), n_poses=4)
 
 
-def data(name: str, weight: float = 2.0) -> DualData:
+def data(name, weight=2.0):
     weights = {"force_weight": weight, "torque_weight": weight}
     return DualData.of(formulation.load(name, SCENE, **weights).compile())
 
 
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
-def test_the_products_are_those_of_dense_matrices(name: str) -> None:
+def test_the_products_are_those_of_dense_matrices(name):
     system = data(name).system
     L, D = SCENE.L.toarray(), system.root_weights[:, None] * system.rows.toarray()
     y = np.random.default_rng(0).normal(size=len(D))
@@ -34,7 +32,7 @@ def test_the_products_are_those_of_dense_matrices(name: str) -> None:
     np.testing.assert_allclose(system.apply(y), S_y, rtol=1e-9)
 
 
-def test_the_same_rows_may_have_other_weights() -> None:
+def test_the_same_rows_may_have_other_weights():
     system, heavier = data("eq10").system, data("eq10", 3.0).system
     moved = replace(heavier, laplace=system.laplace)
     assert system.same_rows(moved)

@@ -1,7 +1,5 @@
 """The model of the limits that can bind, against dense algebra and all active sets."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
@@ -12,7 +10,6 @@ import scipy.sparse as sp
 
 from tests.solvers.dual.test_field_pair import contested, coulomb
 from tests.solvers.dual.test_pair_subproblem import pair
-from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
@@ -26,7 +23,7 @@ from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured
 
 
-def model(of: FieldPair) -> TouchedLimits:
+def model(of):
     V = len(of.limits.given) // 2
     limited = np.isfinite(of.limits.lower[V:]) & ~of.limits.given[V:]
     made = TouchedLimits.of(of.rows, limited)
@@ -34,7 +31,7 @@ def model(of: FieldPair) -> TouchedLimits:
     return made
 
 
-def dense_response(of: FieldPair, at: Array) -> Array:
+def dense_response(of, at):
     """Inverse of half the second derivative in x, y and c, from its definition."""
     rows = of.rows
     L = sp.block_diag([rows.L, rows.L]).toarray()
@@ -53,9 +50,7 @@ def dense_response(of: FieldPair, at: Array) -> Array:
 @pytest.mark.parametrize(
     ("weight", "smoothness"), [(0.01, 1.0), (1.0, 1.0), (1e4, 1.0), (1e5, 1e4)]
 )
-def test_response_is_nearly_the_inverse_of_the_second_derivative(
-    weight: float, smoothness: float
-) -> None:
+def test_response_is_nearly_the_inverse_of_the_second_derivative(weight, smoothness):
     """Nearer than what the first field, which follows, makes of it: 3 and 1 %."""
     of = pair(weight, smoothness, 0.3, False)
     made = model(of)
@@ -69,7 +64,7 @@ def test_response_is_nearly_the_inverse_of_the_second_derivative(
 
 
 @pytest.mark.parametrize("at_upper", [False, True])
-def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper: bool) -> None:
+def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper):
     """Released or held, as the minimum over two limits by trying all has it."""
     bounds = (0.0, 1.0)
     root = np.array([[2.0, 0.0], [-0.9 if at_upper else 0.9, 1.0]])
@@ -91,7 +86,7 @@ def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper: bool) ->
         assert found.tolist() in [[active[0]] for active in right]
 
 
-def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open() -> None:
+def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open():
     rows = pair(1.0, 1.0, 0.3, False).rows
     V = len(rows.laplace.free)
     touched = np.asarray(abs(rows.rows).sum(axis=0) > 0.0).reshape(-1)
@@ -115,8 +110,8 @@ def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open() -> None:
     np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
 
 
-def test_a_factor_that_fails_makes_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> Array:
+def test_a_factor_that_fails_makes_no_model(monkeypatch):
+    def fails(*_, **__):
         raise np.linalg.LinAlgError("not positive definite")
 
     of = pair(1.0, 1.0, 0.3, False)
@@ -124,7 +119,7 @@ def test_a_factor_that_fails_makes_no_model(monkeypatch: pytest.MonkeyPatch) -> 
     assert TouchedLimits.of(of.rows, of.rows.laplace.free) is None
 
 
-def test_too_many_voxels_or_none_make_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_voxels_or_none_make_no_model(monkeypatch):
     of = pair(1.0, 1.0, 0.3, False)
     V = len(of.limits.given) // 2
     assert TouchedLimits.of(of.rows, np.zeros(V, dtype=bool)) is None
@@ -132,7 +127,7 @@ def test_too_many_voxels_or_none_make_no_model(monkeypatch: pytest.MonkeyPatch) 
     assert TouchedLimits.of(of.rows, np.ones(V, dtype=bool)) is None
 
 
-def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
+def wrong_signs(matrix, constant, active):
     """Where z or M z + c is negative."""
     at = np.flatnonzero(active)
     z = np.zeros(len(constant))
@@ -140,11 +135,9 @@ def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
     return np.asarray(np.where(active, z, matrix @ z + constant) < 0.0)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("tries", [0, 10])
-def test_complementary_is_the_one_set_without_wrong_signs(
-    seed: int, tries: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_complementary_is_the_one_set_without_wrong_signs(seed, tries, monkeypatch):
     monkeypatch.setattr(touched_limits, "TRIES", tries)
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 6))
@@ -158,7 +151,7 @@ def test_complementary_is_the_one_set_without_wrong_signs(
     np.testing.assert_array_equal(found, only)
 
 
-def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end() -> None:
+def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end():
     """A matrix of rank three, nearly, for which block pivoting alone cycles."""
     rng = np.random.default_rng(7)
     root = rng.normal(size=(6, 3))
@@ -174,7 +167,7 @@ def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end() -> None:
     assert not wrong_signs(matrix, constant, found).any()
 
 
-def test_complementary_takes_what_is_nearly_singular_without_a_warning() -> None:
+def test_complementary_takes_what_is_nearly_singular_without_a_warning():
     """As the model is at heavy weights; there SciPy's `solve` warns."""
     matrix = scipy.linalg.hilbert(12)
     assert np.linalg.cond(matrix) > 1.0 / np.finfo(float).eps
@@ -187,14 +180,14 @@ def test_complementary_takes_what_is_nearly_singular_without_a_warning() -> None
     assert (matrix @ z - 1.0).min() >= -1e-9
 
 
-def test_complementary_of_a_singular_matrix_is_none() -> None:
+def test_complementary_of_a_singular_matrix_is_none():
     matrix = np.ones((3, 3))
     assert complementary(matrix, -np.ones(3), np.ones(3, dtype=bool)) is None
 
 
 def test_a_model_lost_to_rounding_predicts_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     of = pair(1.0, 1.0, 0.3, False)
     n = len(of.limits.given)
     none, below = Multipliers(np.zeros(n), np.zeros(n)), np.full(n, -1.0)
@@ -203,7 +196,7 @@ def test_a_model_lost_to_rounding_predicts_nothing(
     assert of.predicted(WorkingSet.empty(n), below, none) is None
 
 
-def test_a_rough_prediction_does_not_lead_back_to_a_set_that_failed() -> None:
+def test_a_rough_prediction_does_not_lead_back_to_a_set_that_failed():
     """Solved no more exactly than before, it did: 15 working sets in place of 7."""
     scene = contested(1, noise=0.2, mu=0.0)
     program = coulomb(scene, 1e-4, largest_friction=10.0).compile()
@@ -214,8 +207,8 @@ def test_a_rough_prediction_does_not_lead_back_to_a_set_that_failed() -> None:
 
 
 def test_model_leads_to_the_same_answer_in_fewer_working_sets(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     scene = contested(1, noise=0.2, mu=0.0, shape=(8, 16, 8))
     program = coulomb(scene, 1.0, largest_friction=10.0).compile()
     with_model = Structured().prepare(program, Request(1e-7, None)).solve()

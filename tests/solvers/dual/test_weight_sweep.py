@@ -1,7 +1,5 @@
 """A reduced basis for many weights: its minimisers against a direct factorisation."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -10,9 +8,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
-from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.program import Program
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData, duals_without_limits, root_weights
@@ -28,14 +24,12 @@ from ttus_opt.solvers.dual.weight_sweep import (
 WEIGHTS = ((1e-4, 1e-4), (1.0, 1e-2), (1e2, 1e2), (1e-3, 10.0))
 
 
-def declared(
-    name: str = "eq10", force: float = 1.0, torque: float = 1.0
-) -> Formulation:
+def declared(name="eq10", force=1.0, torque=1.0):
     scene = small_scene("trilinear")
     return load(name, scene).with_weights(force=force, torque=torque)
 
 
-def exact(program: Program) -> Array:
+def exact(program):
     """The minimiser over the voxels that no equality holds, by a factorisation."""
     Q, d = program.normal_equations()
     given = program.dirichlet
@@ -51,7 +45,7 @@ def exact(program: Program) -> Array:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
-def test_minimisers_are_those_of_a_factorisation(name: str) -> None:
+def test_minimisers_are_those_of_a_factorisation(name):
     sweep = WeightSweep(DualData.of(declared(name).compile()))
     for force, torque in WEIGHTS:
         program = declared(name, force, torque).compile()
@@ -64,7 +58,7 @@ def test_minimisers_are_those_of_a_factorisation(name: str) -> None:
         assert kkt.worst_relative < 1e-7
 
 
-def test_what_was_solved_needs_nothing_new() -> None:
+def test_what_was_solved_needs_nothing_new():
     sweep = WeightSweep(DualData.of(declared().compile()))
     roots = [root_weights(declared("eq10", *pair).compile()) for pair in WEIGHTS]
     first = [sweep.solve(root, 1e-6).directions for root in roots]
@@ -72,7 +66,7 @@ def test_what_was_solved_needs_nothing_new() -> None:
     assert [sweep.solve(root, 1e-6).directions for root in roots] == [0] * len(roots)
 
 
-def test_the_basis_is_orthonormal_and_its_error_is_what_it_says() -> None:
+def test_the_basis_is_orthonormal_and_its_error_is_what_it_says():
     """Loosely solved, the objective is above its minimum by the square asked for."""
     program = declared().compile()
     sweep = WeightSweep(DualData.of(program))
@@ -85,7 +79,7 @@ def test_the_basis_is_orthonormal_and_its_error_is_what_it_says() -> None:
     assert np.abs(energy - np.eye(len(sweep))).max() < 1e-8
 
 
-def test_a_deadline_ends_it() -> None:
+def test_a_deadline_ends_it():
     program = declared().compile()
     sweep = WeightSweep(DualData.of(program))
     answer = sweep.solve(root_weights(program), 1e-6, time.perf_counter() - 1.0)
@@ -94,7 +88,7 @@ def test_a_deadline_ends_it() -> None:
     np.testing.assert_allclose(answer.p, p0, atol=1e-9)
 
 
-def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
+def test_fields_that_are_handed_over_have_the_images_that_stay():
     """At some voxels alone, in blocks, in single precision."""
     program = declared("eq10", 30.0, 30.0).compile()
     data, scene = DualData.of(program), declared().scene
@@ -109,7 +103,7 @@ def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
     np.testing.assert_allclose(images, sweep.images, atol=1e-5 * size)
 
 
-def test_with_a_direction_for_every_row_the_basis_is_complete() -> None:
+def test_with_a_direction_for_every_row_the_basis_is_complete():
     """One pose: fewer rows than `PROBES`, whose mean would else end it."""
     scene = small_scene("trilinear", n_poses=1)
     data = DualData.of(load("eq10", scene).without("torque").compile())
@@ -122,7 +116,7 @@ def test_with_a_direction_for_every_row_the_basis_is_complete() -> None:
     np.testing.assert_allclose(sweep.images.T @ sweep.images, C, atol=1e-6 * size)
 
 
-def test_a_combination_may_be_of_fewer_fields_than_are_held() -> None:
+def test_a_combination_may_be_of_fewer_fields_than_are_held():
     """As after a solve whose best point came before its last directions."""
     program = declared("eq10", 30.0, 30.0).compile()
     data, rng = DualData.of(program), np.random.default_rng(0)
@@ -137,7 +131,7 @@ def test_a_combination_may_be_of_fewer_fields_than_are_held() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-6 * size)
 
 
-def test_too_few_directions_complete_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_directions_complete_nothing(monkeypatch):
     monkeypatch.setattr(options, "MAX_DIRECTIONS", 3)
     program = declared("eq10", 30.0, 30.0).compile()
     sweep = WeightSweep(DualData.of(program))
@@ -145,13 +139,13 @@ def test_too_few_directions_complete_nothing(monkeypatch: pytest.MonkeyPatch) ->
     assert len(sweep) == 3
 
 
-def test_only_one_field_and_few_rows_suit() -> None:
+def test_only_one_field_and_few_rows_suit():
     scene = small_scene("trilinear")
     for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
         assert not suits_sweep(load(name, scene).compile()), name
 
 
-def test_limits_are_told_from_boundary_values() -> None:
+def test_limits_are_told_from_boundary_values():
     hard, sign = declared("eq10_hard_boundary"), declared("eq10_sign_monotone")
     assert not is_limited(hard.compile()) and is_limited(sign.compile())
     program = sign.compile()
@@ -163,7 +157,7 @@ def test_limits_are_told_from_boundary_values() -> None:
             assert not keeps_limits(program, unit * broken)
 
 
-def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
+def test_completed_it_holds_all_that_the_rows_tell_of_each_other():
     """KᵀK against C from dense inverses, in the trace that was asked for."""
     program = declared("eq10", 30.0, 30.0).compile()
     data = DualData.of(program)
@@ -179,7 +173,7 @@ def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
 
 
 @pytest.mark.parametrize("field_rtol", [1e-6, 1e-8])
-def test_dependent_rows_are_spanned_and_nothing_is_added(field_rtol: float) -> None:
+def test_dependent_rows_are_spanned_and_nothing_is_added(field_rtol):
     """Four frames beside each other tell twelve things of the field, not 24."""
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
     data = DualData.of(load("eq10", scene).compile())

@@ -1,7 +1,5 @@
 """Working sets on a grid of one slice and few spokes, block by block, by hand."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -13,9 +11,7 @@ from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 INF = np.inf
 
 
-def limits(
-    lower: list[float], upper: list[float], least: float = 0.0, scale: float = 1.0
-) -> SpokeLimits:
+def limits(lower, upper, least=0.0, scale=1.0):
     """One spoke, inside out."""
     n = len(lower)
     return SpokeLimits(
@@ -24,18 +20,18 @@ def limits(
     )  # fmt: skip
 
 
-def active(bounds: list[int], links: list[int]) -> WorkingSet:
+def active(bounds, links):
     return WorkingSet(np.array(bounds, dtype=np.int8), np.array(links, dtype=bool))
 
 
-def test_counts_and_differences() -> None:
+def test_counts_and_differences():
     one, other = active([0, -1, 1], [1, 0, 0]), active([1, -1, 0], [1, 1, 0])
     assert (one.count, other.count) == (3, 4)
     assert one.differs(other) == other.differs(one) == 3
     assert WorkingSet.empty(3).count == 0 and one.differs(one) == 0
 
 
-def test_limits_that_are_gone_are_left_out() -> None:
+def test_limits_that_are_gone_are_left_out():
     there = active([-1, 1, 1], [1, 1, 1]).existing(limits([0, 0, 0], [INF, 5, INF]))
     assert there.bounds.tolist() == [-1, 1, 0]
     assert there.links.tolist() == [True, True, False]
@@ -50,16 +46,14 @@ def test_limits_that_are_gone_are_left_out() -> None:
         ([1, 0, -1], [1, 0, -1], [1, 0]),  # between 4 and 0 a link is slack: cut
     ],
 )
-def test_a_block_has_one_bound(
-    bounds: list[int], kept: list[int], links: list[int]
-) -> None:
+def test_a_block_has_one_bound(bounds, kept, links):
     spoke = limits([0.0, 0.0, 0.0], [4.0, 4.0, 4.0])
     found = one_bound_each(spoke, active(bounds, [1, 1, 0]))
     assert found.bounds.tolist() == kept
     assert found.links[:2].astype(int).tolist() == links
 
 
-def test_never_two_bounds_in_a_block_nor_more_limits_than_before() -> None:
+def test_never_two_bounds_in_a_block_nor_more_limits_than_before():
     """Every working set of a spoke of four with a least slope, in any unit."""
     values = [1.0, 0.5, 0.0, -1.0], [9.0, 6.0, 4.0, 2.0]
     spoke, larger = limits(*values, least=1.0), limits(*values, least=1.0, scale=1e4)
@@ -77,7 +71,7 @@ def test_never_two_bounds_in_a_block_nor_more_limits_than_before() -> None:
             assert (after.bounds * before.bounds >= 0).all()
 
 
-def test_a_given_value_goes_before_a_bound_that_agrees_with_it() -> None:
+def test_a_given_value_goes_before_a_bound_that_agrees_with_it():
     """p_2 = 0 is given, p_0 is held at its lower bound 0, and all are linked."""
     spoke = limits([0.0, 0.0, 0.0], [4.0, 4.0, 0.0])
     spoke.given[2] = True

@@ -1,7 +1,5 @@
 """The solver through algebraic multigrid: its solves and answers by dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ pytest.importorskip("pyamg", reason="needs ttus-opt[reference]")
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 
 
-def loaded(weight: float = 3.0) -> _Loaded:
+def loaded(weight=3.0):
     weights = {"force_weight": weight, "torque_weight": 0.2 * weight}
     program = load("eq10", SCENE, **weights).compile()
     prepared = AmgPcg().prepare(program, Request(1e-10))
@@ -23,7 +21,7 @@ def loaded(weight: float = 3.0) -> _Loaded:
     return prepared
 
 
-def test_its_solves_are_with_l_and_its_transpose() -> None:
+def test_its_solves_are_with_l_and_its_transpose():
     own, L = loaded(), SCENE.L.toarray()
     own._attempt(1e-10, None)  # sets how far solves go
     g = np.random.default_rng(0).normal(size=SCENE.n_voxels)
@@ -33,7 +31,7 @@ def test_its_solves_are_with_l_and_its_transpose() -> None:
 
 
 @pytest.mark.parametrize("weight", [1e-3, 3.0, 1e3])
-def test_its_answer_is_the_minimiser(weight: float) -> None:
+def test_its_answer_is_the_minimiser(weight):
     own = loaded(weight)
     found = own.solve()
     L, D = SCENE.L.toarray(), own._D.toarray()
@@ -43,6 +41,6 @@ def test_its_answer_is_the_minimiser(weight: float) -> None:
     np.testing.assert_allclose(found.x, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_out_of_time_there_is_no_answer() -> None:
+def test_out_of_time_there_is_no_answer():
     found = loaded()._attempt(1e-10, 0.0)
     assert found.claim is Claim.TIME_LIMIT and found.x is None

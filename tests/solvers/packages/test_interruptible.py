@@ -1,7 +1,5 @@
 """Work in a thread, from which an interrupt calls away."""
 
-from __future__ import annotations
-
 import signal
 import threading
 
@@ -10,16 +8,16 @@ import pytest
 from ttus_opt.solvers.packages.interruptible import interruptible
 
 
-def test_what_it_returns_and_raises() -> None:
+def test_what_it_returns_and_raises():
     assert interruptible(lambda: threading.current_thread().name) == "solver"
     with pytest.raises(ZeroDivisionError):
         interruptible(lambda: 1 // 0)
 
 
-def test_elsewhere_than_in_the_main_thread_it_is_done_directly() -> None:
-    names: list[str] = []
+def test_elsewhere_than_in_the_main_thread_it_is_done_directly():
+    names = []
 
-    def work() -> None:
+    def work():
         names.append(interruptible(lambda: threading.current_thread().name))
 
     thread = threading.Thread(target=work, name="mine")
@@ -28,10 +26,10 @@ def test_elsewhere_than_in_the_main_thread_it_is_done_directly() -> None:
     assert names == ["mine"]
 
 
-def test_an_interrupt_is_heard_while_it_goes_on() -> None:
+def test_an_interrupt_is_heard_while_it_goes_on():
     begun, over, done = (threading.Event() for _ in range(3))
 
-    def work() -> None:
+    def work():
         begun.set()
         signal.raise_signal(signal.SIGINT)  # Python hands it to the main thread
         over.wait()  # as a library that computes

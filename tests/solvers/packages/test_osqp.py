@@ -1,7 +1,5 @@
 """OSQP kept alive: what an update keeps, continuations, and data it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ INF = np.inf
     ],
     ids=["measured values", "limits", "weights", "rows"],
 )
-def test_an_update_keeps_the_solver(changed: dict[str, float]) -> None:
+def test_an_update_keeps_the_solver(changed):
     prepared = SOLVER.prepare(capped(1.0), Request(1e-8))
     np.testing.assert_allclose(prepared.solve().x, minimum(1.0), atol=1e-6)
     kept = prepared._solver
@@ -38,7 +36,7 @@ def test_an_update_keeps_the_solver(changed: dict[str, float]) -> None:
     np.testing.assert_allclose(again.x, minimum(**changed), atol=1e-6)
 
 
-def test_other_rows_take_a_new_solver() -> None:
+def test_other_rows_take_a_new_solver():
     prepared = SOLVER.prepare(capped(1.0), Request(1e-8))
     kept = prepared._solver
     prepared.update(program([term(M, np.ones(12))]))
@@ -47,7 +45,7 @@ def test_other_rows_take_a_new_solver() -> None:
     np.testing.assert_allclose(prepared.solve().x, expected, atol=1e-6)
 
 
-def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_goes_on_from_its_iterate(monkeypatch):
     """In pieces of 25 iterations, checked between, it comes to the same."""
     monkeypatch.setattr(splitting, "ITERATIONS", 25)
     problem, request = capped(1.0), Request(1e-9)
@@ -61,7 +59,7 @@ def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
     assert kkt_residuals(problem, cut.x, cut.duals).worst_relative > 1e-9
 
 
-def test_what_has_no_answer_has_none() -> None:
+def test_what_has_no_answer_has_none():
     contrary = program(
         [term(np.eye(2), [0.0, 0.0])],
         [rows("reach", [[1, 1], [1, 1]], [4.0, -INF], [INF, 3.0])],
@@ -70,7 +68,7 @@ def test_what_has_no_answer_has_none() -> None:
     assert found.x is None and found.claim is Claim.INFEASIBLE
 
 
-def test_data_that_it_refuses() -> None:
+def test_data_that_it_refuses():
     """A lower limit above its upper one: no solver object, and no crash."""
     crossed = program(
         [term(np.eye(2), [0.0, 0.0])], (), [bounds("box", [2, 0], [1, 9])]

@@ -1,7 +1,5 @@
 """What packages behind qpsolvers say, in words, and what it claims."""
 
-from __future__ import annotations
-
 import pytest
 
 from ttus_opt.solvers.base import Claim
@@ -19,12 +17,12 @@ from ttus_opt.solvers.packages.qp_packages import SOLVERS, Highs, claim_from
         ("", False, Claim.GAVE_UP),
     ],
 )
-def test_claims_from_words(words: str, found: bool, claim: Claim) -> None:
+def test_claims_from_words(words, found, claim):
     assert claim_from(words, found) is claim
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: s.name)
-def test_tolerances_follow_what_is_asked_for(solver) -> None:  # type: ignore[no-untyped-def]
+def test_tolerances_follow_what_is_asked_for(solver):
     loose, tight = (solver.package.options(eps, 7.0) for eps in (1e-4, 1e-7))
     asked = {*solver.package.tolerances, *solver.package.absolute}
     assert all(tight[name] < loose[name] for name in asked)
@@ -32,7 +30,7 @@ def test_tolerances_follow_what_is_asked_for(solver) -> None:  # type: ignore[no
     assert (solver.name == "highs") == isinstance(solver, Highs)
 
 
-def test_an_interrupt_that_a_package_took_for_itself_goes_on() -> None:
+def test_an_interrupt_that_a_package_took_for_itself_goes_on():
     """OSQP and SCS end with these words; the answer so far is none."""
     for words in ("interrupted", "Interrupted", "OSQP_SIGINT"):
         with pytest.raises(KeyboardInterrupt):

@@ -1,7 +1,5 @@
 """SCS kept alive: what an update keeps, continuations, and what has no answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +26,7 @@ INF = np.inf
     ],
     ids=["measured values", "limits", "weights", "rows"],
 )
-def test_an_update_keeps_the_solver(changed: dict[str, float], keeps: bool) -> None:
+def test_an_update_keeps_the_solver(changed, keeps):
     """Where its vectors change alone; it cannot take another matrix."""
     prepared = SOLVER.prepare(capped(1.0), Request(1e-8))
     np.testing.assert_allclose(prepared.solve().x, minimum(1.0), atol=1e-6)
@@ -39,7 +37,7 @@ def test_an_update_keeps_the_solver(changed: dict[str, float], keeps: bool) -> N
     np.testing.assert_allclose(again.x, minimum(**changed), atol=1e-6)
 
 
-def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_goes_on_from_its_iterate(monkeypatch):
     """In pieces of 25 iterations, checked between, it comes to the same."""
     monkeypatch.setattr(splitting, "ITERATIONS", 25)
     problem, request = capped(1.0), Request(1e-9)
@@ -54,7 +52,7 @@ def test_it_goes_on_from_its_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
-def test_what_has_no_answer_has_none(kind: str) -> None:
+def test_what_has_no_answer_has_none(kind):
     """Nor is it a start for the next problem."""
     fit = [term(M, np.zeros(12)), term(np.eye(4), np.ones(4), name="ridge")]
     contrary = program(fit, [rows("reach", np.ones((2, 4)), [4.0, -INF], [INF, 3.0])])

@@ -1,7 +1,5 @@
 """One V-cycle each way: symmetric, positive definite, close to the inverse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -9,10 +7,8 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.solvers.conjugate_gradients import Map
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem, FixedBlock
 from ttus_opt.solvers.primal.least_squares import preconditioner
@@ -24,11 +20,11 @@ SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 LAPLACE, V = SCENE.laplace, SCENE.n_voxels
 
 
-def written_out(apply: Map) -> Array:
+def written_out(apply):
     return np.array([apply(unit) for unit in np.eye(V)]).T
 
 
-def band(inverse: Array, H: Array, at: Array) -> Array:
+def band(inverse, H, at):
     """Eigenvalues of P⁻¹H on some voxels; also that P⁻¹ is symmetric."""
     own = inverse[np.ix_(at, at)]
     assert np.abs(own - own.T).max() < 1e-2 * np.abs(own).max()
@@ -36,7 +32,7 @@ def band(inverse: Array, H: Array, at: Array) -> Array:
     return np.asarray(scipy.linalg.eigh((own + own.T) / 2, exact, eigvals_only=True))
 
 
-def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
+def test_the_preconditioner_is_the_inverse_of_something_near_h():
     """Written down column by column: symmetric, and its product with H in a band."""
     for weight in (1e-2, 1.0):
         weights = {"force_weight": weight, "torque_weight": weight}
@@ -53,7 +49,7 @@ def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
         assert 0.2 < ratios.min() <= ratios.max() < 5.0
 
 
-def test_the_fixed_block_is_a_schur_complement() -> None:
+def test_the_fixed_block_is_a_schur_complement():
     free = SCENE.laplace.free
     rows = AlongZ(SCENE).rows()
     term = ProgramTerm("wide", 10.0, sp.csr_array(rows.blocks["p"]), rows.target)
@@ -74,7 +70,7 @@ def test_the_fixed_block_is_a_schur_complement() -> None:
     np.testing.assert_allclose(block.solve(r), np.linalg.solve(schur, r), rtol=1e-8)
 
 
-def test_light_rows_leave_the_diagonal() -> None:
+def test_light_rows_leave_the_diagonal():
     rows = AlongZ(SCENE).rows()
     term = ProgramTerm("wide", 1e-3, sp.csr_array(rows.blocks["p"]), rows.target)
     free = SCENE.laplace.free
@@ -85,9 +81,7 @@ def test_light_rows_leave_the_diagonal() -> None:
     ("weight", "soft"),
     [(0.0, False), (1e-2, False), (1e2, False), (1e4, False), (0.0, True)],
 )
-def test_squares_of_laplace_s_rows_are_solved_to_a_factor(
-    weight: float, soft: bool
-) -> None:
+def test_squares_of_laplace_s_rows_are_solved_to_a_factor(weight, soft):
     """H = LᵀΩ⁻¹L + w I, Ω four times as large in the outer layers.
 
     Of boundary values that may move only L's own rows are matched.

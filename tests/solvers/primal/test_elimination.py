@@ -1,7 +1,5 @@
 """Schur complements: chains walked by hand, and what is no chain, beside algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,7 +7,7 @@ import scipy.sparse as sp
 from ttus_opt.solvers.primal.elimination import eliminated
 
 
-def _differences(n: int, edges: list[tuple[int, int]]) -> np.ndarray:
+def _differences(n, edges):
     """A graph's Laplacian of uneven weights, and a diagonal."""
     rows = np.zeros((len(edges), n))
     for row, (a, b) in zip(rows, edges, strict=True):
@@ -30,9 +28,7 @@ def _differences(n: int, edges: list[tuple[int, int]]) -> np.ndarray:
         ([(0, 1)], [0, 1]),  # nothing to eliminate
     ],
 )
-def test_it_is_the_schur_complement(
-    edges: list[tuple[int, int]], kept: list[int]
-) -> None:
+def test_it_is_the_schur_complement(edges, kept):
     whole = _differences(6, edges)
     at = np.isin(np.arange(6), kept)
     A, B, C = whole[at][:, at], whole[at][:, ~at], whole[~at][:, ~at]

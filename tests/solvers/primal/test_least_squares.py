@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.linear_parameters import Complement
@@ -27,7 +26,7 @@ class Made(NamedTuple):
 
 
 @functools.cache
-def made() -> Made:
+def made():
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
     program = load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
     split = Split.of(program, FEW)
@@ -35,7 +34,7 @@ def made() -> Made:
     return Made(program, split, LeastSquares(split, none))
 
 
-def minimiser(program: Program) -> Array:
+def minimiser(program):
     """By dense algebra."""
     roots = [np.sqrt(term.weight) for term in program.terms]
     pairs = list(zip(roots, program.terms, strict=True))
@@ -44,11 +43,11 @@ def minimiser(program: Program) -> Array:
     return np.linalg.lstsq(M, t)[0]
 
 
-def random_field(seed: int) -> Array:
+def random_field(seed):
     return np.random.default_rng(seed).normal(size=SCENE.n_voxels)
 
 
-def test_a_program_is_parted_into_prior_wide_and_few() -> None:
+def test_a_program_is_parted_into_prior_wide_and_few():
     program, split, _ = made()
     assert [term.name for term in wide_terms(program, FEW)] == ["tikhonov"]
     assert not wide_terms(program, 10**6)
@@ -61,7 +60,7 @@ def test_a_program_is_parted_into_prior_wide_and_few() -> None:
     assert not split.given.any()
 
 
-def test_values_that_are_given_do_not_move() -> None:
+def test_values_that_are_given_do_not_move():
     scene = SCENE
     hard = load("eq10_hard_boundary", scene).compile()
     split = Split.of(hard, FEW)
@@ -69,7 +68,7 @@ def test_values_that_are_given_do_not_move() -> None:
     np.testing.assert_allclose(split.given[~scene.laplace.free], hard.dirichlet.lower)
 
 
-def test_its_value_is_the_programs_objective() -> None:
+def test_its_value_is_the_programs_objective():
     program, _, function = made()
     prior = next(t for t in program.terms if t.laplace_rows is not None)
     for seed in range(3):
@@ -78,7 +77,7 @@ def test_its_value_is_the_programs_objective() -> None:
         assert function.value(p) == pytest.approx(whole, rel=1e-10)
 
 
-def test_both_equations_hold_at_the_minimiser_and_nowhere_else() -> None:
+def test_both_equations_hold_at_the_minimiser_and_nowhere_else():
     program, _, function = made()
     best = minimiser(program)
     rest = function.residual(np.r_[best, function.misfit(best)])
@@ -92,7 +91,7 @@ def test_both_equations_hold_at_the_minimiser_and_nowhere_else() -> None:
     assert change / (2.0 * step) == pytest.approx(-2.0 * slope @ along, rel=1e-6)
 
 
-def test_an_image_is_by_how_much_residuals_fall() -> None:
+def test_an_image_is_by_how_much_residuals_fall():
     _, split, function = made()
     rng = np.random.default_rng(2)
     at = np.r_[random_field(3), rng.normal(size=len(split.few.t))]
@@ -104,7 +103,7 @@ def test_an_image_is_by_how_much_residuals_fall() -> None:
     assert function.pairing(before, along) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_gap_is_bounded() -> None:
+def test_the_gap_is_bounded():
     program, _, function = made()
     best = minimiser(program)
     least = function.value(best)

@@ -1,7 +1,5 @@
 """Working sets with wide terms against eliminated least squares."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -14,10 +12,7 @@ from tests.solvers.dual.test_subproblem import (
 )
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.base import Term
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -30,9 +25,7 @@ FEW = 100
 
 
 @functools.cache
-def made(
-    own: type[Term], hard: bool, prior: str = "eq10"
-) -> tuple[Program, LimitedSum]:
+def made(own, hard, prior="eq10"):
     scene = contested(1, (6, 9, 5), n_poses=5)
     declared = load(prior, scene, force_weight=1.0, torque_weight=1.0)
     limits = random_limits(scene, 1, hard)
@@ -42,9 +35,7 @@ def made(
     return program, LimitedSum(program, SpokeLimits.of(program), split, split.root())
 
 
-def solved(
-    problem: LimitedSum, active: WorkingSet, rtol: float, last: Array | None = None
-) -> Array:
+def solved(problem, active, rtol, last=None):
     return problem.subproblem(active).solve(Accuracy(rtol), last).p
 
 
@@ -54,9 +45,7 @@ def solved(
     ("held", "linked"),
     [(0.1, 0.0), (0.0, 0.3), (0.1, 0.5), (0.6, 0.9)],
 )
-def test_equals_eliminated_least_squares(
-    held: float, linked: float, own: type[Term], hard: bool
-) -> None:
+def test_equals_eliminated_least_squares(held, linked, own, hard):
     program, problem = made(own, hard)
     active = random_working_set(problem.limits, 3, held, linked)
     assert active.count
@@ -72,7 +61,7 @@ def test_equals_eliminated_least_squares(
     np.testing.assert_allclose(fall, problem.limits.least[deeper], atol=1e-10)
 
 
-def test_soft_values_may_have_weights_of_their_own() -> None:
+def test_soft_values_may_have_weights_of_their_own():
     program, problem = made(AlongZ, False, "free_surface")
     assert not NormalEquations().refusal(program)
     assert np.ptp(problem.split.few.system.compliance) > 0.0
@@ -82,7 +71,7 @@ def test_soft_values_may_have_weights_of_their_own() -> None:
     assert np.linalg.norm(found - expected) <= 1e-7 * np.linalg.norm(expected)
 
 
-def test_from_the_last_field_it_takes_fewer_steps_to_the_same() -> None:
+def test_from_the_last_field_it_takes_fewer_steps_to_the_same():
     program, problem = made(AlongZ, False)
     before = random_working_set(problem.limits, 3, 0.1, 0.3)
     links = before.links.copy()
@@ -99,14 +88,14 @@ def test_from_the_last_field_it_takes_fewer_steps_to_the_same() -> None:
         assert apart <= 1e-5 * np.linalg.norm(expected)
 
 
-def test_out_of_time_it_says_so() -> None:
+def test_out_of_time_it_says_so():
     _, problem = made(AlongZ, False)
     active = random_working_set(problem.limits, 3, 0.1, 0.3)
     answer = problem.subproblem(active).solve(Accuracy(1e-11, deadline=0.0), None)
     assert answer.late
 
 
-def test_objective_and_gradient_are_the_programs() -> None:
+def test_objective_and_gradient_are_the_programs():
     program, problem = made(DepthWeighted, False)
     rng = np.random.default_rng(0)
     p, along = rng.normal(size=(2, len(problem.limits.lower)))
@@ -119,7 +108,7 @@ def test_objective_and_gradient_are_the_programs() -> None:
     assert problem.gradient(p) @ along == pytest.approx(sum(slopes))
 
 
-def test_soft_boundary_values_stand_alone() -> None:
+def test_soft_boundary_values_stand_alone():
     """Voxels that the Laplace rows leave out, as given values do not exist here."""
     program, problem = made(AlongZ, False)
     np.testing.assert_array_equal(problem.alone, ~program.laplace.free)

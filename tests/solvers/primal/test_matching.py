@@ -1,7 +1,5 @@
 """The root of wide terms against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -9,28 +7,26 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
-from ttus_opt.solvers.primal.matching import Root, _Stencil, _Waves, matched_root
+from ttus_opt.solvers.primal.matching import _Stencil, _Waves, matched_root
 
 SCENE = small_scene("trilinear", shape=(7, 12, 9), n_poses=3)
 LAPLACE = SCENE.laplace
 FREE = np.flatnonzero(LAPLACE.free)
 
 
-def wide(term: Term, weight: float) -> ProgramTerm:
+def wide(term, weight):
     rows = term.rows()
     return ProgramTerm(term.name, weight, sp.csr_array(rows.blocks["p"]), rows.target)
 
 
-def root_of(term: ProgramTerm) -> Root:
+def root_of(term):
     ones = np.ones(SCENE.n_voxels)
     return matched_root([term], LAPLACE.grid, LAPLACE.free, LAPLACE.radii, ones)
 
 
-def minus_x(root: Root) -> Array:
+def minus_x(root):
     """L - X on free voxels, from links and screening one by one."""
     grid, total = LAPLACE.grid, LAPLACE.L.toarray()
     assert root.added is not None
@@ -48,7 +44,7 @@ def minus_x(root: Root) -> Array:
 
 
 @pytest.mark.parametrize("own", [TikhonovTerm, *OWN], ids=lambda term: term.name)
-def test_the_square_of_l_minus_x_is_equivalent_to_h(own: type) -> None:
+def test_the_square_of_l_minus_x_is_equivalent_to_h(own):
     """The band holds over twelve decades: it is what bounds the steps."""
     L = LAPLACE.L.toarray()[np.ix_(FREE, FREE)]
     for weight in 10.0 ** np.arange(-6, 7, 3):
@@ -61,14 +57,14 @@ def test_the_square_of_l_minus_x_is_equivalent_to_h(own: type) -> None:
         assert ratios.max() / ratios.min() < (8.0 if own is TikhonovTerm else 120.0)
 
 
-def test_a_light_term_adds_next_to_nothing() -> None:
+def test_a_light_term_adds_next_to_nothing():
     root = root_of(wide(TikhonovTerm(SCENE), 1e-16))
     assert root.added is not None
     assert np.abs(root.added.screening).max() < 1e-6
     assert not root.added.links
 
 
-def test_differences_along_z_are_links_along_z() -> None:
+def test_differences_along_z_are_links_along_z():
     root = root_of(wide(AlongZ(SCENE), 1.0))
     assert root.added is not None
     r, theta, z = root.added.links
@@ -78,7 +74,7 @@ def test_differences_along_z_are_links_along_z() -> None:
     assert z.any()
 
 
-def test_its_coupling_is_what_links_to_fixed_voxels_carry() -> None:
+def test_its_coupling_is_what_links_to_fixed_voxels_carry():
     root = root_of(wide(AlongZ(SCENE), 1.0))
     rows, columns = root.coupling.nonzero()
     assert len(rows)
@@ -87,7 +83,7 @@ def test_its_coupling_is_what_links_to_fixed_voxels_carry() -> None:
     assert (root.coupling.data > 0.0).all()
 
 
-def test_a_stencil_goes_around_the_turn() -> None:
+def test_a_stencil_goes_around_the_turn():
     """Second differences along θ, also across its end; heavy ones are matched."""
     grid = LAPLACE.grid
     index = np.arange(grid.n_voxels).reshape(grid.shape)
@@ -106,7 +102,7 @@ def test_a_stencil_goes_around_the_turn() -> None:
     np.testing.assert_allclose(link[both], 1e4, rtol=0.01)
 
 
-def test_conductances_along_theta_are_those_at_the_geometric_mean_of_radii() -> None:
+def test_conductances_along_theta_are_those_at_the_geometric_mean_of_radii():
     grid = LAPLACE.grid
     where = np.zeros(grid.shape)
     where[1], where[5] = 3.0, 1.0  # at 48 and 122 mm

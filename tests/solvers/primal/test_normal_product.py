@@ -1,7 +1,5 @@
 """MᵀC M v against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -10,7 +8,7 @@ from ttus_opt.solvers.primal.normal_product import add_normal_product
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])
-def test_it_is_added_and_rows_without_slope_are_left_out(kind: type) -> None:
+def test_it_is_added_and_rows_without_slope_are_left_out(kind):
     rng = np.random.default_rng(0)
     M = sp.random_array((30, 12), density=0.2, rng=rng, format="csr")
     M.indices, M.indptr = M.indices.astype(kind), M.indptr.astype(kind)

@@ -1,7 +1,5 @@
 """Few rows by their dual, as its equations ask, whatever is kept of directions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ import scipy.sparse as sp
 
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.primal.test_limited_sum import made
-from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.primal import preconditioner as module
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.preconditioner import (
@@ -22,7 +19,7 @@ from ttus_opt.solvers.primal.preconditioner import (
 N = 40
 
 
-def fresh() -> tuple[ConstraintPreconditioner, Array]:
+def fresh():
     _, problem = made(AlongZ, False)
     split = problem.split
     columns = np.ones(split.few.columns.shape[1], dtype=bool)
@@ -32,13 +29,13 @@ def fresh() -> tuple[ConstraintPreconditioner, Array]:
 
 
 def test_fields_kept_of_directions_stand_for_solves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     kept, rest = fresh()
     system, spent = kept._system, []
     own = type(system).response
 
-    def counted(self: object, y: Array, *more: float) -> Array:
+    def counted(self, y, *more):
         spent.append(1)
         return own(system, y, *more)
 
@@ -58,7 +55,7 @@ def test_fields_kept_of_directions_stand_for_solves(
     np.testing.assert_allclose(again[:-m], expected, atol=1e-5 * size)
 
 
-def test_a_step_obeys_the_equations_beside_free_unknowns() -> None:
+def test_a_step_obeys_the_equations_beside_free_unknowns():
     """D z + E c + y = s for some c, and Eᵀy = 0; z = P⁻¹(r + Dᵀy) is the test above."""
     built, rest = fresh()
     system = built._system
@@ -75,7 +72,7 @@ def test_a_step_obeys_the_equations_beside_free_unknowns() -> None:
     assert own.description == f"{len(own._subspace)} directions of the dual"
 
 
-def test_without_few_rows_the_field_s_part_is_all() -> None:
+def test_without_few_rows_the_field_s_part_is_all():
     built, rest = fresh()
     system = built._system
     none = replace(system, rows=sp.csr_array(system.rows.shape))
@@ -85,7 +82,7 @@ def test_without_few_rows_the_field_s_part_is_all() -> None:
     np.testing.assert_array_equal(step[-m:], rest[-m:])
 
 
-def test_multipliers_beside_the_directions_are_solved_for() -> None:
+def test_multipliers_beside_the_directions_are_solved_for():
     built, rest = fresh()
     built(rest)
     other = np.random.default_rng(6).normal(size=len(built._system.root_weights))
@@ -95,9 +92,7 @@ def test_multipliers_beside_the_directions_are_solved_for() -> None:
 
 
 @pytest.mark.parametrize("most", [0, 1])
-def test_of_many_directions_no_fields_are_kept(
-    most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_directions_no_fields_are_kept(most, monkeypatch):
     monkeypatch.setattr(module, "MOST_FIELDS", most)
     built, rest = fresh()
     columns = np.empty((len(built._system.root_weights), 0))
@@ -107,7 +102,7 @@ def test_of_many_directions_no_fields_are_kept(
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e6])
-def test_few_rows_of_any_weight_are_added(weight: float) -> None:
+def test_few_rows_of_any_weight_are_added(weight):
     """Woodbury's formula: after all directions (P + DᵀD)⁻¹ itself."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(N, N)) / np.sqrt(N)

@@ -1,14 +1,11 @@
 """The factor, or one V-cycle, against dense inverses; the choice by its estimate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.solvers.primal.sparse_inverse import (
     BYTES,
@@ -21,7 +18,7 @@ from ttus_opt.solvers.primal.sparse_inverse import (
 )
 
 
-def test_a_chain_is_factorised_and_a_volume_is_not() -> None:
+def test_a_chain_is_factorised_and_a_volume_is_not():
     n = 30
     chain = sp.diags_array([-np.ones(n**3 - 1)], offsets=[1], shape=(n**3,) * 2)
     one, line = sp.eye_array(n), sp.diags_array([-np.ones(n - 1)], offsets=[1])
@@ -35,12 +32,12 @@ def test_a_chain_is_factorised_and_a_volume_is_not() -> None:
         assert Estimate.of(Q).by_factor is by_factor
 
 
-def envelope_of(Q: Array) -> Array:
+def envelope_of(Q):
     """βᵢ: from each row's first entry to its diagonal, in the order the rows are."""
     return np.array([i - int(np.flatnonzero(row)[0]) for i, row in enumerate(Q)])
 
 
-def ladder(n: int = 12) -> Array:
+def ladder(n=12):
     """Differences along two lines and between them; banded as numbered."""
     Q = 4.0 * np.eye(2 * n)
     for i in range(2 * n - 2):
@@ -50,7 +47,7 @@ def ladder(n: int = 12) -> Array:
     return Q
 
 
-def test_the_estimate_is_that_of_the_narrow_envelope() -> None:
+def test_the_estimate_is_that_of_the_narrow_envelope():
     """However the variables are numbered: the reordering finds the band again."""
     Q = ladder()
     banded = envelope_of(Q)
@@ -68,14 +65,14 @@ def test_the_estimate_is_that_of_the_narrow_envelope() -> None:
     assert dense.factor == pytest.approx(OPERATION * i @ i + NUMBER * i.sum())
 
 
-def test_no_factor_is_made_that_does_not_fit_memory() -> None:
+def test_no_factor_is_made_that_does_not_fit_memory():
     assert Estimate(float(MOST_BYTES), 1.0, 1.0).by_factor
     assert not Estimate(MOST_BYTES + 1.0, 1.0, 1.0).by_factor
     assert not Estimate(1.0, 1.1, 1.0).by_factor
 
 
 @pytest.mark.parametrize("way", ["a factor", "algebraic multigrid"])
-def test_it_is_near_the_inverse(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_near_the_inverse(way, monkeypatch):
     if way != "a factor":
         pytest.importorskip("pyamg", reason="needs ttus-opt[reference]")
     monkeypatch.setattr(Estimate, "by_factor", property(lambda _: way == "a factor"))
@@ -95,7 +92,7 @@ def test_it_is_near_the_inverse(way: str, monkeypatch: pytest.MonkeyPatch) -> No
         assert 0.2 < ratios.min() <= ratios.max() < 1.0 + 1e-6
 
 
-def test_a_singular_matrix_is_inverted_on_its_range() -> None:
+def test_a_singular_matrix_is_inverted_on_its_range():
     """Differences without a ground: what is constant is nobody's, the rest is exact."""
     D = np.diff(np.eye(8), axis=0)
     Q = D.T @ D

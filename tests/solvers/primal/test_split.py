@@ -1,7 +1,5 @@
 """A split program has the objective of the whole one, over the prior's weight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.primal.split import Split, wide_terms
 
@@ -22,7 +19,7 @@ FEW = 100
 CASES = ["eq10", "free_surface", "coulomb_global"]
 
 
-def made(name: str, prior: float = 2.5) -> Program:
+def made(name, prior=2.5):
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
     whole = load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
     program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
@@ -32,7 +29,7 @@ def made(name: str, prior: float = 2.5) -> Program:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_parts_add_up_to_the_objective(name: str) -> None:
+def test_the_parts_add_up_to_the_objective(name):
     program, rng = made(name), np.random.default_rng(0)
     split = Split.of(program, FEW)
     few, V = split.few, len(split.few.b)
@@ -44,7 +41,7 @@ def test_the_parts_add_up_to_the_objective(name: str) -> None:
         assert (parts + rows @ rows) * 2.5 == pytest.approx(program.objective(x))
 
 
-def test_terms_are_sorted_by_their_rows_and_weights() -> None:
+def test_terms_are_sorted_by_their_rows_and_weights():
     program = made("eq10")
     split = Split.of(program, FEW)
     assert split.prior.weight == 1.0
@@ -57,7 +54,7 @@ def test_terms_are_sorted_by_their_rows_and_weights() -> None:
     assert {"force", "torque"}.isdisjoint(t.name for t in wide_terms(program, 0))
 
 
-def test_its_operator_and_given_values_are_the_program_s() -> None:
+def test_its_operator_and_given_values_are_the_program_s():
     split = Split.of(made("eq10"), FEW)
     np.testing.assert_array_equal(split.operator.L.toarray(), SCENE.laplace.L.toarray())
     np.testing.assert_array_equal(split.given, np.where(split.moving, 0.0, SCENE.b))

@@ -1,7 +1,5 @@
 """Newton steps over all variables, by all ways, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 @pytest.mark.parametrize("how", ["factor", "diagonal", "multigrid"])
 @pytest.mark.parametrize("name", ["total_variation", "robust"])
-def test_over_the_field(name: str, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_over_the_field(name, how, monkeypatch):
     problem = problem_of(name)
     slopes = slopes_of(problem, 1, 0.05)
     if how != "factor":
@@ -40,8 +38,8 @@ def test_over_the_field(name: str, how: str, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_many_steps_ask_for_another_preconditioner(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(field_newton, "SMALL", 0)
     monkeypatch.setattr(field_newton, "FEW_ROWS", 50)
     monkeypatch.setattr(field_newton, "MANY", 12)
@@ -55,9 +53,7 @@ def test_many_steps_ask_for_another_preconditioner(
 
 
 @pytest.mark.parametrize("name", ["eq10", "volume_weighted"])
-def test_with_few_rows_the_multigrid_is_the_inverse(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_few_rows_the_multigrid_is_the_inverse(name, monkeypatch):
     """Laplace's rows of any weight and scale beside heavy ones: all eigenvalues 1."""
     monkeypatch.setattr(field_newton, "SMALL", 0)
     monkeypatch.setattr(field_newton, "FEW_ROWS", 50)
@@ -77,9 +73,7 @@ def test_with_few_rows_the_multigrid_is_the_inverse(
 
 
 @pytest.mark.parametrize("how", ["factor", "diagonal"])
-def test_groups_are_no_longer_stiff_along_their_length(
-    how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_groups_are_no_longer_stiff_along_their_length(how, monkeypatch):
     if how == "diagonal":
         monkeypatch.setattr(field_newton, "SMALL", 0)
     monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)

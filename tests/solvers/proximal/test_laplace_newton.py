@@ -1,7 +1,5 @@
 """Newton steps through the dual against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,7 @@ from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 
 @pytest.mark.parametrize("name", ["robust", "sparse_sources"])
 @pytest.mark.parametrize("bent", [0.0, 0.4, 1.0])
-def test_through_the_dual(name: str, bent: float) -> None:
+def test_through_the_dual(name, bent):
     """Few rows may all have bent; of Laplace's rows it is squares that are meant."""
     problem = problem_of(name)
     slopes = slopes_of(problem, 0, bent)
@@ -37,7 +35,7 @@ def test_through_the_dual(name: str, bent: float) -> None:
     compared(step, expected(problem, slopes, gradient))
 
 
-def test_heavy_rows_balance_the_others() -> None:
+def test_heavy_rows_balance_the_others():
     """A rough step is rough beside the step, not beside what heavy rows pull at."""
     problem = problem_of("robust")
     slopes = slopes_of(problem, 0, 0.0)

@@ -1,9 +1,6 @@
 """The step along a line: the slope has nearly gone, and no step is longer than 1."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +8,7 @@ import pytest
 from ttus_opt.solvers.proximal.line_search import ENOUGH, MOST, along
 
 #: Slopes of convex functions, negative at 0 and with their zero before 1
-SLOPES: dict[str, Callable[[float], float]] = {
+SLOPES = {
     "parabola": lambda s: s - 0.3,
     "near the start": lambda s: 1e3 * (s - 1e-3),
     "near the end": lambda s: s**9 - 0.5,
@@ -22,10 +19,10 @@ SLOPES: dict[str, Callable[[float], float]] = {
 
 
 @pytest.mark.parametrize("name", SLOPES)
-def test_the_slope_nearly_goes(name: str) -> None:
+def test_the_slope_nearly_goes(name):
     slope, calls = SLOPES[name], []
 
-    def counted(step: float) -> float:
+    def counted(step):
         calls.append(step)
         return slope(step)
 
@@ -36,20 +33,20 @@ def test_the_slope_nearly_goes(name: str) -> None:
     assert len(calls) <= MOST + 1
 
 
-def test_a_minimum_beyond_the_end_is_a_whole_step() -> None:
+def test_a_minimum_beyond_the_end_is_a_whole_step():
     assert along(lambda s: s - 2.0, -2.0) == (1.0, -1.0)
 
 
-def test_a_jump_of_the_slope_is_closed_in_on() -> None:
+def test_a_jump_of_the_slope_is_closed_in_on():
     """Where no slope is small enough the bracket shrinks to the kink."""
     step, _ = along(lambda s: -1.0 if s < 0.37 else 1.0, -1.0)
     assert step == pytest.approx(0.37, abs=1e-3)
 
 
-def test_a_straight_slope_takes_one_secant() -> None:
+def test_a_straight_slope_takes_one_secant():
     calls = []
 
-    def slope(step: float) -> float:
+    def slope(step):
         calls.append(step)
         return step - 0.3
 

@@ -1,14 +1,11 @@
 """Multipliers of penalised rows are the gradient of e(x), their slope its curvature."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
 
 from tests.solvers.problems import term
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.terms.penalties.absolute import Absolute
 from ttus_opt.problem.terms.penalties.groups import Groups
 from ttus_opt.problem.terms.penalties.huber import Huber
@@ -16,7 +13,6 @@ from ttus_opt.problem.terms.penalties.squares import Squares
 from ttus_opt.solvers.proximal.penalised_rows import (
     EXACT,
     Between,
-    Law,
     PenalisedRows,
     group_columns,
 )
@@ -28,7 +24,7 @@ LIMITS = Between(
 )
 
 
-def block(law: Law, sigma: float = 2.5) -> PenalisedRows:
+def block(law, sigma=2.5):
     rng = np.random.default_rng(0)
     matrix = sp.csr_array(rng.normal(size=(M, N)))
     # limits have no weight of their own
@@ -38,7 +34,7 @@ def block(law: Law, sigma: float = 2.5) -> PenalisedRows:
     return made
 
 
-def envelope(of: PenalisedRows, x: Array) -> float:
+def envelope(of, x):
     """e(x) = min_z w φ(z) + σ/2 ‖r − z + y/σ‖², row by row by a search."""
     total = 0.0
     aim = of.residual(x) + of.multipliers / of.sigma
@@ -48,8 +44,8 @@ def envelope(of: PenalisedRows, x: Array) -> float:
             total += 0.5 * of.sigma * (at - z) ** 2
             continue
 
-        def cost(z: float, at: float = at) -> float:
-            charged = of.law.value(np.array([z]))  # type: ignore[attr-defined]
+        def cost(z, at=at):
+            charged = of.law.value(np.array([z]))
             return float(of.weight * charged + 0.5 * of.sigma * (at - z) ** 2)
 
         found = minimize_scalar(
@@ -66,7 +62,7 @@ LAWS = [Absolute(), Huber(0.4), Squares(), LIMITS]
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
-def test_the_gradient_of_the_envelope_is_what_the_multipliers_pull(law: Law) -> None:
+def test_the_gradient_of_the_envelope_is_what_the_multipliers_pull(law):
     own, rng = block(law), np.random.default_rng(1)
     for _ in range(5):
         x, along = rng.normal(size=(2, N))
@@ -78,7 +74,7 @@ def test_the_gradient_of_the_envelope_is_what_the_multipliers_pull(law: Law) -> 
 
 
 @pytest.mark.parametrize("law", [*LAWS, Groups(3)], ids=lambda law: type(law).__name__)
-def test_the_slope_is_how_the_multipliers_change(law: Law) -> None:
+def test_the_slope_is_how_the_multipliers_change(law):
     own, rng = block(law), np.random.default_rng(2)
     for _ in range(5):
         r, along = rng.normal(size=(2, M))
@@ -89,7 +85,7 @@ def test_the_slope_is_how_the_multipliers_change(law: Law) -> None:
         )
 
 
-def test_limits_charge_the_excess_alone() -> None:
+def test_limits_charge_the_excess_alone():
     """g minimises its conjugate: support of [lower, upper], plus (g − v)²/2 step."""
     v, step = np.array([1.0, 0.0, 0.2, -3.0, 7.0, -1.0]), 2.0
     g, slope = LIMITS.resolvent(v, step)
@@ -98,7 +94,7 @@ def test_limits_charge_the_excess_alone() -> None:
     assert np.isfinite(g).all()  # where limits are infinite, too
 
 
-def test_a_smooth_penalty_enters_exactly() -> None:
+def test_a_smooth_penalty_enters_exactly():
     rng = np.random.default_rng(3)
     for penalty in (Squares(), Huber(0.4)):
         M_ = rng.normal(size=(M, N))
@@ -110,7 +106,7 @@ def test_a_smooth_penalty_enters_exactly() -> None:
     assert not PenalisedRows.of(term(M_, np.zeros(M), WEIGHT, Absolute())).exact
 
 
-def test_values_as_columns_sum_up_groups() -> None:
+def test_values_as_columns_sum_up_groups():
     values = np.arange(1.0, 7.0)
     found = group_columns(values, 3)
     assert found.shape == (6, 2)

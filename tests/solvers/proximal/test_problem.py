@@ -1,14 +1,9 @@
 """A sorted program has the same minimiser and multipliers as the one it was made of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.solvers.problems import INF, bounds, program, rows, term
-from ttus_opt.core.arrays import Array
-from ttus_opt.problem.members import ProgramConstraint
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties.absolute import Absolute
 from ttus_opt.problem.terms.penalties.huber import Huber
 from ttus_opt.problem.verify.kkt import kkt_residuals
@@ -18,7 +13,7 @@ from ttus_opt.solvers.proximal.problem import BOX, PenalisedProblem
 N = 6
 
 
-def mixed() -> Program:
+def mixed():
     """Every kind of member: 3 x₀ = 6 and −2 x₄ = 1 give values, x₁ + x₂ = 1 none."""
     rng = np.random.default_rng(0)
     given = np.zeros((3, N))
@@ -40,7 +35,7 @@ def mixed() -> Program:
     )
 
 
-def test_rows_of_one_entry_give_values_and_the_rest_is_kept() -> None:
+def test_rows_of_one_entry_give_values_and_the_rest_is_kept():
     problem = PenalisedProblem.of(mixed())
     np.testing.assert_array_equal(problem.values, [2.0, 0, 0, 0, -0.5, 0])
     np.testing.assert_array_equal(np.flatnonzero(problem.fixed), [0, 4])
@@ -58,7 +53,7 @@ def test_rows_of_one_entry_give_values_and_the_rest_is_kept() -> None:
     np.testing.assert_array_equal(box.law.upper, [0.1, INF])
 
 
-def penalised_value(problem: PenalisedProblem, x: Array) -> float:
+def penalised_value(problem, x):
     """Objective by the blocks; infinite outside limits."""
     total = 0.0
     for block in problem.blocks:
@@ -67,17 +62,17 @@ def penalised_value(problem: PenalisedProblem, x: Array) -> float:
             inside = (r >= block.law.lower - 1e-12) & (r <= block.law.upper + 1e-12)
             total += 0.0 if inside.all() else INF
         else:
-            total += block.weight * block.law.value(r)  # type: ignore[attr-defined]
+            total += block.weight * block.law.value(r)
     return total
 
 
-def obeyed(constraint: ProgramConstraint, x: Array) -> bool:
+def obeyed(constraint, x):
     r = constraint.matrix @ x
     above, below = r - constraint.lower, constraint.upper - r
     return bool(min(above.min(), below.min()) >= -1e-12)
 
 
-def test_blocks_say_what_the_program_says() -> None:
+def test_blocks_say_what_the_program_says():
     what = mixed()
     problem, rng = PenalisedProblem.of(what), np.random.default_rng(1)
     n_inside = 0
@@ -96,13 +91,13 @@ def test_blocks_say_what_the_program_says() -> None:
     assert 20 < n_inside < 480
 
 
-def pulled(problem: PenalisedProblem, y: list[Array]) -> Array:
+def pulled(problem, y):
     """Σ Mᵀy over all blocks."""
     parts = [b.adjoint(v) for b, v in zip(problem.blocks, y, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 
 
-def test_multipliers_by_name_balance_the_program_s_gradient() -> None:
+def test_multipliers_by_name_balance_the_program_s_gradient():
     """Of any multipliers: what they leave of the gradient is what the blocks leave."""
     what = mixed()
     problem, rng = PenalisedProblem.of(what), np.random.default_rng(2)
@@ -126,7 +121,7 @@ def test_multipliers_by_name_balance_the_program_s_gradient() -> None:
     assert not duals.bounds[[0, 1, 2, 4]].any()
 
 
-def test_multipliers_of_a_solved_program_are_optimal() -> None:
+def test_multipliers_of_a_solved_program_are_optimal():
     """‖x − c‖² with x₀ given and x₁ ≤ 1: by hand, judged by the program's own KKT."""
     what = program(
         [term(np.eye(3), [5.0, 3.0, -1.0])],

@@ -1,7 +1,5 @@
 """Sparse sources: the active set by brute force; fields over decades of weights."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -21,13 +19,13 @@ from ttus_opt.solvers.proximal.source_exchange import nonnegative_minimum
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_active_set_finds_the_best_of_all_sets(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_the_active_set_finds_the_best_of_all_sets(seed):
     rng = np.random.default_rng(seed)
     A, g = rng.normal(size=(7, 6)), rng.normal(size=6)
     G = A.T @ A
 
-    def value(x: np.ndarray) -> float:
+    def value(x):
         return float(0.5 * x @ G @ x - g @ x)
 
     best = 0.0
@@ -44,7 +42,7 @@ def test_the_active_set_finds_the_best_of_all_sets(seed: int) -> None:
 
 
 @pytest.mark.parametrize("weight", [1e-8, 1e-6, 1e-4, 1e-2])
-def test_sources_are_exact_over_six_decades(weight: float) -> None:
+def test_sources_are_exact_over_six_decades(weight):
     terms = [SparseSourcesTerm(SCENE, weight), ForceTerm(SCENE, 1e-2)]
     what = Program.build(SCENE, terms, [HardBoundary(SCENE)])
     both = reduce(what)
