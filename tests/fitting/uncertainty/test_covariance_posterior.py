@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,7 +60,17 @@ def dense() -> np.ndarray:
     told = seen.T @ np.linalg.solve(np.eye(len(D)) + D @ C @ D.T, seen)
     drift = mean.drift @ np.linalg.inv(np.eye(len(told)) + told) @ mean.drift.T
     own = left @ (C + drift) @ left.T
-    return np.asarray(found.variance * own + G @ noise_of(found) @ G.T)
+    # of the noise of whole places only their relative error, beside that of the fit
+    turnless = replace(found.noise, force=0.0, torque=0.0, share=0.0, turn=0.0, shift=0)
+    place = mixed @ noise_of(replace(found, noise=turnless)) @ mixed.T
+    data = mixed @ np.concatenate([scene.f, scene.tau / scene.torque_length])
+    rest = data - D @ (C @ R.T @ (np.sqrt(prior.weight) * prior.target))
+    told = np.any(D != 0.0, axis=1)
+    rest[~told] = 0.0
+    square = rest @ np.linalg.solve(np.eye(len(D)) + D @ C @ D.T, rest) / told.sum()
+    gain = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T)
+    noise = max(square, 1.0) * np.eye(len(D)) + place
+    return np.asarray(found.variance * own + gain @ noise @ gain.T)
 
 
 @pytest.mark.slow

@@ -302,4 +302,9 @@ def _errors(
         known = told_variance(scene, mean)
         variance, noise = seen.estimate(likeliest, known, mean.shared_error)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])
-    return variance, noise, seen.errors(variance, noise, weights, at)
+    # whole places turned and shifted like residuals, as the noise of a depth map,
+    # would predict new places half as well as the errors by parts that it takes
+    by_parts = mean is not None and all(whitening(t.tags) is not None for t in measured)
+    of_row = float(np.sqrt(max(likeliest, 1.0))) if by_parts else None
+    errors = seen.errors(variance, noise, weights, at, of_row)
+    return variance, noise, errors

@@ -145,8 +145,9 @@ class ErrorModel:
 
     Attributes:
         variance: Variance of the field's prior, over that of the program [–].
-        own: Cholesky factor of the errors per frame, shape (n, h, h) [N, N·m].
-        shared: Columns of the errors per place, shape (n, h, 7) [N, N·m].
+        own: Cholesky factor of the errors per frame, shape (n, h, h) [N, N·m], or the
+            standard deviation of all weighted rows, independent of each other [–].
+        shared: Columns of the errors per place, shape (n, h, c) [N, N·m].
         place: Place of every frame, shape (n,) [–].
         at: Column in `mixed` of every component, shape (n, h).
         mixed: From measured components to weighted rows, shape (rows, components)
@@ -154,33 +155,43 @@ class ErrorModel:
     """
 
     variance: float
-    own: Array = field(repr=False)
+    own: Array | float = field(repr=False)
     shared: Array = field(repr=False)
     place: IntArray = field(repr=False)
     at: IntArray = field(repr=False)
     mixed: sp.csr_array = field(repr=False)
 
     def roots(self, rows: Array) -> Array:
-        """Y with Y Yᵀ = B Σ Bᵀ, shape (k, n h + 7 places).
+        """Y with Y Yᵀ = B Σ Bᵀ, shape (k, n h + c places), or (k, rows + c places).
 
         Args:
             rows: B, shape (k, rows).
         """
         parts = (rows @ self.mixed)[:, self.at]
-        own = np.einsum("knh,nhj->knj", parts, self.own).reshape(len(rows), -1)
-        sums = np.zeros((int(self.place.max()) + 1, len(rows), 7))
+        if isinstance(self.own, float):
+            own = self.own * rows
+        else:
+            own = np.einsum("knh,nhj->knj", parts, self.own).reshape(len(rows), -1)
+        columns = self.shared.shape[2]
+        sums = np.zeros((int(self.place.max()) + 1, len(rows), columns))
         np.add.at(sums, self.place, np.einsum("knh,nhj->nkj", parts, self.shared))
         shared = sums.transpose(1, 0, 2).reshape(len(rows), -1)
         return np.concatenate([own, shared], axis=1)
 
     def draw(self, rng: np.random.Generator) -> Array:
         """Errors of all rows, shape (rows,)."""
-        each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(self.at.shape))
-        numbers = rng.standard_normal((int(self.place.max()) + 1, 7))
-        each += np.einsum("nhj,nj->nh", self.shared, numbers[self.place])
-        out = np.zeros(self.mixed.shape[1])
+        rows, components = self.mixed.shape
+        own, each = np.zeros(rows), np.zeros(self.at.shape)
+        if isinstance(self.own, float):
+            own = self.own * rng.standard_normal(rows)
+        else:
+            each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(each.shape))
+        count = int(self.place.max()) + 1, self.shared.shape[2]
+        numbers = rng.standard_normal(count)[self.place]
+        each += np.einsum("nhj,nj->nh", self.shared, numbers)
+        out = np.zeros(components)
         out[self.at] = each
-        return np.asarray(self.mixed @ out)
+        return np.asarray(own + self.mixed @ out)
 
 
 @dataclass(frozen=True)
@@ -308,7 +319,12 @@ class MeasuredWrenches:
         return values(posterior_mode(log_density, len(priors), MOST).steps)
 
     def errors(
-        self, variance: float, noise: WrenchNoise, mixed: sp.csr_array, at: IntArray
+        self,
+        variance: float,
+        noise: WrenchNoise,
+        mixed: sp.csr_array,
+        at: IntArray,
+        of_row: float | None = None,
     ) -> ErrorModel:
         """The error model of weighted rows.
 
@@ -317,9 +333,14 @@ class MeasuredWrenches:
             noise: Noise of the measurements.
             mixed: As in `ErrorModel`.
             at: The same.
+            of_row: Standard deviation of every weighted row, where that and the
+                relative error of a place are all errors [–].
         """
+        shared = self._shared(noise)
+        if of_row is not None:
+            return ErrorModel(variance, of_row, shared[..., :1], self.place, at, mixed)
         own = np.asarray(np.linalg.cholesky(self._own(noise)))
-        return ErrorModel(variance, own, self._shared(noise), self.place, at, mixed)
+        return ErrorModel(variance, own, shared, self.place, at, mixed)
 
     def _own(self, noise: WrenchNoise) -> Array:
         return noise.own(self.wrench)[:, self.parts][:, :, self.parts]
