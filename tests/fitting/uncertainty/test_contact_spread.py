@@ -2,17 +2,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import TtusWarning
 from ttus_opt.fitting.uncertainty.contact_spread import (
+    OWN_ERROR,
     USUAL_PLACES,
     contact_spread,
     independent_places,
+    telling_places,
     told_variance,
     warn_of_one_spot,
 )
+from ttus_opt.gaussian.matern import matern
 from ttus_opt.problem.terms.structure import UncertainMean
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -73,6 +77,27 @@ def test_places_far_apart_count_each_and_frames_of_one_place_once():
     assert independent_places(three, 0.01) == pytest.approx(3.0, abs=0.05)
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
     assert independent_places(one, 0.01) == pytest.approx(1.0, abs=0.05)
+
+
+def test_places_that_tell_the_deviation_count_by_how_far_they_differ():
+    """Against the Fisher information of ln σ by finite differences of a density."""
+    angle = np.repeat([1.0, 1.5, 2.0], 10)
+    scene = scene_of(angle, np.full(30, 0.1), np.full(30, 0.006))
+    at = scene.trajectory.position + scene.trajectory.rotation @ scene.shell.reference
+    first = at[::10]
+    among = matern(cdist(first, first), 0.1)
+
+    def likely(step: float, of: np.ndarray) -> float:
+        """Mean of ln N(y; 0, e^(2 step) K + ε) over y of covariance `of`."""
+        S = np.exp(2.0 * step) * among + OWN_ERROR * np.eye(3)
+        return -0.5 * (np.linalg.slogdet(S)[1] + np.trace(np.linalg.solve(S, of)))
+
+    known, h = among + OWN_ERROR * np.eye(3), 1e-3
+    curved = [likely(step, known) for step in (-h, 0.0, h)]
+    information = -(curved[0] - 2.0 * curved[1] + curved[2]) / h**2
+    found = telling_places(scene, 0.1)
+    assert found == pytest.approx(0.5 * information, rel=0.02)
+    assert independent_places(scene, 0.1) < found < 3.0
 
 
 def test_one_place_is_widened_by_bodies_in_general_and_told():

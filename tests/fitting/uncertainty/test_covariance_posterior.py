@@ -11,6 +11,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 import ttus_opt as tt
+from tests.conftest import ellipsoid, presses, torso
 from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
     noise_of,
@@ -19,8 +20,11 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
     unseen,
     wrench_rows,
 )
+from ttus_opt.contact.scene import Scene
+from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
 from ttus_opt.problem.solution import Solution
+from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
 pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
@@ -70,7 +74,13 @@ def dense() -> np.ndarray:
     square = rest @ np.linalg.solve(np.eye(len(D)) + D @ C @ D.T, rest) / told.sum()
     gain = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T)
     noise = max(square, 1.0) * np.eye(len(D)) + place
-    return np.asarray(found.variance * own + gain @ noise @ gain.T)
+    # relative to the fit: all errors times p̂/φ, those of the rows over theirs
+    profile = C @ R.T @ (np.sqrt(prior.weight) * prior.target)
+    factor = np.clip(found.potential.values.ravel() / profile, *FACTORS)
+    size = np.abs(D) * np.abs(profile)
+    gain[:, told] /= (size @ factor)[told] / size.sum(axis=1)[told]
+    within = found.variance * own + gain @ noise @ gain.T
+    return np.asarray(within * np.outer(factor, factor))
 
 
 @pytest.mark.slow
@@ -103,3 +113,58 @@ def test_draws_agree_with_it():
     std = np.sqrt(np.diag(dense()))
     found = exact().potential_std().reshape(-1)
     assert abs(np.median(found / std) - 1.0) < 0.02
+
+
+def opposite_presses(stiffer: float) -> Scene:
+    """The same presses on both sides of a torso, of which one is stiffer."""
+    surface = torso()
+    voxmap = tt.Voxmap.from_surface(surface, shape=(9, 20, 10))
+    rng, turn = np.random.default_rng(0), np.diag([-1.0, -1.0, 1.0])
+    one = presses(surface, 8, rng, depth=0.015)
+    other = replace(one, position=one.position @ turn, rotation=turn @ one.rotation)
+    both = tt.Trajectory.concatenate([one, other])
+    scene = Scene.assemble(voxmap, ellipsoid(), both, inner=1.0)
+    shape = voxmap.grid.shape
+    stiff = np.where(np.arange(shape[1]) < shape[1] // 2, stiffer, 1.0)
+    depth = np.maximum(voxel_depths(voxmap), 0.0).reshape(shape)
+    p = (60.0 * depth * stiff[:, None]).reshape(-1)
+    force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, 0.02, both.position.shape)
+    torque = (scene.W @ p).reshape(-1, 3)
+    measured = replace(both, force=force, torque=torque)
+    return Scene.assemble(voxmap, ellipsoid(), measured, inner=1.0)
+
+
+def test_a_stiffer_place_is_uncertain_by_more_newtons():
+    """Beside the presses, whose geometry is the same, by the same share of the force.
+
+    A field that varies by an amount, not by a factor, is uncertain alike on both sides.
+    """
+    scene = opposite_presses(2.0)
+    solution = tt.fit(scene, "depth_map", **WEIGHTS)
+    found = uncertainty(solution, scene)
+    voxels = sp.csr_array(sp.eye_array(scene.n_voxels))
+    std = np.sqrt(found.covariance(voxels, 1)[:, 0, 0])
+    inside = voxel_depths(scene.voxmap) > 0.0
+    share = np.where(inside, std / solution.field.values.reshape(-1), np.nan)
+    (stiff, soft), (more, less) = (
+        np.split(scene.voxmap.grid.unflatten(values), 2, axis=1)
+        for values in (share, np.where(inside, std, np.nan))
+    )
+    assert np.nanmax(more / less) > 1.5
+    assert np.nanmedian(np.abs(np.log(stiff / soft))) < 0.02
+    assert np.nanmax(np.abs(np.log(stiff / soft))) < 0.25  # by the noise
+
+
+def test_forces_without_torques_have_an_uncertainty_too():
+    """A depth map of them has no torque rows; torques tell more."""
+    whole = opposite_presses(2.0)
+    bare = replace(whole.trajectory, torque=None)
+    scene = Scene.assemble(whole.voxmap, whole.shell, bare, inner=1.0)
+    found = uncertainty(tt.fit(scene, "depth_map", force_weight=30.0), scene)
+    rows = sp.csr_array(whole.N)
+    less = uncertainty(tt.fit(whole, "depth_map", **WEIGHTS), whole)
+    assert np.isnan(found.noise.torque)
+    seen = whole.touching
+    stated, known = (np.trace(u.covariance(rows, 3).T)[seen] for u in (found, less))
+    assert np.median(stated / known) > 1.0
+    assert (stated > 0.0).all()

@@ -79,21 +79,42 @@ def independent_places(scene: Scene, length: float) -> float:
     return ByCovariance.of(among, np.ones(len(at))).square
 
 
+def telling_places(scene: Scene, length: float) -> float:
+    """Number of independent places that tell the deviation σ of a field as well [–].
+
+    tr (K (K + ε)⁻¹)², with K the field's correlation between the places that were
+    touched: half of it is the Fisher information about ln σ. Places whose values are
+    alike still tell by how much they differ.
+
+    Args:
+        scene: Patient, probe and poses.
+        length: Matérn length of the field along the surface [m].
+    """
+    at, place = _contacts(scene), scene.places[scene.touching]
+    every = slice(None, None, -(-len(at) // MOST_FRAMES))
+    at, place = at[every], np.unique(place[every], return_inverse=True)[1]
+    mean = np.eye(place.max() + 1)[place] / np.bincount(place)
+    among = mean.T @ matern(cdist(at, at), length) @ mean
+    spread = np.linalg.eigvalsh(among)
+    return float(np.sum((spread / (spread + OWN_ERROR)) ** 2))
+
+
 def told_variance(scene: Scene, mean: UncertainMean) -> float:
     """Variance about the mean that the recordings bear out, over that of the fit [–].
 
-    The deviation found at n independent places counts n times, the one of bodies in
-    general `USUAL_PLACES` times; never less than 1. A `TtusWarning` tells when the
+    The deviation found at places that tell as much as n independent ones counts n
+    times, the one of bodies in general `USUAL_PLACES` times; never less than 1. A
+    `TtusWarning` tells when the
     recordings cannot tell how stiffness varies.
 
     Args:
         scene: What was fitted.
         mean: The mean, and the deviation found from it.
     """
-    n = independent_places(scene, mean.length)
+    n = telling_places(scene, mean.length)
     usual = (mean.usual / mean.deviation) ** 2
     variance = max((n + USUAL_PLACES * usual) / (n + USUAL_PLACES), 1.0)
-    if n < FEW_PLACES:
+    if independent_places(scene, mean.length) < FEW_PLACES:
         warnings.warn(
             "the recordings tell hardly more than one place, not how stiffness varies: "
             f"{100 * np.sqrt(variance) * mean.deviation:.0f} % are stated for that, by "

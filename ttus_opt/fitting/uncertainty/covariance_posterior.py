@@ -4,6 +4,12 @@ C is only formed among the voxels that the rows touch. Where the mean has unknow
 multiples β of fields H, they add the covariance v T Tᵀ, T = (N − Q D) H (1 + HᵀDᵀ S⁻¹ D
 H)^(−1/2): universal kriging.
 
+Such a mean is a profile φ that places of a body have in common up to factors, and
+factors are what is alike: p = φ e^g rather than φ (1 + g), which a linear fit needs.
+With φ e^g ≈ p̂ + (p̂/φ) φ (g − ĝ) about the fit p̂, the error of p is p̂/φ times that
+of a fit whose noise is divided by p̂/φ: a stiff place is uncertain by more newtons than
+a soft one.
+
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eqs. 2.24 and 2.42.
 """
@@ -16,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.fitting.uncertainty.posterior import Posterior
+from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm
@@ -24,6 +30,9 @@ from ttus_opt.problem.terms.structure import known_covariance
 
 #: Rows whose covariance with all measured voxels is formed at once
 AT_ONCE = 6
+
+#: Least and largest p̂/φ: a linear fit may leave the range of a factor [–]
+FACTORS = 0.3, 3.0
 
 
 @dataclass(frozen=True)
@@ -35,20 +44,27 @@ class CovariancePosterior(Posterior):
         touching: D over these voxels, shape (rows, n).
         drift: H (1 + HᵀDᵀ S⁻¹ D H)^(−1/2), shape (V, k).
         drift_rows: D times it, shape (rows, k).
+        factor: p̂/φ, within `FACTORS`; 1 of a prior without an uncertain mean, (V,).
+        row_factor: Its mean over the voxels of every row of D, shape (rows,).
     """
 
     columns: Columns = field(repr=False)
     touching: sp.csr_array = field(repr=False)
     drift: Array = field(repr=False)
     drift_rows: Array = field(repr=False)
+    factor: Array = field(repr=False)
+    row_factor: Array = field(repr=False)
 
     @classmethod
-    def of(cls, prior: ProgramTerm, terms: list[ProgramTerm]) -> CovariancePosterior:
+    def of(
+        cls, prior: ProgramTerm, terms: list[ProgramTerm], values: Array
+    ) -> CovariancePosterior:
         """Form the covariance of the measured rows.
 
         Args:
             prior: The term of known covariance, of a program of one field.
             terms: The measured terms.
+            values: p̂, shape (V,).
         """
         tag = known_covariance(prior.tags)
         assert tag is not None
@@ -63,14 +79,21 @@ class CovariancePosterior(Posterior):
         touching = sp.csr_array(rows.tocsc()[:, columns.voxels])
         images = np.ascontiguousarray((touching @ square_root(columns.among)).T)
         measured = conditioned(images, np.concatenate(targets)[told] - rows @ mean)
-        drift = np.zeros((rows.shape[1], 0))
+        drift, factor = np.zeros((rows.shape[1], 0)), np.ones(len(values))
         if tag.mean is not None:
+            factor = np.clip(values / mean, *FACTORS)
             seen = rows @ tag.mean.drift
             inner = seen.T @ measured.solve(seen)
             inner[np.diag_indices_from(inner)] += 1.0
             drift = tag.mean.drift @ np.linalg.inv(np.linalg.cholesky(inner)).T
         base = tag.covariance, told, rows, images, measured
-        return cls(*base, columns, touching, drift, rows @ drift)
+        share = abs(rows) @ sp.diags_array(abs(mean))
+        known = drift, rows @ drift, factor, share @ factor / share.sum(axis=1)
+        return cls(*base, columns, touching, *known)
+
+    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+        """As of `Posterior`."""
+        return super().covariance(sp.csr_array(rows * self.factor), height)
 
     def _gained(self, rows: sp.csr_array, height: int) -> Array:
         errors = self._known_errors
@@ -82,7 +105,7 @@ class CovariancePosterior(Posterior):
                 rows @ self.drift - gain @ self.drift_rows,
                 gain,
                 cross + gain,
-                errors.roots(gain),
+                errors.roots(gain / self.row_factor),
             )
         )
         known = mean @ mean.transpose(0, 2, 1) - own @ total.transpose(0, 2, 1)
@@ -92,6 +115,15 @@ class CovariancePosterior(Posterior):
         """X, few rows at a time: each has a column for every measured voxel."""
         few = (rows[i : i + AT_ONCE] for i in range(0, rows.shape[0], AT_ONCE))
         return np.concatenate([self.columns.of_rows(r) @ self.touching.T for r in few])
+
+    def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
+        """As of `Posterior`."""
+        draws = super().draw(count, voxels)
+        draws *= self.factor if voxels is None else self.factor[voxels]
+        return draws
+
+    def _draw_noise(self, rng: np.random.Generator) -> Array:
+        return super()._draw_noise(rng) / self.row_factor
 
     def _draw_prior(self, rng: np.random.Generator) -> Array:
         mean = self.drift @ rng.standard_normal(self.drift.shape[1])

@@ -191,7 +191,8 @@ def uncertainty(
     prior = _prior_of(solution)
     if program.laplace is not scene.laplace:
         raise InputError("the solution belongs to another scene: pass its own scene")
-    measured = [t for t in program.terms if t.weight > 0.0 and t is not prior]
+    used = (t for t in program.terms if t.weight > 0.0 and len(t.target))
+    measured = [t for t in used if t is not prior]
     frames = len(scene.trajectory)
     if not measured or any(len(t.target) != 3 * frames for t in measured):
         raise InputError(
@@ -203,9 +204,11 @@ def uncertainty(
         method = "exact" if known or scene.n_voxels <= MOST_VOXELS else "samples"
     near = method == "samples" or (known is None and scene.n_voxels > MOST_VOXELS)
     voxels = skin_voxels(scene.voxmap, depth) if near else None
+    potential = solution.field
     posterior: LaplacePosterior | CovariancePosterior
     if known:
-        posterior = CovariancePosterior.of(prior, measured)
+        values = potential.values.reshape(-1)
+        posterior = CovariancePosterior.of(prior, measured, values)
     else:
         scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
             solution.not_identified
@@ -213,7 +216,6 @@ def uncertainty(
         posterior = LaplacePosterior.of(
             DualData.of(program), root_weights(program), scale, voxels
         )
-    potential = solution.field
     mean = None if known is None else known.mean
     estimated = _errors(scene, potential, prior, measured, posterior, mean)
     variance, noise, errors = estimated

@@ -109,9 +109,12 @@ class Posterior(abc.ABC):
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """A draw of the prior, (V,), and its noisy measurements, (rows,)."""
-        errors = self._known_errors
-        p = np.sqrt(errors.variance) * self._draw_prior(rng)
-        return p, self.rows @ p + errors.draw(rng)
+        p = np.sqrt(self._known_errors.variance) * self._draw_prior(rng)
+        return p, self.rows @ p + self._draw_noise(rng)
+
+    def _draw_noise(self, rng: np.random.Generator) -> Array:
+        """A draw of the noise of the measurements, shape (rows,)."""
+        return self._known_errors.draw(rng)
 
     @abc.abstractmethod
     def _draw_prior(self, rng: np.random.Generator) -> Array:
