@@ -48,6 +48,12 @@ def test_it_takes_what_explains_most_of_what_is_left():
     np.testing.assert_allclose(std, np.sqrt(np.diag(before)), rtol=1e-9)
 
 
+def test_a_place_is_suggested_once_however_noisy():
+    covariance = np.diag([4.0, 1.0, 0.5])
+    chosen, _, _ = greedy(covariance, np.full(3, 100.0), np.ones(3, dtype=bool), 3)
+    assert chosen.tolist() == [0, 1, 2]
+
+
 @functools.cache
 def stated():
     return uncertainty(tt.fit(three_presses(), "depth_map"), three_presses())

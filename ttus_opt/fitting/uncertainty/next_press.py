@@ -209,9 +209,11 @@ def greedy(
     """
     left = covariance.copy()
     whole = float(np.diag(left)[region].sum())
-    chosen, shares = [], []
+    chosen: list[int] = []
+    shares: list[float] = []
     for _ in range(count):
         explained = (left[region] ** 2).sum(axis=0) / (np.diag(left) + noise)
+        explained[chosen] = -1.0  # what a place has of its own, it has again
         best = int(explained.argmax())
         chosen.append(best)
         shares.append(float(explained[best]) / whole)
