@@ -31,6 +31,23 @@ def test_loss_and_bursts_are_as_given(burst):
     assert gaps[gaps > 0].mean() == pytest.approx(burst, rel=0.12)
 
 
+def test_how_often_a_burst_is_long_enough_for_a_stop():
+    """15 packets of a thirtieth of a second: docs/how-to/live.md says so."""
+    loss, burst, sent, rate = 0.05, 5.0, 400_000, 31.0
+    link, length, runs = ImpairedLink(Impairment(loss=loss, burst=burst)), 0, 0
+    for _ in range(sent):
+        lost = link._loses()
+        runs += not lost and length >= 15
+        length = length + 1 if lost else 0
+
+    def share(loss, burst):  # of packets that begin such a run
+        return loss / burst * (1.0 - 1.0 / burst) ** 14
+
+    assert runs / sent == pytest.approx(share(loss, burst), rel=0.25)
+    each = [1.0 / (2.0 * rate * share(0.02, burst)) for burst in (3.0, 2.0)]
+    assert np.array(each) / 60.0 == pytest.approx([11.8, 440.0], rel=0.01)
+
+
 def test_delay_and_jitter():
     got, _ = through(Impairment(delay=0.1, jitter=0.02), count=200)
     late = [t - 0.02 * n for t, n in got]

@@ -9,7 +9,14 @@ from tests.live.springy import PLAN, Spring, parts, path, session
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.impairment import Impairment
-from ttus_opt.live.messages import Hello, PoseCommand
+from ttus_opt.live.messages import (
+    MOST_TICKS,
+    TICKS,
+    Hello,
+    PoseCommand,
+    Sample,
+    pose_command,
+)
 from ttus_opt.live.model import LiveModel
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Peer
@@ -187,6 +194,23 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
     assert reaches(simulation, State.NORMAL, "follower", 0.5)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_silence_stops_after_500_ms_and_not_before(seed):
+    simulation = session(Impairment(delay=0.1, loss=0.3, burst=10.0, seed=seed))
+    heard, operator = 0.0, simulation.operator
+    for moment in simulation.run(60.0):
+        if moment.packets:
+            heard = moment.time
+        if moment.operator is State.STOP:
+            break
+        assert not operator.peer.met or moment.time - heard < 0.5
+    cause = operator.peer.safety.cause
+    if cause == "no packet for 500 ms":
+        assert moment.time - heard == pytest.approx(0.5, abs=1e-6)
+    else:  # heard by the other side alone, which then said so
+        assert cause == "the other side stopped: no packet for 500 ms"
+
+
 def test_an_operator_that_starts_again_gets_the_model_again():
     simulation = session()
     for _ in simulation.run(0.5):
@@ -211,6 +235,29 @@ def test_a_packet_counts_once_however_often_it_arrives():
     assert one.receive(0.1, data) is None
     # what was heard is not renewed by a replay
     assert one.safety.judge(0.55) is State.STOP
+
+
+def test_a_session_goes_on_when_the_32_bits_of_its_clocks_are_full():
+    surface, _, content = parts()
+    operator, follower = Peer(9), Follower(3, surface, content)
+    full, last, sent = MOST_TICKS / TICKS, 0.0, []
+    start, along = np.array([0.13, 0.0, 0.15]), np.array([0.0, 0.0, 1.0])
+    for k in range(200):
+        now = full - 1.0 + 0.01 * k
+        pose = pose_command(np.eye(3), start + 2e-4 * k * along)
+        data, follower._ready = [operator.pack(now, pose).data], True
+        sensed = Sample(now, np.eye(3), start, np.zeros(6))
+        step = follower.step(now + 0.005, data, sensed)
+        for packet in step.send:
+            received = operator.receive(now + 0.01, packet.data)
+            assert received.sent > last
+            last = received.sent
+        sent.append(step.position[2])
+    assert sent[-1] == pytest.approx(0.15 + 2e-4 * 199, abs=1e-6)
+    assert last == pytest.approx(now + 0.005, abs=0.05)
+    for one in (operator, follower.peer):
+        assert one.quality.round_trip == pytest.approx(0.01, abs=1e-4)
+        assert one.quality.offset == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

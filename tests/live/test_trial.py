@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from ttus_opt.core.errors import InputError
+from ttus_opt.live import demo
 from ttus_opt.live.hand import Hand
+from ttus_opt.live.recording import frames_of
 from ttus_opt.live.subject import MEETING, ROUND, example_subject
-from ttus_opt.live.trial import Trial, run
+from ttus_opt.live.trial import COMPARATORS, Trial, run
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +33,16 @@ def test_the_model_is_close_and_gives_no_energy(delayed):
 def test_the_delayed_force_is_active(delayed):
     assert delayed["direct"].energy > 0.3
     assert delayed["direct"].error > 5 * delayed["model"].error
+
+
+@pytest.mark.slow
+def test_sessions_at_a_time_are_those_one_by_one(tmp_path):
+    trials = [Trial(name, 0.1, seconds=4.0, settled=2.0) for name in COMPARATORS]
+    one = demo._all(trials, tmp_path / "one.mcap", 1, print)
+    two = demo._all(trials, tmp_path / "two.mcap", 2, print)
+    assert [r.as_dict() for r in one] == [r.as_dict() for r in two]
+    files = [frames_of(tmp_path / f"{name}.mcap")[1] for name in ("one", "two")]
+    assert list(files[0]) == list(files[1])
 
 
 @pytest.mark.slow

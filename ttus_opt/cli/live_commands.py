@@ -44,10 +44,14 @@ def demo(
     import sys
     from importlib.util import find_spec
 
+    from ttus_opt.core.threads import usable_cores
     from ttus_opt.live.demo import N_SESSIONS, run_demo
 
+    at_once = min(usable_cores(), N_SESSIONS // 2)
     with Stages(N_SESSIONS) as begin:
-        found = run_demo(output, prior=prior, loss=loss, progress=begin)
+        found = run_demo(
+            output, prior=prior, loss=loss, processes=at_once, progress=begin
+        )
     line = f"{found.seconds:.0f} s; report.html, live.png and session.mcap in {output}/"
     tell(found.as_dict(), fitted(found.table), "", line, json=json)
     if not (no_page or json) and sys.stdout.isatty() and find_spec("viser"):

@@ -34,11 +34,10 @@ class Deadband:
 
     def moved(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> bool:
         """Whether two poses, rotation (3, 3) and position (3,) [m], differ."""
-        if float(np.linalg.norm(a[1] - b[1])) > self.position:
-            return True
+        way, turn = a[1] - b[1], (a[0] - b[0]).ravel()
         # ‖A − B‖² = 8 sin²(φ/2) of the rotation between them
-        chord = float(np.linalg.norm(a[0] - b[0]))
-        return chord > math.sqrt(8.0) * math.sin(0.5 * self.angle)
+        most = 8.0 * math.sin(0.5 * self.angle) ** 2
+        return bool(way @ way > self.position**2 or turn @ turn > most)
 
     def differ(self, a: Sample, b: Sample) -> bool:
         """Whether two samples differ in pose or force."""

@@ -7,9 +7,12 @@ a recording of one session that `ttus-opt live replay` renders again.
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,6 +73,7 @@ def run_demo(
     *,
     prior: float = 1.6,
     loss: float = 0.02,
+    processes: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> LiveDemo:
     """Run all sessions and write report, picture and recording.
@@ -78,24 +82,22 @@ def run_demo(
         folder: Output folder, created if missing.
         prior: Factor by which the prior is too stiff [–].
         loss: Share of lost packets, in bursts of three [–].
-        progress: Called with what begins, once for every session.
+        processes: Sessions at a time [–]; with more than one, the main module must not
+            start them without ``if __name__ == "__main__"``.
+        progress: Called with what is waited for, once for every session.
 
     Raises:
         InputError: A prior or a loss out of range.
         FileError: The folder cannot be written to.
     """
     start, out = time.perf_counter(), io.made_folder(Path(folder))
-    say, results = progress or (lambda _: None), []
     recording = out / "session.mcap"
-    for name in COMPARATORS:
-        for round_trip in ROUND_TRIPS:
-            trial = Trial(name, round_trip, prior, loss=loss, burst=3.0)
-            say(f"{name}, round trip {1e3 * round_trip:.0f} ms")
-            if name == "model" and round_trip == max(ROUND_TRIPS):
-                with Recorder(recording) as recorder:
-                    results.append(run(trial, recorder.watch))
-            else:
-                results.append(run(trial))
+    trials = [
+        Trial(name, round_trip, prior, loss=loss, burst=3.0)
+        for name in COMPARATORS
+        for round_trip in ROUND_TRIPS
+    ]
+    results = _all(trials, recording, processes, progress or (lambda _: None))
     save_picture(live_picture(results), out / "live.png")
     found = LiveDemo(tuple(results), recording, time.perf_counter() - start)
     blocks = [
@@ -120,6 +122,36 @@ def run_demo(
     ]
     write_report(out, blocks)
     return found
+
+
+def _all(
+    trials: Sequence[Trial],
+    recording: Path,
+    processes: int,
+    say: Callable[[str], None],
+) -> list[TrialResult]:
+    """Results of all trials, so many at a time; the last of the model is recorded."""
+    recorded = [t for t in trials if t.comparator == "model"][-1]
+    tasks = [(t, recording if t is recorded else None) for t in trials]
+    results = []
+    with contextlib.ExitStack() as pool:
+        each: Iterable[TrialResult] = (_one(*task) for task in tasks)
+        if processes > 1:
+            spawn = multiprocessing.get_context("spawn")
+            workers = ProcessPoolExecutor(processes, mp_context=spawn)
+            each = pool.enter_context(workers).map(_one, *zip(*tasks, strict=True))
+        waiting = iter(each)
+        for trial in trials:
+            say(f"{trial.comparator}, round trip {1e3 * trial.round_trip:.0f} ms")
+            results.append(next(waiting))
+    return results
+
+
+def _one(trial: Trial, recording: Path | None) -> TrialResult:
+    if recording is None:
+        return run(trial)
+    with Recorder(recording) as recorder:
+        return run(trial, recorder.watch)
 
 
 def comparison(results: Sequence[TrialResult]) -> Table:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ttus_opt.core.arrays import Array
 
 #: Time in which the force falls to zero at a STOP [s]
@@ -39,6 +37,6 @@ class Gate:
             self.gain, self._before = max(0.0, self.gain - passed / RELEASE), now
         else:
             is_open = self.gain == 1.0 and self._before is None
-            lifted = float(np.linalg.norm(wrench[:3])) < self._contact
+            lifted = wrench[:3] @ wrench[:3] < self._contact**2
             self.gain, self._before = (1.0 if is_open or lifted else 0.0), None
         return self.gain * wrench

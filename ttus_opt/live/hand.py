@@ -9,6 +9,7 @@ M. Okamura, IEEE World Haptics 2013).
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,10 @@ class Hand:
         self._again, self._ends = again, float(path.time[-1] - path.time[0])
         self.position, self.velocity = path.position[0].copy(), np.zeros(3)
         self.rotation = path.rotation[0].copy()
-        self._steps = np.diff(path.time)
+        # lists and constants: this runs a thousand times a second
+        self._times = (path.time - path.time[0]).tolist()
+        self._ways = np.diff(path.position, axis=0)
+        self._speeds = self._ways / np.diff(path.time)[:, None]
         self._turned = -np.inf
 
     def step(self, time: float, force: Array, seconds: float) -> None:
@@ -72,25 +76,21 @@ class Hand:
         self.velocity = self.velocity + seconds / own.mass * pull
         self.position = self.position + seconds * self.velocity
         away = self.position - wanted
-        length = float(np.linalg.norm(away))
+        length = math.sqrt(away @ away)
         if length > REACH:  # the end of the device's workspace
             self.position = wanted + away * (REACH / length)
             self.velocity = speed.copy()
 
     def wanted(self, time: float) -> tuple[Array, Array]:
         """Intended position and velocity; the hand turns as it intends."""
-        path = self._path
-        at = float(path.time[0]) + self._within(time)
-        k = int(np.searchsorted(path.time, at, side="right")) - 1
-        k = min(max(k, 0), len(path) - 2)
-        step = self._steps[k]
-        share = min(max((at - path.time[k]) / step, 0.0), 1.0)
-        way = path.position[k + 1] - path.position[k]
+        path, times, at = self._path, self._times, self._within(time)
+        k = min(max(bisect_right(times, at) - 1, 0), len(times) - 2)
+        share = min(max((at - times[k]) / (times[k + 1] - times[k]), 0.0), 1.0)
         if time - self._turned >= TURNS:
             mean = (1.0 - share) * path.rotation[k] + share * path.rotation[k + 1]
             u, _, vt = np.linalg.svd(mean)  # the nearest rotation
             self.rotation, self._turned = u @ vt, time
-        return path.position[k] + share * way, way / step
+        return path.position[k] + share * self._ways[k], self._speeds[k]
 
     def _within(self, time: float) -> float:
         """Time on the path [s]."""

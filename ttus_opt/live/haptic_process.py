@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from typing import Self
 
 import numpy as np
 
@@ -28,12 +29,14 @@ from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, pro
 from ttus_opt.live.safety import SafetyLimits, State
 from ttus_opt.live.shared_arrays import SharedArray
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Numbers of the state that the loop publishes: rotation, position, the wrench that was
-#: rendered, and what reached the hand of it
-HAND = 9 + 3 + 6 + 6
+#: rendered, what reached the hand of it, number of fields taken, and share of the last
+#: one that is felt
+HAND = 9 + 3 + 6 + 6 + 2
 
 #: Numbers that the operator publishes: heartbeat [s], state, friction
 CONTROL = 3
@@ -104,7 +107,7 @@ class HapticProcess:
         self._send((field, self._values.name))
         return self
 
-    def __enter__(self) -> HapticProcess:
+    def __enter__(self) -> Self:
         """For ``with``."""
         return self
 
@@ -154,7 +157,18 @@ class HapticProcess:
     @property
     def shown(self) -> Array:
         """What reached the hand of it, shape (6,) [N, N·m]."""
-        return self._hand.read()[0][18:]
+        return self._hand.read()[0][18:24]
+
+    @property
+    def published(self) -> int:
+        """Fields published in shared memory so far [–]."""
+        return 0 if self._values is None else self._values.count
+
+    @property
+    def swap(self) -> tuple[int, float]:
+        """Fields that the loop has taken, and share of the last that is felt [–]."""
+        taken, share = self._hand.read()[0][24:]
+        return int(taken), float(share)
 
     def close(self) -> None:
         """End the loop; `lateness` tells then how late its frames were."""
@@ -181,6 +195,7 @@ class HapticProcess:
 def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
     """The loop, in its process."""
     hand, control = SharedArray(HAND, names[0]), SharedArray(CONTROL, names[1])
+    _warm_up(plan.shell)
     end.send("ready")
     try:
         first = end.recv()
@@ -195,6 +210,17 @@ def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
             end.send(late)
     hand.close()
     control.close()
+
+
+def _warm_up(shell: PointShell) -> None:
+    """Compile all that frames use, so that a first model is felt at once."""
+    skin = Surface.from_radius(np.full((8, 4), 0.2), np.linspace(0.0, 0.3, 4))
+    voxmap = Voxmap.from_surface(skin, shape=(8, 8, 4), r_inner=0.02)
+    field = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear", {}, {})
+    feedback, inside = ModelFeedback(field, shell), np.array([0.19, 0.0, 0.15])
+    for k in range(3):
+        feedback.felt(1e-3 * k, np.eye(3), inside)
+        feedback.update(field)
 
 
 def _beat(
@@ -221,7 +247,8 @@ def _beat(
             new, seen = values.read()
             loop.renew(new, float(told[2]))
         silent = gone or now - told[0] >= loop.plan.limits.stop_seconds
-        hand.write(loop.frame(now, silent or told[1] == State.STOP))
+        frame = loop.frame(now, silent or told[1] == State.STOP)
+        hand.write(np.append(frame, [seen, loop.share]))
         if silent and loop.gate.gain == 0.0:
             break
     return beat.lateness
@@ -236,6 +263,11 @@ class _Loop:
         self._feedback = ModelFeedback(start, plan.shell)
         self.gate = Gate(plan.limits.contact)
         self._begun = math.nan
+
+    @property
+    def share(self) -> float:
+        """Share of the last field that is felt [–]."""
+        return self._feedback.blend.progress
 
     def renew(self, values: Array, friction: float) -> None:
         """Blend new values in."""
@@ -253,7 +285,7 @@ class _Loop:
         self._field = field
 
     def frame(self, now: float, stopped: bool) -> Array:
-        """One frame; what is published of it, shape (HAND,)."""
+        """One frame: pose, rendered wrench, and what reached the hand, (24,)."""
         device = self._device
         if math.isnan(self._begun):
             self._begun = now

@@ -70,7 +70,7 @@ class ImpairedLink:
     def __init__(self, impairment: Impairment | None = None) -> None:
         self.now = impairment or Impairment()
         self._rng = np.random.default_rng(self.now.seed)
-        self._queue: list[tuple[float, int, bytes]] = []
+        self._queue: list[tuple[float, int, Outgoing]] = []
         self._number = itertools.count()
         self._bad = False
         self._free = self._last = self._stream = -math.inf
@@ -83,6 +83,10 @@ class ImpairedLink:
 
     def receive(self, now: float) -> list[bytes]:
         """What has arrived by now, in the order of arrival."""
+        return [packet.data for packet in self.due(now)]
+
+    def due(self, now: float) -> list[Outgoing]:
+        """Packets that have arrived by now, to be passed on through another link."""
         arrived = []
         while self._queue and self._queue[0][0] <= now:
             arrived.append(heapq.heappop(self._queue)[2])
@@ -109,10 +113,10 @@ class ImpairedLink:
             arrival = self._stream = max(arrival, self._stream)
         elif given.in_order:
             arrival = self._last = max(arrival, self._last)
-        heapq.heappush(self._queue, (arrival, next(self._number), packet.data))
+        heapq.heappush(self._queue, (arrival, next(self._number), packet))
         if not packet.reliable and rng.random() < given.duplicates:
             again = arrival + given.jitter * rng.random()
-            heapq.heappush(self._queue, (again, next(self._number), packet.data))
+            heapq.heappush(self._queue, (again, next(self._number), packet))
 
     def _loses(self) -> bool:
         """Whether the next packet is lost."""

@@ -242,7 +242,8 @@ def pose_of(command: PoseCommand) -> tuple[Array, Array]:
         NotFiniteError: NaN or infinity.
         MessageError: Another size, too far away, or no rotation.
     """
-    return _pose(_floats(command.pose, 7))
+    row = _floats(command.pose, 7)
+    return _rotations(row[None])[0], row[:3].copy()
 
 
 def measurement(index: int, samples: list[Sample], now: float) -> Measurement:
@@ -265,13 +266,15 @@ def samples_of(message: Measurement, sent: float) -> list[Sample]:
     count, rest = divmod(len(message.samples), 4 * SAMPLE)
     if rest or not 1 <= count <= MOST_SAMPLES:
         raise MessageError(f"a measurement of {len(message.samples)} bytes")
-    samples = []
-    for row in _floats(message.samples, SAMPLE * count).reshape(count, SAMPLE):
-        rotation, position = _pose(row[1:8])
-        if np.abs(row[8:]).max() > STRONGEST or not -1.0 <= row[0] <= 1e4:
-            raise MessageError("a wrench or an age is out of range: other units?")
-        samples.append(Sample(sent - float(row[0]), rotation, position, row[8:].copy()))
-    return samples
+    rows = _floats(message.samples, SAMPLE * count).reshape(count, SAMPLE)
+    age, place, wrench = rows[:, 0], rows[:, 1:4], rows[:, 8:]
+    if np.abs(wrench).max() > STRONGEST or age.min() < -1.0 or age.max() > 1e4:
+        raise MessageError("a wrench or an age is out of range: other units?")
+    turns = _rotations(rows[:, 1:8])
+    return [
+        Sample(sent - float(age[k]), turns[k], place[k].copy(), wrench[k].copy())
+        for k in range(count)
+    ]
 
 
 def _floats(content: bytes, count: int) -> Array:
@@ -283,10 +286,12 @@ def _floats(content: bytes, count: int) -> Array:
     return values
 
 
-def _pose(row: Array) -> tuple[Array, Array]:
-    if np.abs(row[:3]).max() > FARTHEST:
+def _rotations(rows: Array) -> Array:
+    """Rotations (k, 3, 3) of positions and quaternions, shape (k, 7), once checked."""
+    if np.abs(rows[:, :3]).max() > FARTHEST:
         raise MessageError(f"a position is beyond {FARTHEST:g} m: other units?")
-    length = float(np.linalg.norm(row[3:7]))
-    if abs(length - 1.0) > 1e-3:
-        raise MessageError(f"a quaternion has length {length:.3g}, not 1")
-    return from_quaternions(row[None, 3:7] / length, "wxyz")[0], row[:3].copy()
+    length = np.sqrt((rows[:, 3:] ** 2).sum(axis=1))
+    worst = float(length[np.abs(length - 1.0).argmax()])
+    if abs(worst - 1.0) > 1e-3:
+        raise MessageError(f"a quaternion has length {worst:.3g}, not 1")
+    return from_quaternions(rows[:, 3:] / length[:, None], "wxyz")

@@ -148,7 +148,7 @@ class Operator:
         state = safety.judge(
             now, "" if self.feedback else "no model of the patient yet"
         )
-        if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
+        if not math.isfinite(float(position.sum() + rotation.sum())):
             safety.stop("the hand's pose is not a number")
             state = safety.state
         else:
@@ -169,11 +169,11 @@ class Operator:
             position: Its origin, patient frame, shape (3,) [m].
         """
         self._hand = np.asarray(position, dtype=float)
-        if self.feedback is None or not np.isfinite(position).all():
+        if self.feedback is None or not math.isfinite(float(position.sum())):
             self._felt = np.zeros(6)
             return self._felt
         wrench = self.feedback.felt(now, rotation, position)
-        if not np.isfinite(wrench).all():
+        if not math.isfinite(float(wrench.sum())):
             self.peer.safety.stop("a rendered force is not a number")
             wrench = np.zeros(6)
         stopped = self.peer.safety.state is State.STOP

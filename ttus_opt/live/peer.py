@@ -46,7 +46,7 @@ class Outgoing:
 
 @dataclass(frozen=True)
 class Received:
-    """A body and when it was sent, by the sender's clock [s]."""
+    """A body and when it was sent, by the sender's clock, which never goes back [s]."""
 
     body: Body
     sent: float
@@ -70,7 +70,7 @@ class Peer:
         self.refused = self.met = 0
         self._sequence = 0
         self._seen: dict[int, None] = {}
-        self._newest = 0
+        self._newest = self._sent = 0
         self._echo, self._echo_at = 0, math.nan
         self._told = 0
 
@@ -91,8 +91,9 @@ class Peer:
             return None
         if not self._is_new(packet):
             return None
-        self._judge(now, packet, len(data))
-        return Received(packet.body, packet.sent / TICKS)
+        sent = self._continued(packet) / TICKS
+        self._judge(now, packet, sent, len(data))
+        return Received(packet.body, sent)
 
     def _is_new(self, packet: Packet) -> bool:
         """Whether a packet was not seen before and is of the present other process."""
@@ -115,18 +116,24 @@ class Peer:
             del self._seen[next(iter(self._seen))]
         return True
 
-    def _judge(self, now: float, packet: Packet, size: int) -> None:
+    def _continued(self, packet: Packet) -> int:
+        """When a packet was sent [ticks]: its 32 bits are full after twelve hours."""
+        if not self._newest:
+            return packet.sent
+        half = MOST_TICKS // 2
+        return self._sent + (packet.sent - self._sent + half) % MOST_TICKS - half
+
+    def _judge(self, now: float, packet: Packet, sent: float, size: int) -> None:
         if packet.sequence > self._newest:
             self._newest = packet.sequence
             self._echo, self._echo_at = packet.sent, now
+            self._sent = round(sent * TICKS)
             cause = packet.body.cause if isinstance(packet.body, Stop) else ""
             self.safety.heard(now, State(packet.state), packet.stops, cause)
         self.quality.arrived(now, packet.sequence, size)
         if packet.echo:
-            left, held, sent = (
-                t / TICKS for t in (packet.echo, packet.held, packet.sent)
-            )
-            self.quality.echoed(now, left, held, sent)
+            away = (round(now * TICKS) - packet.echo) % MOST_TICKS / TICKS
+            self.quality.echoed(now, now - away, packet.held / TICKS, sent)
 
     def pack(self, now: float, body: Body, *, reliable: bool = False) -> Outgoing:
         """A body as a packet of this side."""
@@ -135,7 +142,7 @@ class Peer:
         packet = Packet(
             self.epoch,
             self._sequence,
-            max(1, round(now * TICKS)) % MOST_TICKS,
+            round(now * TICKS) % MOST_TICKS or 1,  # 0 is no echo
             self._echo,
             min(max(held, 0), MOST_TICKS - 1),
             int(self.safety.state),

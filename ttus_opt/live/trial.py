@@ -282,12 +282,13 @@ class _Figures:
     def add(self, moment: Moment) -> None:
         """Take a frame."""
         felt, place = moment.felt[:3], moment.position
-        size = float(np.linalg.norm(felt))
+        size = math.sqrt(felt @ felt)
         self.largest = max(self.largest, size)
         if self._frames:
+            change = felt - self._felt
             self._work += 0.5 * float((felt + self._felt) @ (place - self._place))
             self.energy = max(self.energy, self._work)
-            self.step = max(self.step, float(np.linalg.norm(felt - self._felt)))
+            self.step = max(self.step, math.sqrt(change @ change))
         if self._frames % KEPT == 0:
             self._compare(moment, size)
         self._felt, self._place = felt, place

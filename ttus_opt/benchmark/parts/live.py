@@ -1,8 +1,9 @@
-"""Part ``live``: how late the haptic loop's frames are, and what a link adds.
+"""Part ``live``: how late the haptic loop is, what a link adds, when contact is felt.
 
 The loop runs in real time in its own process, as in a session: a simulated hand presses
 the example's model, and a new field arrives twenty times a second. The link is UDP on
-this machine, encrypted, with packets of a session's size at a session's rate.
+this machine, encrypted, with packets of a session's size at a session's rate. At last a
+whole session over that link, delayed, tells when a contact changes what the hand feels.
 """
 
 from __future__ import annotations
@@ -24,8 +25,12 @@ from ttus_opt.scan.surface import Surface
 if TYPE_CHECKING:  # needs the extra live
     from ttus_opt.live.real_time import Lateness
 
-#: Length of either measurement [s], and rate of new fields [Hz]
+#: Length of every measurement [s], and rate of new fields [Hz]
 SECONDS, FIELDS = 10.0, 20.0
+
+#: Round trip of the session; goals of a swap: until it begins, after half of that, and
+#: from there until nine tenths are felt [s]
+TRIP, BEGUN, FELT = 0.2, 0.15, 0.6
 
 #: Packets a second, and their length [bytes]
 PACKETS, LENGTH = 100.0, 120
@@ -43,8 +48,10 @@ class LivePart(Part):
     legend = (
         "Lateness of 1,000 frames a second in the loop's own process, with a new field "
         "twenty times a second; and the time that packets take there and back over "
-        "UDP on this machine. Frames later than their period are late. Other work on "
-        "the machine shows here."
+        "UDP on this machine. From contact: until a model that knows of it is in the "
+        "hand's loop, without the way there; then until nine tenths of it are felt. "
+        "Late is beyond a period, or the goals of 150 and 600 ms. Other work on the "
+        "machine shows here."
     )
     columns = (
         Column("what", "what"),
@@ -62,12 +69,14 @@ class LivePart(Part):
         return [RunSpec(self.name, None, options, settings.time_limit)]
 
     def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
-        """Loop, then link."""
+        """Loop, then link, then both in a session."""
         seconds = float(spec.options["seconds"])
         begin("haptic loop")
         loop = {"what": "haptic loop", **haptic_loop(seconds).as_dict()}
         begin("link")
-        return [loop, {"what": "UDP there and back", **link(seconds).as_dict()}]
+        packets = {"what": "UDP there and back", **link(seconds).as_dict()}
+        begin("session")
+        return [loop, packets, *swaps(seconds)]
 
 
 def haptic_loop(seconds: float) -> Lateness:
@@ -129,6 +138,29 @@ def link(seconds: float) -> Lateness:
     here.close()
     there.close()
     return Lateness.of(took, 1.0 / PACKETS)
+
+
+def swaps(seconds: float) -> list[Row]:
+    """A session's swaps: until they begin, and until they are felt.
+
+    Raises:
+        NumericalError: A side died.
+    """
+    from ttus_opt.live.real_time import Lateness
+    from ttus_opt.live.swap_times import measure
+
+    found = measure(seconds, TRIP)
+    return [
+        {
+            "what": what,
+            **Lateness.of(times, goal).as_dict(),
+            "rate": len(times) / seconds,
+        }
+        for what, times, goal in (
+            ("contact to model", found.begun, BEGUN),
+            ("model to nine tenths felt", found.felt, FELT),
+        )
+    ]
 
 
 PART = LivePart()
