@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,18 @@ def presses(
         rotation,
         force + rng.normal(0.0, 0.3, force.shape),
         rng.normal(0.0, 0.02, force.shape),
+    )
+
+
+@functools.cache
+def three_presses() -> Scene:
+    """Frames in contact with one in the air after every four."""
+    scene = small_scene("trilinear", n_poses=15)
+    position = scene.trajectory.position.copy()
+    position[4::5, :2] *= 1.2
+    trajectory = replace(scene.trajectory, position=position)
+    return Scene.assemble(
+        scene.voxmap, scene.shell, trajectory, inner=2.0, sampling="trilinear"
     )
 
 

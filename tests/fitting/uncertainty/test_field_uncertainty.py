@@ -9,9 +9,8 @@ import scipy.sparse as sp
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
+from tests.conftest import presses, small_scene, three_presses, torso
 from tests.fitting.uncertainty import test_wrench_noise
-from tests.fitting.weights import test_weight_criteria
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
@@ -22,12 +21,6 @@ FORCE, TORQUE = 30.0, 3.0
 
 #: Of these three places the share of a place keeps its prior, and a warning says so
 KEPT_SHARE = "ignore:uncertainty. the recordings do not tell errors of whole places"
-
-
-@functools.cache
-def three_presses():
-    """Frames in contact with one in the air after every four."""
-    return test_weight_criteria.three_presses()
 
 
 @functools.cache

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.conftest import ellipsoid, presses, small_scene, three_presses, torso
 from tests.fitting.uncertainty.test_contact_spread import scene_of
-from tests.fitting.weights.test_weight_criteria import three_presses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.probe.trajectory import Trajectory

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.fitting.weights import place_left_out
-from ttus_opt.fitting.weights.place_left_out import PlaceLeftOut
+from ttus_opt.fitting.weights.place_left_out import PlaceLeftOut, criteria
 from ttus_opt.fitting.weights.tuning_rows import BasisRows
 
 WEIGHTS = np.array([20.0, 3.0])
@@ -111,3 +111,9 @@ def test_the_search_may_start_at_given_weights():
     start = judge()._steps(given, 3)
     np.testing.assert_allclose(judge().values(start)[0], given)
     assert log_posterior(steps) >= log_posterior(start)
+
+
+def test_without_rows_there_is_nothing_to_tell():
+    none = np.zeros(0)
+    rows = BasisRows(np.zeros((0, 0)), none, none, none.astype(int), none, none)
+    assert np.isnan(list(criteria(rows, none).values())).all()

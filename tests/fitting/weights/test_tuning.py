@@ -11,9 +11,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import ttus_opt as tt
-from tests.conftest import small_scene, torso
+from tests.conftest import small_scene, three_presses, torso
 from tests.core.test_blas_threads import threads
-from tests.fitting.weights.test_weight_criteria import three_presses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.presses import pressed_places

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.fitting.weights import test_weight_criteria
+from tests.conftest import three_presses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.presses import pressed_places
@@ -21,11 +21,6 @@ from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.drag_force import DragForceTerm
 
 MU = 0.3
-
-
-@functools.cache
-def three_presses() -> Scene:
-    return test_weight_criteria.three_presses()
 
 
 def rows_of(name: str, **options: float) -> TuningRows:

@@ -13,7 +13,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.fitting.path.weight_grid import Index, WeightGrid
-from ttus_opt.fitting.weights.weight_criteria import CRITERIA
+from ttus_opt.fitting.weights.place_left_out import CRITERIA
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import Formulation

@@ -5,12 +5,16 @@ from __future__ import annotations
 import abc
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import RepeatedFit, fit
 from ttus_opt.fitting.verdict import judged
-from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
+from ttus_opt.fitting.weights.place_left_out import criteria
+from ttus_opt.fitting.weights.tuning_rows import BasisRows
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
@@ -47,7 +51,7 @@ class PointSolver(abc.ABC):
         """Solve for the weights of a formulation, and verify."""
 
     def criteria(self, declared: Formulation) -> Mapping[str, float]:
-        """`weight_criteria.CRITERIA` for these weights; none by default."""
+        """`place_left_out.CRITERIA` for these weights; none by default."""
         return {}
 
     def prepare_criteria(self, largest: Formulation) -> None:
@@ -120,9 +124,10 @@ class _CommonBasis(PointSolver):
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
         self.common = not is_limited(program)
-        self._sweep = WeightSweep(DualData.of(program))
+        self._data = DualData.of(program)
+        self._sweep = WeightSweep(self._data)
         self._alone = _InTurn("structured", request)
-        self._criteria: Criteria | None = None
+        self._rows: BasisRows | None = None
 
     def __call__(self, declared: Formulation) -> Solution:
         start = time.perf_counter()
@@ -174,12 +179,19 @@ class _CommonBasis(PointSolver):
         informative = self._sweep.informative
         if sum(terms.values()) != len(informative):
             raise InputError("criteria need a Laplace term and measured ones only")
-        self._criteria = criteria_of(largest.scene, terms, informative)
         self._sweep.complete(root_weights(largest.compile()))
+        # the first term's rows are forces
+        term = np.repeat([int(name != "force") for name in terms], 3 * frames)
+        press = np.tile(np.repeat(largest.scene.presses, 3), len(terms))
+        target = (self._data.t / self._data.system.root_weights)[informative]
+        one = np.ones(len(target))
+        base = target - self._sweep.misfit
+        own = (target, term[informative], press[informative], one)
+        self._rows = BasisRows(self._sweep.images, base, *own)
 
     def criteria(self, declared: Formulation) -> Mapping[str, float]:
         """Criteria by the basis."""
-        if self._criteria is None:
+        if self._rows is None:
             return {}
         root = root_weights(declared.compile())[self._sweep.informative]
-        return self._criteria.values(self._sweep.images, self._sweep.misfit, root)
+        return criteria(replace(self._rows, images=self._sweep.images), root)

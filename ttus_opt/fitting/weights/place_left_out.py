@@ -10,6 +10,15 @@ whatever its number of frames, so that over P places
 stands for the likelihood of the weights: that of errors whose size is not known. Weak
 priors keep weights that the places hardly tell near usual ones. See
 docs/method/identification.md, "Tuning".
+
+Other criteria, for comparison (`criteria`), take the m rows of all frames for
+independent. With B and S of weighted rows, W their roots, J = dᵀS⁻¹d:
+
+- evidence, with the most likely size of the noise for these weights,
+  log p(d) = -½ (m log(2π J/m) + log det(W⁻² S) + m)
+  (Rasmussen and Williams, 2006, eq. 2.30);
+- generalised cross-validation, m ‖S⁻¹d‖²/(tr S⁻¹)² over the weights' geometric mean
+  (Golub, Heath and Wahba, Technometrics 21, 1979).
 """
 
 from __future__ import annotations
@@ -55,6 +64,17 @@ COMPONENTS = 3
 
 #: Least mean square of a term's errors, over that of its measurements: rounding [–]
 LEAST_SQUARE = 1e-12
+
+
+#: Unit and meaning of every criterion, by name, in the order of `criteria`
+CRITERIA = {
+    "log_evidence": ("1", "logarithm of the marginal likelihood of the measurements"),
+    "gcv": ("N2", "score of generalised cross-validation, of all rows in N"),
+    "left_out_force_error": (
+        "N",
+        "mean error of the force's magnitude over frames of presses left out in turn",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -183,3 +203,29 @@ class PlaceLeftOut:
         out[0] = math.log(positive[0] * self.variance / SIGNAL[0]) / SIGNAL[1]
         out[1 : self.n_terms] = np.log(positive[1:] / positive[0] / RATIO[0]) / RATIO[1]
         return np.clip(out, -FARTHEST, FARTHEST)
+
+
+def criteria(rows: BasisRows, root: Array) -> dict[str, float]:
+    """`CRITERIA` for one set of weights; NaN where there is nothing to tell.
+
+    Args:
+        rows: Measured rows, of which the first term's are forces, three per frame.
+        root: Roots of their weights, shape (m,) [–].
+    """
+    m = len(rows.target)
+    if m == 0:
+        return dict.fromkeys(CRITERIA, np.nan)
+    data = ByImages.of(rows.images * root, root * (rows.target - rows.base))
+    log_root = np.log(root)
+    size = m * np.log(2.0 * np.pi * data.square / m) + data.log_determinant
+    evidence = -0.5 * float(size - 2.0 * log_root.sum() + m)
+    trace = m - float((data.half**2).sum())
+    rest = float(data.multipliers @ data.multipliers)
+    gcv = m * rest / trace**2 / float(np.exp(2.0 * log_root.mean()))
+    first, error = rows.term == 0, np.nan
+    if len(np.unique(rows.place)) > 1 and first.any():
+        off = (data.left_out(rows.place) / root)[first]
+        both = rows.target[first], rows.target[first] - off
+        told, found = (np.linalg.norm(v.reshape(-1, 3), axis=1) for v in both)
+        error = float(np.abs(told - found).mean())
+    return dict(zip(CRITERIA, (evidence, gcv, error), strict=True))

@@ -2,9 +2,9 @@
 
 Over a reduced basis the prediction of one place from all others has a closed form
 (`place_left_out`), so that the search takes a second. The evidence of independent
-frames and generalised cross-validation (`weight_criteria`) are given for comparison:
-errors persist along a press, and both take weights that are too large. See
-docs/method/identification.md, "Tuning".
+frames and generalised cross-validation are given for comparison: errors persist along a
+press, and both take weights that are too large. See docs/method/identification.md,
+"Tuning".
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from ttus_opt.fitting.weights.place_left_out import (
     SIGNAL,
     PlaceLeftOut,
     Prediction,
+    criteria,
 )
 from ttus_opt.fitting.weights.tuning_result import (
     SIGNAL_TO_NOISE,
@@ -40,7 +41,6 @@ from ttus_opt.fitting.weights.tuning_result import (
     ratio_name,
 )
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
-from ttus_opt.fitting.weights.weight_criteria import Criteria
 from ttus_opt.problem.formulation import Formulation, load, option_names
 
 #: Formulations compared by default: drag first, whose rows include those without it
@@ -264,17 +264,9 @@ class _Candidate:
     def _others(self, weights: Array, coefficient: float) -> tuple[Comparison, ...]:
         """The choices by other criteria, among multiples of the weights."""
         rows = self.judge.rows.at(coefficient)
-        scale = self.prediction.scale
-        none = np.zeros(0, dtype=np.int64)
-        criteria, misfit = Criteria(rows.place, none, np.zeros(0)), rows.target
-        scores = [
-            criteria.values(
-                rows.images,
-                misfit - scale * rows.base,
-                np.sqrt((factor * weights)[rows.term] * rows.every),
-            )
-            for factor in FACTORS
-        ]
+        rows = replace(rows, base=self.prediction.scale * rows.base)
+        every = weights[rows.term] * rows.every
+        scores = [criteria(rows, np.sqrt(factor * every)) for factor in FACTORS]
         comparisons = []
         for name, sign in (("log_evidence", -1.0), ("gcv", 1.0)):
             best = FACTORS[int(np.argmin([sign * one[name] for one in scores]))]

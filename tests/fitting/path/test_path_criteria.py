@@ -1,4 +1,4 @@
-"""Criteria of weights against dense algebra and against fits with a press left out."""
+"""Criteria along a path against dense algebra and fits with a press left out."""
 
 from dataclasses import replace
 
@@ -7,23 +7,10 @@ import pytest
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from ttus_opt.contact.scene import Scene
+from tests.conftest import small_scene, three_presses
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.weights.weight_criteria import Criteria, criteria_of
 
 FORCE, TORQUE = 30.0, 3.0
-
-
-def three_presses():
-    """Frames in contact with one in the air after every four."""
-    scene = small_scene("trilinear", n_poses=15)
-    position = scene.trajectory.position.copy()
-    position[4::5, :2] *= 1.2
-    trajectory = replace(scene.trajectory, position=position)
-    return Scene.assemble(
-        scene.voxmap, scene.shell, trajectory, inner=2.0, sampling="trilinear"
-    )
 
 
 def dense(scene):
@@ -96,16 +83,6 @@ def test_one_press_cannot_be_left_out():
     )
     assert np.isnan(path["left_out_force_error"]).all()
     assert np.isfinite(path["log_evidence"]).all()
-
-
-def test_without_contact_there_is_nothing_to_tell():
-    told = np.zeros(6, dtype=bool)
-    found = criteria_of(
-        small_scene("trilinear", n_poses=1), {"force": 3, "torque": 3}, told
-    )
-    assert isinstance(found, Criteria)
-    values = found.values(np.empty((0, 0)), np.empty(0), np.empty(0))
-    assert np.isnan(list(values.values())).all()
 
 
 @pytest.mark.parametrize("name", ["eq10_sign", "viscous_drag"])
