@@ -174,7 +174,6 @@ def test_evaluate_matches_the_rows_of_the_fit(run, files, field, tmp_path):
     )
     rendered = (rows.N @ loaded.values.reshape(-1)).reshape(-1, 3)
     measured = recorded.force
-    assert measured is not None
     expected = np.abs(
         np.linalg.norm(rendered, axis=1) - np.linalg.norm(measured, axis=1)
     ).mean()

@@ -85,7 +85,6 @@ def test_models_that_were_not_chosen_are_told_with_their_errors():
 
 def test_weights_that_fit_would_not_choose_are_said_to_be_so(run, files, tmp_path):
     press = tt.read_trajectory(files / "press.csv")
-    assert press.force is not None
     firm = int(np.linalg.norm(press.force, axis=1).argmax())
     press.select(slice(firm, firm + 1)).save(tmp_path / "one.csv")
     (tmp_path / "surface.nc").symlink_to(files / "surface.nc")

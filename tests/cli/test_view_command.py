@@ -32,7 +32,6 @@ def test_it_serves_until_it_is_interrupted(field, files):
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    assert process.stdout is not None
     url = process.stdout.readline().strip()
     told = process.stdout.readline()
     try:

@@ -74,7 +74,6 @@ def test_a_trajectory_s_curve_is_its_force() -> None:
     force = np.linalg.norm(SCENE.trajectory.force, axis=1)
     assert f"at most {force.max():.3g} N" in html
     found = re.search(r'points="([^"]+)"', html)
-    assert found is not None
     drawn = np.array([p.split(",") for p in found[1].split()], dtype=float)
     assert len(drawn) == len(force)
     assert (160.0 - drawn[:, 1]) / 152.0 == pytest.approx(force / force.max(), abs=1e-3)

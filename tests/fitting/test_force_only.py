@@ -73,7 +73,6 @@ def test_evaluation_and_report_say_that_there_are_none():
 def test_a_flipped_sensor_of_forces_is_told():
     _, only = scenes()
     force = only.trajectory.force
-    assert force is not None
     wrong = replace(only, trajectory=replace(only.trajectory, force=-force))
     report = check_recordings(wrong, tt.fit(wrong, "laplace_only").field)
     assert report.mistake.mends == "--flip-wrench"

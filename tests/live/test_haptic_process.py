@@ -78,15 +78,6 @@ def test_it_stops_and_ends_by_itself_when_the_operator_is_gone():
         loop.close()
 
 
-def test_a_loop_that_was_killed_is_noticed():
-    model, given = plan()
-    loop = HapticProcess(given).begin(model.field)
-    until(lambda: loop.frames > 10, loop)
-    loop._process.kill()
-    loop.close()
-    assert loop.lateness is None
-
-
 def test_the_gate():
     gate, press, lifted = Gate(0.2), np.array([5.0, 0, 0, 0, 0, 0]), np.zeros(6)
     assert gate(0.0, press, False)[0] == 0.0  # never lifted yet
@@ -159,7 +150,7 @@ def test_a_session_with_the_loop_in_its_own_process_and_its_death():
     assert killed[0].state == "NORMAL"
 
 
-def test_another_surface_reaches_the_loop_whole():
+def test_another_surface_reaches_the_loop_whole_and_its_death_is_noticed():
     model, given = plan()
     with HapticProcess(given).begin(model.field) as loop:
         until(lambda: loop.shown[0] > 0.5, loop)
@@ -168,3 +159,5 @@ def test_another_surface_reaches_the_loop_whole():
         lower = dataclasses.replace(seen, radius=seen.radius - 0.005)
         loop.update(model.over(lower).field)
         until(lambda: loop.shown[0] < 0.7 * before, loop)
+        loop._process.kill()
+    assert loop.lateness is None

@@ -43,6 +43,5 @@ def test_the_twist_between_two_samples():
     one = Sample(1.0, start.as_matrix(), np.zeros(3), np.zeros(6))
     two = Sample(1.0 + dt, turned.as_matrix(), dt * velocity, np.zeros(6))
     twist = _twist(one, two)
-    assert twist is not None
     np.testing.assert_allclose(twist, [*velocity, *omega], rtol=1e-4, atol=1e-12)
     assert _twist(two, one) is None

@@ -41,7 +41,7 @@ def test_no_copy_is_ever_torn():
     size = 20_000
     with SharedArray(size) as shared:
         context = multiprocessing.get_context("spawn")
-        writer = context.Process(target=_writes, args=(shared.name, size, 1.0))
+        writer = context.Process(target=_writes, args=(shared.name, size, 0.3))
         writer.start()
         read = 0
         while writer.is_alive():
@@ -52,4 +52,4 @@ def test_no_copy_is_ever_torn():
             assert values.min() == values.max() == count
             read += count > 0
         writer.join()
-        assert read > 10
+        assert read > 5

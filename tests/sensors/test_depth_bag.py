@@ -140,7 +140,6 @@ def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no topic /x of depth images: one of /camera"):
         read_depth_frame(file, topic="/x")
     found, frame = read_depth_frame(file, topic=data, at=0.1)
-    assert frame is not None
     assert frame[:3] == (data, 3, 5)
     np.testing.assert_allclose(frame[3:], (0.099, UNIT), rtol=1e-6)
     said = "image 4 of 5, 0.099 s after the first, in units of 0.1 mm"

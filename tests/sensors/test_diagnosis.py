@@ -34,7 +34,6 @@ def test_rate_span_noise_and_ranges():
     assert found.noise["force"] == pytest.approx(0.1, rel=0.05)
     assert found.noise["torque"] == pytest.approx(3e-3, rel=0.05)
     assert found.turned == pytest.approx(0.3, abs=1e-3)
-    assert found.position is not None
     np.testing.assert_allclose(found.position[1], 0.05, atol=2e-3)
     assert not found.faults and not found.units and not found.repair
     assert found.lines()[-1] == "no faults"
@@ -42,7 +41,6 @@ def test_rate_span_noise_and_ranges():
 
 def test_holes_are_counted():
     raw = recording()
-    assert raw.position is not None and raw.force is not None
     raw.position[700:710] += 0.4  # out and back
     raw.force[5] = np.nan
     time = raw.time.copy()

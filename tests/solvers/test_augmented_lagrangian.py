@@ -36,7 +36,6 @@ def solved(what, tolerance=1e-7):
     """The answer, its residuals checked on the declared program."""
     both = reduce(what)
     found = SOLVER.prepare(both.program, Request(tolerance, 60.0)).solve()
-    assert found.x is not None
     point = both.restore(found.x, found.duals)
     kkt = kkt_residuals(what, point.x, point.duals)
     assert kkt.worst_relative <= 2.0 * tolerance, (kkt, found.detail)

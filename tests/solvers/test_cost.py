@@ -16,7 +16,6 @@ def script():
     """``benchmarks/solver_cost.py``, which is no part of the package."""
     file = Path(__file__).parents[2] / "benchmarks" / "solver_cost.py"
     spec = importlib.util.spec_from_file_location("solver_cost", file)
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look for it
     spec.loader.exec_module(module)

@@ -26,7 +26,6 @@ def compiled(signed, factor=1.0, weight=1.0):
     """Eq. 10 with all measured forces scaled and another weight."""
     scene = small_scene("trilinear", shape=SHAPE, n_poses=8, seed=3)
     trajectory = scene.trajectory
-    assert trajectory.force is not None
     other = replace(trajectory, force=trajectory.force * factor)
     scene = replace(scene, trajectory=other)
     declared = load("eq10", scene, force_weight=weight, torque_weight=1.0)
@@ -50,8 +49,6 @@ def test_update_equals_fresh(solver, limits):
         prepared.update(changed)
         again = prepared.solve()
         fresh = solver.prepare(changed, Request(tolerance, 60.0)).solve()
-        assert again.x is not None
-        assert fresh.x is not None
         residuals = kkt_residuals(changed, again.x, again.duals)
         assert residuals.worst_relative <= tolerance
         apart = np.linalg.norm(again.x - fresh.x) / np.linalg.norm(fresh.x)

@@ -44,7 +44,6 @@ def test_stiffness_is_the_force_of_a_press_there():
 def test_uncertainty_is_that_of_the_map():
     found = colouring.uncertainty(field(), SKIN)
     own = field().uncertainty
-    assert own is not None
     assert found.unit == "%"
     assert found.values[5] == 100.0 * own.at(*SKIN.vertices[5].tolist())
     with pytest.raises(InputError, match="--uncertainty"):

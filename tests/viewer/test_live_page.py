@@ -33,16 +33,16 @@ def test_a_session_without_a_page():
     assert abs(felt - measured)[-20:].mean() < 1.0
 
     session.worsen(round_trip=0.4)
-    run(session, 2.0)
+    run(session, 1.2)
     assert session.view().round_trip == pytest.approx(0.4, abs=0.1)
 
     session.stop()
-    run(session, 1.0)
+    run(session, 0.6)
     assert "STOP: the operator" in numbers(session.view())
     assert not np.any(session.view().force)
     lifted = session.hand.position + np.array([0.0, 0.05, 0.0])
     session.hand.lead = session.hand.rotation, lifted
-    run(session, 2.0)
+    run(session, 1.2)
     np.testing.assert_allclose(session.hand.position, lifted, atol=1e-3)
     session._measured[:] = 1.0  # one side has contact: the other is armed already
     refuses(InputError, "at zero contact only", session.rearm)
@@ -63,6 +63,7 @@ def page():
         yield opened
 
 
+@pytest.mark.slow
 def test_the_page_follows_the_hand_until_somebody_drags(page):
     state = page.viewer.state
     assert page.tab.presses.value

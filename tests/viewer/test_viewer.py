@@ -82,7 +82,6 @@ def test_the_probe_goes_where_the_hand_is(viewer):
         size = np.linalg.norm(touch.wrench.force)
         until(lambda size=size: f"<b>{size:.2f}</b>" in viewer.page._numbers.content)
         assert name in viewer.page._numbers.content
-    assert viewer.page.probe is not None
     until(lambda: viewer.page.probe._depth.value == 9.0)
     arrow = viewer.page.stage.nodes[1]._force.points[0]
     force = viewer.state.touches[1].wrench.force
@@ -109,7 +108,6 @@ def test_sections_follow_and_cut_the_skin_open(viewer):
 
 def test_a_recording_plays_to_its_end(viewer):
     tab = viewer.page.recording
-    assert tab is not None
     tab._go(0)
     tab.playing.value = True
     until(lambda: not tab.playing.value)

@@ -127,7 +127,6 @@ def test_an_option_that_was_given_for_nothing_is_to_be_left_out():
 def test_torques_in_another_unit_are_told_by_their_size():
     own = recording("sweep_fit")
     found = report(replace(own, torque=1e3 * own.torque)).mistake
-    assert found is not None
     assert re.fullmatch(
         r"torques in N·mm, \d{3,4} times those expected: read them with "
         "--torque-unit Nmm",

@@ -204,7 +204,6 @@ def test_search_is_told_in_the_time():
 def test_a_limit_that_is_not_neutral_is_no_value():
     """The scale of boundary values between 0.5 and 2, for instance."""
     made = declared(low=0.5, high=2.0, best=0.2, depth=100.0)
-    assert made.search is not None
     solution = fit(SILENT, made.with_search(replace(made.search, neutral=1.0)))
     assert solution.parameters["value"] == 1.0
     assert solution.not_identified == {"value": "at its lower limit 0.5"}
@@ -221,7 +220,6 @@ def test_an_estimate_saves_the_search_where_the_minimum_is_beside_it(bad, monkey
         lambda *given: searched.append(least(*given)) or searched[-1],
     )
     whole = declared(depth=100.0)
-    assert whole.search is not None
     likely = whole.with_search(replace(whole.search, likely=0.78))
     solution = fit(SILENT, likely)
     assert len(searched) == (bad[0] < 1.0)

@@ -51,7 +51,6 @@ def test_a_penalty_and_a_searched_range_count():
     assert {k for k in robust if robust[k] != finer[k]} == {"formulation"}
     scene = small_scene("trilinear", shape=(6, 9, 6), n_poses=6)
     declared = tt.load_formulation("coulomb_global", scene)
-    assert declared.search is not None
     narrow = declared.with_search(replace(declared.search, high=0.5))
     neutral = declared.with_search(replace(declared.search, neutral=0.1))
     found = [

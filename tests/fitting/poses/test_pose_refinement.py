@@ -99,7 +99,6 @@ def depths(found, true, force):
 def test_errors_of_depth_are_found():
     scene, true = examined()
     force = scene.trajectory.force
-    assert force is not None
     before = depths(scene.trajectory, true, force)
     after = depths(refined().trajectory, true, force)
     assert before.std() > 0.3e-3

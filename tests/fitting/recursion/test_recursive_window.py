@@ -40,8 +40,6 @@ def scene():
     """A handful of voxels, and a probe that lingers, wanders and jumps."""
     surface, rng = torso(), np.random.default_rng(3)
     at, poses = np.repeat([0, 1, 2], [7, 7, 6]), presses(surface, 3, rng)
-    assert poses.force is not None
-    assert poses.torque is not None
     # three spots, the probe a millimetre aside each time, and single presses all over
     near = Trajectory(
         0.05 * np.arange(20),
@@ -93,8 +91,6 @@ def dense():
     H = np.concatenate(
         [forces.reshape(n, 3, -1), torques.reshape(n, 3, -1)], axis=1
     ).reshape(6 * n, -1)
-    assert told.trajectory.force is not None
-    assert told.trajectory.torque is not None
     t = np.concatenate(
         [told.trajectory.force, told.trajectory.torque / told.torque_length], axis=1
     )
@@ -129,8 +125,6 @@ def add(fit, pose):
         fit.update(np.eye(3), far, np.ones(3), np.zeros(3))
         return
     told = scene().trajectory
-    assert told.force is not None
-    assert told.torque is not None
     fit.update(
         told.rotation[pose], told.position[pose], told.force[pose], told.torque[pose]
     )

@@ -124,7 +124,6 @@ def test_covariance_is_that_of_dense_algebra():
 def test_another_torque_length_with_its_weight_is_the_same_fit(sized):
     """Also where every measured torque is zero, which tells no length."""
     scene = three_presses()
-    assert scene.trajectory.torque is not None
     measured = replace(scene.trajectory, torque=sized * scene.trajectory.torque)
     scene = replace(scene, trajectory=measured)
     lengths = [

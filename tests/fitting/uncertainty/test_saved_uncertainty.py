@@ -50,7 +50,6 @@ def test_a_frame_deeper_than_the_draws_is_unknown(file):
 
 def test_a_renderer_takes_the_map_of_the_file(file):
     potential, shell = PotentialField.load(file), three_presses().shell
-    assert potential.uncertainty is not None
     pose = unseen().rotation[0], unseen().position[0]
     given = tt.Renderer(potential, shell, uncertainty=potential.uncertainty).render(
         *pose

@@ -75,7 +75,6 @@ def test_a_coefficients_rows_are_what_any_two_differ_by():
     """N − μ F is affine in μ."""
     rows = rows_of("coulomb_global")
     assert (rows.coefficient, rows.highest) == ("friction_coefficient", 1.0)
-    assert rows.slope is not None
     search = rows_search()
     given = TuningRows.of(search.build(MU)).matrix
     assert abs(rows.matrix + MU * rows.slope - given).max() < 1e-10

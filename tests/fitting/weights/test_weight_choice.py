@@ -62,7 +62,6 @@ def test_what_is_chosen_is_what_tune_finds_and_says_how_sure():
 def test_what_stays_open_is_told_with_the_value_that_is_kept():
     """As is a hyperparameter that ran to the end of its range."""
     choice = choice_of("auto", drawn(), "eq10")
-    assert choice.tuning is not None
     first = replace(tuned().hyperparameters[0], determined=True)
     scale = "boundary_scale"
     lines = {}
@@ -100,7 +99,6 @@ def test_too_few_frames():
 
 def test_forces_of_the_wrong_sign():
     own = drawn().trajectory
-    assert own.force is not None and own.torque is not None
     flipped = replace(own, force=-own.force, torque=-own.torque)
     with pytest.warns(TtusWarning, match="push into the patient"):
         scene = Scene.assemble(drawn().voxmap, drawn().shell, flipped)
@@ -124,7 +122,6 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights():
         warnings.simplefilter("ignore", TtusWarning)
         clean = dragged_scene("contact")
     rng, n = np.random.default_rng(4), len(clean.trajectory)
-    assert clean.trajectory.force is not None and clean.trajectory.torque is not None
     noisy = replace(
         clean.trajectory,
         force=clean.trajectory.force + rng.normal(0.0, 0.05, (n, 3)),
@@ -132,7 +129,6 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights():
     )
     scene = Scene.assemble(clean.voxmap, clean.shell, noisy)
     choice = choice_of("auto", scene, "coulomb_global")
-    assert choice.tuning is not None
     named = {h.name: h for h in choice.tuning.hyperparameters}
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 

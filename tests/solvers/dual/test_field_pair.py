@@ -45,7 +45,6 @@ def contested(
     """A sliding probe, its forces scaled (or reversed), with noise on them [N]."""
     scene = dragged_scene("contact", mu=mu, shape=shape)
     trajectory = scene.trajectory
-    assert trajectory.force is not None
     noisy = np.random.default_rng(seed).normal(0.0, noise, trajectory.force.shape)
     force = scale * trajectory.force + noisy
     return replace(scene, trajectory=replace(trajectory, force=force))
@@ -71,11 +70,8 @@ def check(declared, least_active, close=1e-5):
     residuals = kkt_residuals(program, candidate.x, candidate.duals)
     assert residuals.worst_relative <= TOLERANCE, residuals
     reference = CLARABEL.prepare(program, Request(1e-10, 120.0)).solve()
-    assert reference.x is not None
     assert active_limits(program, candidate) >= least_active, "nothing is contested"
     theirs = kkt_residuals(program, reference.x, reference.duals)
-    assert residuals.distance is not None
-    assert theirs.distance is not None
     # no further apart than what both leave open: Σ w ‖M (x − x′)‖² without targets
     still = replace(program, terms=tuple(_untargeted(t) for t in program.terms))
     apart = np.sqrt(still.objective(candidate.x - reference.x))
@@ -92,7 +88,6 @@ def _untargeted(term):
 
 def active_limits(program, candidate):
     """Limits with a multiplier, those of given values apart."""
-    assert candidate.duals.bounds is not None
     lower, upper = program.box
     bounds = candidate.duals.bounds[lower < upper]
     found = [bounds, *(candidate.duals.rows[k] for k in ("drag_limit",))]
@@ -199,7 +194,6 @@ def test_the_unknown_beside_has_a_multiplier_at_its_limits_alone(slope, monkeypa
             bound[at] = limit
         monkeypatch.setattr(Program, "box", box)
         z = pair.duals(x, none).bounds
-        assert z is not None
         found.append(z[at])
     # at a lower limit negative, at an upper one positive
     expected = [min(-slope, 0.0), max(-slope, 0.0), 0.0]
@@ -218,7 +212,6 @@ def test_nothing_contested_is_what_was_put_in():
 def test_it_takes_a_share_of_nothing():
     scene = contested(1, noise=0.0, shape=(6, 12, 6)).with_boundary(0.0, 0.0)
     trajectory = scene.trajectory
-    assert trajectory.force is not None
     assert trajectory.torque is not None
     none = replace(
         trajectory, force=0.0 * trajectory.force, torque=0.0 * trajectory.torque
@@ -378,7 +371,6 @@ def test_case_s_with_a_share_below_what_was_put_in():
     # `fit` would take a coefficient at its upper limit for none and fit again
     solution = Fitter(declared, solver="structured").solve()
     assert solution.status is Status.SOLVED
-    assert solution.kkt is not None
     assert solution.kkt.worst_relative <= TOLERANCE
     found = np.abs(solution.duals_by_name["drag_limit"])
     assert np.count_nonzero(found > 1e-6 * found.max()) > 300
@@ -411,7 +403,6 @@ def test_from_any_working_set_the_same_one_is_predicted(seed):
     for factor, step in itertools.product((1.0, 9.0), (None, 2, 3)):
         pair = FieldPair.of(scaled(program, factor))
         n, model = len(pair.limits.lower), pair._touched
-        assert model is not None
         at = n // 2 + model.voxels
         bounds = np.zeros(n, np.int8)
         bounds[at[::step] if step else []] = -1
@@ -419,7 +410,6 @@ def test_from_any_working_set_the_same_one_is_predicted(seed):
         p = pair.subproblem(held).solve(Accuracy(1e-10), None).p
         multipliers = np.where(bounds < 0, -pair.gradient(p), 0.0)
         following = pair.predicted(held, p, Multipliers(multipliers, np.zeros(n)))
-        assert following is not None
         found.append(following.bounds)
     assert (np.array(found) == found[0]).all()
     p = pair.subproblem(following).solve(Accuracy(1e-10), None).p

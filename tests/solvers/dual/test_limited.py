@@ -108,7 +108,6 @@ def crossed(by):
 def test_a_contradiction_counts_beside_the_largest_limit():
     assert loaded(1e-6).facing(crossed(4e-6)) is None
     found = loaded(1e-6).facing(crossed(6e-6))
-    assert found is not None
     assert (found.x, found.claim) == (None, Claim.INFEASIBLE)
     assert "6e-06" in found.detail
 

@@ -287,7 +287,6 @@ def test_duals_have_names_signs_and_balance_the_gradient(small):
     duals = limits.duals(of_bounds, of_links)
     assert set(duals.rows) == {"monotone", "boundary"}
     assert (duals.rows["monotone"] <= 0.0).all()  # at lower limits all
-    assert duals.bounds is not None
     assert not duals.bounds[limits.given].any()
     total = duals.bounds.copy()
     for constraint in loaded.constraints:

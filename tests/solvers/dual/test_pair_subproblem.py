@@ -25,7 +25,6 @@ def pair(weight, smoothness, share, hard):
     scene = dragged_scene("contact", shape=(6, 10, 5))
     rng = np.random.default_rng(1)
     trajectory = scene.trajectory
-    assert trajectory.force is not None
     noisy = trajectory.force + rng.normal(0.0, 1.0, trajectory.force.shape)
     scene = replace(scene, trajectory=replace(trajectory, force=noisy))
     declared = formulation.load(

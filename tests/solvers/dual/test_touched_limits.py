@@ -82,7 +82,6 @@ def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper):
             for active in itertools.product([False, True], repeat=2)
             if not wrong_signs(turned, constant, np.array(active)).any()
         ]
-        assert found is not None
         assert found.tolist() in [[active[0]] for active in right]
 
 
@@ -106,7 +105,6 @@ def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open():
     column = np.append(rows.measured_column, [0.0, 0.0])
     longer = replace(rows, rows=stacked, root_weights=weights, measured_column=column)
     made = TouchedLimits.of(longer, limited)
-    assert made is not None
     np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
 
 
@@ -163,7 +161,6 @@ def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end():
         active = active ^ wrong_signs(matrix, constant, active)
     assert wrong_signs(matrix, constant, active).any()  # never done
     found = complementary(matrix, constant, start)
-    assert found is not None
     assert not wrong_signs(matrix, constant, found).any()
 
 
@@ -172,7 +169,6 @@ def test_complementary_takes_what_is_nearly_singular_without_a_warning():
     matrix = scipy.linalg.hilbert(12)
     assert np.linalg.cond(matrix) > 1.0 / np.finfo(float).eps
     found = complementary(matrix, -np.ones(12), np.ones(12, dtype=bool))
-    assert found is not None
     z = np.zeros(12)
     at = np.flatnonzero(found)
     z[at] = np.linalg.solve(matrix[np.ix_(at, at)], np.ones(len(at)))
@@ -214,7 +210,6 @@ def test_model_leads_to_the_same_answer_in_fewer_working_sets(
     with_model = Structured().prepare(program, Request(1e-7, None)).solve()
     monkeypatch.setattr(FieldPair, "predicted", lambda *_: None)
     without = Structured().prepare(program, Request(1e-7, None)).solve()
-    assert with_model.x is not None and without.x is not None
     assert with_model.claim is without.claim is Claim.DONE
     size = np.abs(without.x).max()
     np.testing.assert_allclose(with_model.x, without.x, rtol=0.0, atol=1e-6 * size)

@@ -54,7 +54,6 @@ def test_the_fixed_block_is_a_schur_complement():
     rows = AlongZ(SCENE).rows()
     term = ProgramTerm("wide", 10.0, sp.csr_array(rows.blocks["p"]), rows.target)
     block = FixedBlock.of([term], free, np.ones(len(free)))
-    assert block is not None
     # of all lines along z in which there is a soft voxel
     n_z = SCENE.voxmap.grid.shape[2]
     tied = np.repeat((~free).reshape(-1, n_z).any(axis=1), n_z)

@@ -24,7 +24,6 @@ def made(name, prior=2.5):
     whole = load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
     program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
     first = laplace_prior(program)
-    assert first is not None
     return program.with_weights(**{first.name: prior})
 
 
