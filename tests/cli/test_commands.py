@@ -41,10 +41,10 @@ def test_surface_writes_what_it_says(run, files, tmp_path):
 def test_axis_from_takes_the_frame_of_a_file(run, files, tmp_path):
     answer = run(
         f"surface {files / 'scan.npy'} -o {tmp_path / 's.nc'} --no-support --n-z 20 "
-        f"--axis-from {files / 'surface.nc'}"
+        f"--n-theta 60 --axis-from {files / 'surface.nc'}"
     )
     assert answer.status == 0, answer.err
-    assert "180 x 20 radii" in answer.out
+    assert "60 x 20 radii" in answer.out
 
 
 def test_surface_tells_how_sure_it_is_of_what_it_filled(run, files, tmp_path):

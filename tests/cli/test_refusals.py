@@ -295,7 +295,7 @@ def test_a_terminated_command_leaves_nothing_behind(tmp_path):
         "def begin(*_, **__):\n"
         f"    with io.replacing({str(tmp_path / 'a.nc')!r}):\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "lines.app = begin\n"
+        "lines.program = lambda: begin\n"
         "lines.main(['demo'])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import signal
 import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -173,6 +174,12 @@ def _common(
     """Patient models for haptic tele-ultrasound: scan, fit, evaluate, render."""
 
 
+@functools.cache
+def program() -> Any:
+    """All commands in click's form, made once for a process."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; the entry point ``ttus-opt``.
 
@@ -186,7 +193,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with warnings_in_one_line(), _termination_as_exit():
-            status = app(
+            status = program()(
                 args=words or ["--help"],
                 prog_name="ttus-opt",
                 standalone_mode=False,
