@@ -22,7 +22,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.members import ProgramTerm, nonempty_columns
 from ttus_opt.problem.program import Program
 
 #: Fewest rows of a compressed term
@@ -77,7 +77,7 @@ def _pays(term: ProgramTerm) -> bool:
     m = len(term.target)
     if m < LEAST_ROWS or not term.is_squares or term.laplace_rows is not None:
         return False
-    return m >= OVERDETERMINED * len(_columns(term.matrix))
+    return m >= OVERDETERMINED * len(nonempty_columns(term.matrix))
 
 
 def compressed_rows(matrix: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]:
@@ -118,7 +118,7 @@ def _by_place(rows: sp.csr_array) -> IntArray:
     first = np.zeros(rows.shape[1], dtype=np.int64)
     first[rows.indices[::-1]] = np.arange(rows.nnz)[::-1]
     rank = np.empty(len(first))
-    columns = _columns(rows)
+    columns = nonempty_columns(rows)
     rank[columns[np.argsort(first[columns])]] = np.arange(len(columns))
     n = np.diff(rows.indptr)
     total = np.bincount(np.repeat(np.arange(len(n)), n), rank[rows.indices], len(n))
@@ -128,7 +128,7 @@ def _by_place(rows: sp.csr_array) -> IntArray:
 def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]:
     """R and c of a block of rows; the block itself where R would be no smaller."""
     m, n = rows.shape
-    columns = _columns(rows)
+    columns = nonempty_columns(rows)
     k = len(columns)
     if k >= m:
         return rows, target
@@ -140,10 +140,3 @@ def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]
     places = upper.row, columns[upper.col]
     spread = sp.csr_array((upper.data, places), shape=(k, n))
     return spread, np.ascontiguousarray(R[:k, k])
-
-
-def _columns(matrix: sp.csr_array) -> IntArray:
-    """Nonempty columns, increasing."""
-    used = np.zeros(matrix.shape[1], dtype=bool)
-    used[matrix.indices] = True
-    return np.flatnonzero(used).astype(np.int64)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.problem.members import ProgramCones, ProgramTerm
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.problem.members import ProgramCones, ProgramTerm, Sides
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 
@@ -104,38 +104,26 @@ class CvxpyProgram:
 class _TwoSided:
     """The cvxpy constraints of one set of rows between limits."""
 
-    size: int
-    masks: Mapping[str, Mask]
+    sides: Sides
     stated: Mapping[str, Any]
 
     @classmethod
     def of(cls, value: Any, lower: Array, upper: Array) -> _TwoSided:
-        equal = lower == upper
-        masks = {
-            "equal": equal,
-            "above": ~equal & np.isfinite(upper),
-            "below": ~equal & np.isfinite(lower),
-        }
-        stated = {}
-        for name, mask in masks.items():
-            picked = np.flatnonzero(mask)
-            if not len(picked):
-                continue
-            part = value[picked]
-            if name == "equal":
-                stated[name] = part == lower[picked]
-            elif name == "above":
-                stated[name] = part <= upper[picked]
-            else:
-                stated[name] = part >= lower[picked]
-        return cls(len(lower), masks, stated)
+        sides, stated = Sides(lower, upper), {}
+        if len(at := np.flatnonzero(sides.equal)):
+            stated["equal"] = value[at] == lower[at]
+        if len(at := np.flatnonzero(sides.above)):
+            stated["above"] = value[at] <= upper[at]
+        if len(at := np.flatnonzero(sides.below)):
+            stated["below"] = value[at] >= lower[at]
+        return cls(sides, stated)
 
     def dual(self) -> Array:
-        y = np.zeros(self.size)
+        y = np.zeros(len(self.sides.lower))
         for name, stated in self.stated.items():
             if stated.dual_value is not None:
                 sign = -1.0 if name == "below" else 1.0
-                y[self.masks[name]] += sign * stated.dual_value
+                y[getattr(self.sides, name)] += sign * stated.dual_value
         return y
 
 

@@ -16,7 +16,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.core.html_card import page, table
 from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
-from ttus_opt.problem.program import Program
+from ttus_opt.problem.program import Program, in_words
 from ttus_opt.problem.terms.base import Fitted, Term
 from ttus_opt.problem.terms.structure import Tag, known_covariance, laplace_rows
 
@@ -323,7 +323,7 @@ class Formulation:
         for term in self.terms:
             blocks = term.assembled.blocks.items()
             sizes |= {name: M.shape[1] for name, M in blocks}
-        return ", ".join(f"{name} in R^{size:,}" for name, size in sizes.items())
+        return in_words(sizes)
 
     def _term_lines(self) -> list[tuple[str, str, str, str]]:
         """Name, weight, mathematics and size of every term."""

@@ -109,6 +109,64 @@ class StackedTerms:
         return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 
+def nonempty_columns(matrix: sp.csr_array) -> IntArray:
+    """Columns with an entry, increasing."""
+    used = np.zeros(matrix.shape[1], dtype=bool)
+    used[matrix.indices] = True
+    return np.flatnonzero(used).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Rows lower ≤ A x ≤ upper as equalities and as inequalities from above.
+
+    Attributes:
+        lower: Shape (m,).
+        upper: Shape (m,).
+    """
+
+    lower: Array = field(repr=False)
+    upper: Array = field(repr=False)
+
+    @cached_property
+    def equal(self) -> Mask:
+        """Which rows are equalities."""
+        return np.asarray(self.lower == self.upper)
+
+    @cached_property
+    def above(self) -> Mask:
+        """Which others have an upper limit."""
+        return np.asarray(~self.equal & np.isfinite(self.upper))
+
+    @cached_property
+    def below(self) -> Mask:
+        """Which others have a lower limit."""
+        return np.asarray(~self.equal & np.isfinite(self.lower))
+
+    def inequalities(self, A: sp.csr_array) -> tuple[sp.csr_array, Array]:
+        """G and h of G x ≤ h: upper limits first, then lower ones negated."""
+        limits = self.upper[self.above], -self.lower[self.below]
+        return sp.csr_array(sp.vstack([A[self.above], -A[self.below]])), np.append(
+            *limits
+        )
+
+    def multipliers(self, y: Array | None, z: Array | None) -> Array:
+        """Multipliers of the rows, shape (m,), from those of equalities and of G x ≤ h.
+
+        Args:
+            y: Of the equalities; None, or empty, for none.
+            z: Of G x ≤ h; likewise.
+        """
+        rows = np.zeros(len(self.equal))
+        if y is not None and len(y):
+            rows[self.equal] = y
+        if z is not None and len(z):
+            n_above = int(self.above.sum())
+            rows[self.above] += np.asarray(z)[:n_above]
+            rows[self.below] -= np.asarray(z)[n_above:]
+        return rows
+
+
 @dataclass(frozen=True)
 class ProgramConstraint:
     """Rows lower ≤ A x ≤ upper of one constraint.

@@ -143,13 +143,17 @@ class Program:
 
     def __repr__(self) -> str:
         """Sizes and names in one line."""
-        variables = self.variables.items()
-        sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
         held = [c.name for c in self.constraints] + [c.name for c in self.cones]
         held += [bound.name for bound in self.bounds]
         terms = ", ".join(term.name for term in self.terms)
         limits = f" subject to {', '.join(held)}" if held else ""
-        return f"<Program over {sizes}: {terms}{limits}>"
+        return f"<Program over {self.sizes}: {terms}{limits}>"
+
+    @property
+    def sizes(self) -> str:
+        """The variables and their sizes in words."""
+        parts = self.variables.items()
+        return in_words({name: part.stop - part.start for name, part in parts})
 
     @property
     def n_variables(self) -> int:
@@ -345,6 +349,11 @@ class Program:
                 f"{', '.join(others)} is not a sum of squares: reduce() the program "
                 "first, or choose a cone solver"
             )
+
+
+def in_words(sizes: Mapping[str, int]) -> str:
+    """Variables with their sizes."""
+    return ", ".join(f"{name} in R^{size:,}" for name, size in sizes.items())
 
 
 def _variable_sizes(n_voxels: int, members: Iterable[_Named]) -> dict[str, int]:

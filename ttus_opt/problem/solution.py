@@ -242,10 +242,9 @@ class Solution:
     @property
     def _effort(self) -> str:
         """Size, iterations and time."""
-        times, variables = self.timings, self.program.variables.items()
-        sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
+        times = self.timings
         return (
-            f"{sizes}; {self.iterations:,} iterations, "
+            f"{self.program.sizes}; {self.iterations:,} iterations, "
             f"{times.setup + times.solve:.2g} s"
         )
 

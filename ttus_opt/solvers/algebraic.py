@@ -19,7 +19,14 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Request,
+    Solver,
+    is_late,
+)
 from ttus_opt.solvers.conjugate_gradients import norm
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
@@ -106,8 +113,7 @@ class _Loaded(Verified):
             largest = max((norm(g) for g in state.parts), default=0.0)
             gradient = np.where(problem.fixed, 0.0, state.gradient)
             size = norm(gradient)
-            late = deadline is not None and time.perf_counter() > deadline
-            if size <= eps * largest or size > 0.5 * before or late:
+            if size <= eps * largest or size > 0.5 * before or is_late(deadline):
                 break
             before = size
             rtol = max(0.5 * eps * largest / size, ROUND)

@@ -26,6 +26,11 @@ from ttus_opt.problem.verify.kkt import Duals
 LEAST_TOLERANCE = 1e-14
 
 
+def is_late(deadline: float | None) -> bool:
+    """Whether a deadline, a `time.perf_counter` or None for never, has passed [s]."""
+    return deadline is not None and time.perf_counter() > deadline
+
+
 class Claim(enum.Enum):
     """A solver's own statement about its run."""
 

@@ -19,7 +19,6 @@ Notay, SIAM J. Sci. Comput. 22, 2000).
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -29,6 +28,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
+from ttus_opt.solvers.base import is_late
 
 Map = Callable[[Array], Array]
 
@@ -181,8 +181,7 @@ def to_residual(
     goal = rtol * norm(right_side)
 
     def enough(y: Array, rest: Array) -> bool:
-        late = deadline is not None and time.perf_counter() > deadline
-        return late or norm(rest) <= goal
+        return is_late(deadline) or norm(rest) <= goal
 
     directions = LastDirection(product)
     return conjugate_gradients(directions, right_side, precondition, enough, most)

@@ -27,7 +27,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
-from ttus_opt.problem.members import ProgramTerm, StackedTerms
+from ttus_opt.problem.members import ProgramTerm, StackedTerms, nonempty_columns
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import (
     KnownCovariance,
@@ -199,10 +199,9 @@ def _prior(program: Program) -> ProgramTerm | None:
 
 def _touched(program: Program, prior: ProgramTerm) -> IntArray:
     """Voxels that the measured rows touch, in order."""
-    V = len(prior.target)
-    columns = [t.matrix.indices for t in terms_beside(program, prior)]
-    touched = np.unique(np.concatenate([*columns, np.zeros(0, dtype=np.int64)]))
-    return np.asarray(touched[touched < V], dtype=np.int64)
+    beside = StackedTerms.of(terms_beside(program, prior), program.n_variables)
+    touched = nonempty_columns(beside.matrix)
+    return touched[touched < len(prior.target)]
 
 
 SOLVERS = [Covariance()]

@@ -31,7 +31,7 @@ def test_one_sided_rows_and_their_multipliers() -> None:
     assert split.boxed
     # stationarity of either form: Aᵀy of the rows is Aᵀy + Gᵀz of the split ones
     y, z = np.array([0.5]), np.array([1.0, 2.0, 3.0, 4.0])
-    rows = split.row_duals(y, z)
+    rows = split.sides.multipliers(y, z)
     np.testing.assert_allclose(FORM.A.T @ rows, split.A.T @ y + split.G.T @ z)
     np.testing.assert_array_equal(rows, [0.5, 1.0, -3.0, -2.0])
 

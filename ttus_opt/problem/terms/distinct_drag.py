@@ -29,7 +29,7 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.voxmap.voxmap import Voxmap
+from ttus_opt.problem.terms.depth_profile import voxel_depths
 
 #: Below this share drag is taken for an elastic force: the error of the law of force
 #: would have the larger weight in μ [–]
@@ -52,7 +52,7 @@ def distinct_drag(scene: Scene, rows: sp.csr_array) -> float:
     Returns:
         ρ; 0 if nothing slides.
     """
-    pressure = _depth(scene.voxmap)
+    pressure = np.maximum(voxel_depths(scene.voxmap), 0.0)
     elastic = (scene.N @ pressure).reshape(-1, 3)
     drag = -(rows @ pressure).reshape(-1, 3)
     kept = ~_turning(np.linalg.norm(elastic, axis=1), scene.trajectory.segment)
@@ -91,11 +91,3 @@ def _turning(size: Array, segment: IntArray) -> Mask:
     """Frames at which the force turns from rising to falling or back, shape (T,)."""
     rise = np.where(np.diff(segment) == 0, np.diff(size), 0.0)
     return np.concatenate([[False], rise[1:] * rise[:-1] < 0.0, [False]])[: len(size)]
-
-
-def _depth(voxmap: Voxmap) -> Array:
-    """Depth of every voxel below the surface, 0 above it, shape (V,) [m]."""
-    grid = voxmap.grid
-    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
-    depth = voxmap.surface.radius_at(theta, z) - grid.r[:, None, None]
-    return np.asarray(grid.flatten(np.maximum(depth, 0.0)))

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem.members import ProgramBounds
+from ttus_opt.problem.members import ProgramBounds, Sides
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.certificate import contradicts, linear_program
 from ttus_opt.problem.verify.kkt import Duals, bound_duals
@@ -69,24 +69,19 @@ def _elastic(
     m, n = A.shape
     unit = sp.eye_array(m, format="csr")
     full = sp.csr_array(sp.hstack([A, unit, -unit]))
-    equal = low == high
-    above, below = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
+    sides = Sides(low, high)
     cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
     answer = linear_program(
         cost,
-        (sp.vstack([full[above], -full[below]]), np.append(high[above], -low[below])),
-        (full[equal], low[equal]),
+        sides.inequalities(full),
+        (full[sides.equal], low[sides.equal]),
         (np.append(lower, np.zeros(2 * m)), np.append(upper, np.full(2 * m, np.inf))),
         time_limit,
     )
     finite = np.concatenate([low[np.isfinite(low)], high[np.isfinite(high)], [0.0]])
     if answer.x is None or answer.fun <= FEASIBLE * max(np.abs(finite).max(), 1e-300):
         return ()
-    y = np.zeros(m)
-    y[equal] = answer.eqlin.marginals
-    n_above = int(above.sum())
-    y[above] += answer.ineqlin.marginals[:n_above]
-    y[below] -= answer.ineqlin.marginals[n_above:]
+    y = sides.multipliers(answer.eqlin.marginals, answer.ineqlin.marginals)
     z = answer.lower.marginals[:n] + answer.upper.marginals[:n]
     # marginals are positive at lower limits, multipliers here negative
     y = np.where(np.abs(y) > NEGLIGIBLE, -y, 0.0)

@@ -6,10 +6,10 @@ prints V-cycles, working sets and KKT residuals.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.solvers.base import is_late
 
 #: Most rounds of iterative refinement of a dual: 1 to 20 [–]
 REFINEMENTS = 8
@@ -73,4 +73,4 @@ class Accuracy:
     @property
     def late(self) -> bool:
         """Whether the deadline has passed."""
-        return self.deadline is not None and time.perf_counter() > self.deadline
+        return is_late(self.deadline)

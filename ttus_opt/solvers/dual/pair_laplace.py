@@ -100,15 +100,13 @@ class PairBlock:
         """A⁻¹ b, shape (2V,)."""
         b, c = np.split(rhs, 2)
         x = self.first.solve(b, rtol=rtol)
-        y = self.second.solve(c - self.across @ x.x, rtol=rtol)
-        return _both(x, y)
+        return _both(x, self.second.solve(c - self.across @ x.x, rtol=rtol))
 
     def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """A⁻ᵀ b, shape (2V,)."""
         b, c = np.split(rhs, 2)
         y = self.second.solve(c, rtol=rtol)
-        x = self.first.solve(b - self._adjoint @ y.x, rtol=rtol)
-        return _both(x, y)
+        return _both(self.first.solve(b - self._adjoint @ y.x, rtol=rtol), y)
 
     def preconditioner(self, near: NDArray[np.integer]) -> PairCycle:
         """One V-cycle, in a box around some voxels of either field."""

@@ -19,7 +19,8 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.problem.members import nonempty_columns
 from ttus_opt.solvers.conjugate_gradients import (
     RecycledSubspace,
     conjugate_gradients,
@@ -54,8 +55,8 @@ class ApproximateSchur:
         """
         laplace, compliance = system.laplace, system.compliance
         inward, outward = laplace.coupling
-        touched = _columns(system.rows)
-        contact = _columns(system.rows[: system.n_measured])
+        touched = nonempty_columns(system.rows)
+        contact = nonempty_columns(system.rows[: system.n_measured])
         self.root_weights = system.root_weights
         #: Rows with entries; S̃ is the identity on the others
         self.coupled = np.flatnonzero(np.diff(system.rows.indptr))
@@ -193,13 +194,6 @@ class SchurPreconditioner:
             (factor, False), side, overwrite_b=True, check_finite=False
         )
         return answer
-
-
-def _columns(rows: sp.csr_array) -> IntArray:
-    """Columns with an entry, ascending."""
-    has_entry = np.zeros(rows.shape[1], dtype=bool)
-    has_entry[rows.indices] = True
-    return np.flatnonzero(has_entry)
 
 
 def _factor(approximate: ApproximateSchur) -> Array:

@@ -16,7 +16,6 @@ gives a new response field, at two solves. KᵀK is the Nyström approximation o
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import is_late
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
@@ -234,9 +234,8 @@ class WeightSweep:
             settled = error <= rtol**2 * objective
             if error < least:
                 least, best = error, c
-            late = deadline is not None and time.perf_counter() > deadline
             taken = len(self) - before
-            if settled or late or taken == options.MAX_DIRECTIONS:
+            if settled or is_late(deadline) or taken == options.MAX_DIRECTIONS:
                 break
             if precondition is None:
                 of = self._approximate or self._system

@@ -24,7 +24,14 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import StackedTerms
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Request,
+    Solver,
+    is_late,
+)
 from ttus_opt.solvers.dual.data import terms_beside
 from ttus_opt.solvers.verified import Verified
 
@@ -135,7 +142,7 @@ class _Loaded(Verified):
         return np.asarray(x)
 
     def _check(self, x: Array) -> None:
-        if self._deadline is not None and time.perf_counter() > self._deadline:
+        if is_late(self._deadline):
             raise TimeoutError
 
 

@@ -54,7 +54,7 @@ class _Loaded(PackageLoaded):
             self._program,
             self._form,
             None if answer.x is None else np.asarray(answer.x),
-            s.row_duals(answer.y, answer.z),
+            s.sides.multipliers(answer.y, answer.z),
             answer.z_box,
             iterations=iterations,
             claim=claim_from(words, bool(answer.found)),

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.problem.members import Sides
 from ttus_opt.problem.program import Program, QuadraticForm
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim
@@ -35,9 +36,7 @@ class OneSided:
         b: Shape (m,).
         lb: Shape (n,).
         ub: Shape (n,).
-        equal: Which rows of the form became equalities.
-        above: Which rows have an upper limit.
-        below: Which rows have a lower limit.
+        sides: Which rows of the form became what.
     """
 
     P: sp.csc_matrix = field(repr=False)
@@ -48,46 +47,29 @@ class OneSided:
     b: Array = field(repr=False)
     lb: Array = field(repr=False)
     ub: Array = field(repr=False)
-    equal: Mask = field(repr=False)
-    above: Mask = field(repr=False)
-    below: Mask = field(repr=False)
+    sides: Sides = field(repr=False)
 
     @classmethod
     def of(cls, form: QuadraticForm) -> OneSided:
         """Split two-sided rows; the box stays one."""
-        equal = form.lower == form.upper
-        above = ~equal & np.isfinite(form.upper)
-        below = ~equal & np.isfinite(form.lower)
-        A = sp.csr_array(form.A)
+        sides, A = Sides(form.lower, form.upper), sp.csr_array(form.A)
+        G, h = sides.inequalities(A)
         return cls(
             sp.csc_matrix(form.P),
             form.q,
-            sp.csc_matrix(sp.vstack([A[above], -A[below]])),
-            np.concatenate([form.upper[above], -form.lower[below]]),
-            sp.csc_matrix(A[equal]),
-            form.lower[equal],
+            sp.csc_matrix(G),
+            h,
+            sp.csc_matrix(A[sides.equal]),
+            form.lower[sides.equal],
             form.lb,
             form.ub,
-            equal,
-            above,
-            below,
+            sides,
         )
 
     @property
     def boxed(self) -> bool:
         """Whether any variable has a bound."""
         return bool(np.isfinite(self.lb).any() or np.isfinite(self.ub).any())
-
-    def row_duals(self, y: Array | None, z: Array | None) -> Array:
-        """Multipliers of the form's rows from y of A x = b and z of G x ≤ h."""
-        rows = np.zeros(len(self.equal))
-        if y is not None and len(y):
-            rows[self.equal] = y
-        if z is not None and len(z):
-            n_above = int(self.above.sum())
-            rows[self.above] += np.asarray(z)[:n_above]
-            rows[self.below] -= np.asarray(z)[n_above:]
-        return rows
 
 
 @dataclass(frozen=True)

@@ -190,7 +190,7 @@ class ScsLoaded(Loaded):
         answer = self._solver.solve(warm_start=bool(last), **last)
         self._last = {key: np.array(answer[key]) for key in ("x", "y", "s")}
         n_equal, info = len(self._split.b), answer["info"]
-        y = self._split.row_duals(answer["y"][:n_equal], answer["y"][n_equal:])
+        y = self._split.sides.multipliers(answer["y"][:n_equal], answer["y"][n_equal:])
         return self._read(answer["x"], y, str(info["status"]), int(info["iter"]))
 
 

@@ -15,7 +15,6 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,7 +25,7 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.base import Candidate, Claim, Request, is_late
 from ttus_opt.solvers.conjugate_gradients import inner_product, norm
 from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
@@ -205,7 +204,7 @@ class MethodOfMultipliers:
 
     @property
     def _late(self) -> bool:
-        return self._deadline is not None and time.perf_counter() > self._deadline
+        return is_late(self._deadline)
 
     def _minimise(self, state: State, rtol: float) -> bool:
         """Take Newton steps; whether the round is complete."""

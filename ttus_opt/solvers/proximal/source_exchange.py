@@ -18,8 +18,6 @@ R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import solve_triangular
@@ -28,6 +26,7 @@ from scipy.ndimage import maximum_filter
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.threads import side_by_side
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.solvers.base import is_late
 
 #: Most exchanges, and most new columns of one
 EXCHANGES, NEW = 100, 40
@@ -97,7 +96,7 @@ class SourceExchange:
         for _ in range(EXCHANGES):
             slope = self._slope(self._rest, self._rtol)
             wanted = self._wanted(slope, excess)
-            if not len(wanted) or _is_over(deadline):
+            if not len(wanted) or is_late(deadline):
                 break
             before = len(self._at)
             self._add(wanted, np.sign(slope[wanted]))
@@ -113,7 +112,7 @@ class SourceExchange:
             deadline: `time.perf_counter` after which nothing is done; None for never
                 [s].
         """
-        if _is_over(deadline):
+        if is_late(deadline):
             return
         kept = self._sizes > 0.0
         self._rtol = RTOL
@@ -222,10 +221,6 @@ class SourceExchange:
             if not (sizes > 0.0).all():
                 return
             self._sizes[at] = sizes
-
-
-def _is_over(deadline: float | None) -> bool:
-    return deadline is not None and time.perf_counter() > deadline
 
 
 def nonnegative_minimum(gram: Array, side: Array, start: Array) -> Array:
