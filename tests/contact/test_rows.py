@@ -16,7 +16,7 @@ SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21))
 SHELL = ellipsoid(400, (0.02, 0.015, 0.012))
 RNG = np.random.default_rng(3)
-POSES = presses(SURFACE, 15, RNG, depth=0.02)
+POSES = presses(SURFACE, 8, RNG, depth=0.02)
 FIELD = RNG.normal(size=VOXMAP.grid.shape)
 
 
@@ -85,7 +85,7 @@ def test_rows_equal_brute_force(sampling):
     rows = contact_rows(
         VOXMAP, SHELL, POSES.rotation, POSES.position, sampling=sampling
     )
-    assert (rows.contact_points > 0).sum() > 8
+    assert (rows.contact_points > 0).sum() > 4
     force = (rows.N @ FIELD.reshape(-1)).reshape(-1, 3)
     torque = (rows.W @ FIELD.reshape(-1)).reshape(-1, 3)
     for t in range(len(POSES)):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.conftest import small_scene
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
 from ttus_opt.core.errors import TtusError
 from ttus_opt.haptic import c_interface
@@ -130,8 +131,9 @@ def test_frames_from_c_are_those_from_python(scene, library):
     assert sum(0.0 < share < 1.0 for share in shares) > 10
 
 
-def test_a_caller_in_c_sees_what_limited_a_frame(scene, library):
+def test_a_caller_in_c_sees_what_limited_a_frame(library):
     """The header's function against `Wrench.limited_by`, frame by frame."""
+    scene = small_scene("trilinear")
     R, at = deepest_pose(scene)
     zero = (ctypes.c_double * 6)()
     seen = set()

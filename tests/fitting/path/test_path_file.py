@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
+from tests.conftest import presses, small_scene, some, torso
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.path import path_file, path_solvers
@@ -84,7 +84,7 @@ def same(one, other, rtol):
             assert one.attrs[name] == other.attrs[name], name
 
 
-@pytest.mark.parametrize("name", EVERY_KIND)
+@pytest.mark.parametrize("name", some(EVERY_KIND, 2))
 def test_a_stopped_path_ends_like_one_that_was_not(name, tmp_path, monkeypatch, solved):
     more = {"extras": ["potential"]}
     if name == "eq10":

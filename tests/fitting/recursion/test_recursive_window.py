@@ -229,7 +229,7 @@ class Measurements(RuleBasedStateMachine):
 
 
 Measurements.TestCase.settings = settings(
-    max_examples=8,
+    max_examples=4,
     stateful_step_count=12,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],

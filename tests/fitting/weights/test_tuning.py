@@ -158,6 +158,7 @@ def test_a_users_file_is_tuned(tmp_path):
     assert "mine with the weights chosen predicts" in solution.chosen[-1]
 
 
+@pytest.mark.slow  # as of its rows, but from end to end
 def test_any_squares_are_a_prior():
     """With next to no Tikhonov term the factorised prior is eq. 10's."""
     scene = tuned().scene
