@@ -11,11 +11,10 @@ import pytest
 
 from tests.cli.conftest import PROBE, fit_words, refused
 from tests.conftest import presses, torso
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.flat_file import write_flat
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
@@ -155,51 +154,6 @@ def test_options_reach_the_formulation(run, files, tmp_path):
     assert json.loads(a.out)["objective"] == pytest.approx(
         json.loads(b.out)["objective"], rel=1e-9
     )
-
-
-@pytest.mark.slow
-def test_evaluate_matches_the_rows_of_the_fit(run, files, field, tmp_path):
-    picture = tmp_path / "force.png"
-    words = f"--field {field} --probe {PROBE} --trajectory {files / 'press.csv'}"
-    answer = run(f"evaluate {words} --points 300 --json --picture {picture}")
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
-    loaded, recorded = PotentialField.load(field), read_trajectory(files / "press.csv")
-    rows = contact_rows(
-        loaded.voxmap,
-        PointShell.from_spec(PROBE, 300),
-        recorded.rotation,
-        recorded.position,
-        sampling="trilinear",
-    )
-    rendered = (rows.N @ loaded.values.reshape(-1)).reshape(-1, 3)
-    measured = recorded.force
-    expected = np.abs(
-        np.linalg.norm(rendered, axis=1) - np.linalg.norm(measured, axis=1)
-    ).mean()
-    assert told["force_magnitude_error_N"] == pytest.approx(expected)
-    assert told["frames"] == 30
-    assert picture.exists()
-
-
-@pytest.mark.slow
-def test_evaluate_writes_null_for_what_is_not_defined(run, field, tmp_path):
-    still = Trajectory(
-        np.arange(3.0),
-        np.tile([0.0, 0.14, 0.1], (3, 1)),
-        np.tile(np.eye(3), (3, 1, 1)),
-        np.zeros((3, 3)),
-        np.zeros((3, 3)),
-    )
-    still.save(tmp_path / "still.csv")
-    answer = run(
-        f"evaluate --field {field} --probe {PROBE} --json "
-        f"--trajectory {tmp_path / 'still.csv'}"
-    )
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
-    assert told["force_angle_error_deg"] is None
-    assert told["hysteresis_share"] is None
 
 
 def test_evaluate_says_what_a_hand_could_tell_apart(run, files, field):
