@@ -35,7 +35,7 @@ links = st.builds(
 )
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(links)
 def test_whatever_the_link_does(impairment):
     goes_well(impairment)

@@ -1,5 +1,6 @@
 """Comparators in one simulation: what must hold of each."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,26 +14,21 @@ from ttus_opt.live.subject import MEETING, ROUND, example_subject
 from ttus_opt.live.trial import COMPARATORS, Trial, run
 
 
-@pytest.fixture(scope="module")
-def delayed():
+def test_over_a_delay_the_model_is_close_and_passive_and_the_measured_force_is_not():
     """Short sessions with a round trip of 600 ms."""
     names = ("model", "direct")
-    return {name: run(Trial(name, 0.6, seconds=10.0, settled=8.0)) for name in names}
-
-
-def test_the_model_is_close_and_gives_no_energy(delayed):
-    model = delayed["model"]
+    model, direct = (run(Trial(n, 0.6, seconds=10.0, settled=8.0)) for n in names)
     assert model.error < 0.5
     assert model.energy < 0.05
     assert model.step < 0.1
     assert model.stopped == ""
     assert model.packets <= 50.0
     assert model.bits <= 64_000.0
-
-
-def test_the_delayed_force_is_active(delayed):
-    assert delayed["direct"].energy > 0.3
-    assert delayed["direct"].error > 5 * delayed["model"].error
+    assert direct.energy > 0.3
+    assert direct.error > 5 * model.error
+    told = json.loads(json.dumps(model.as_dict()))  # plain numbers
+    assert told["comparator"] == "model"
+    assert told["error_N"] == model.error
 
 
 @pytest.mark.slow
@@ -57,14 +53,6 @@ def test_a_model_that_never_learns_keeps_its_error():
     fixed = run(Trial("fixed", 0.0, prior=1.6, seconds=10.0, settled=8.0))
     assert fixed.folded == 0
     assert fixed.error > 0.8
-
-
-def test_figures_are_plain_numbers(delayed):
-    import json
-
-    told = json.loads(json.dumps(delayed["model"].as_dict()))
-    assert told["comparator"] == "model"
-    assert told["error_N"] > 0.0
 
 
 def test_the_hand_begins_and_moves_between_places_lifted():
