@@ -33,7 +33,7 @@ from ttus_opt.solvers.dual.data import (
 )
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.primal.least_squares import (
     Goal,
     LeastSquares,

@@ -39,8 +39,7 @@ from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes

@@ -15,8 +15,7 @@ from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField, Subproblem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 

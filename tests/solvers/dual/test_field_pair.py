@@ -25,7 +25,7 @@ from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured

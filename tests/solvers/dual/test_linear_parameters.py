@@ -11,8 +11,7 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 
 
 @pytest.mark.slow

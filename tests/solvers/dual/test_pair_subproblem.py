@@ -13,7 +13,7 @@ from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.solvers.dual.field_pair import FieldPair
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 INF = np.inf

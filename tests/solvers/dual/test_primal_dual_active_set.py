@@ -32,7 +32,7 @@ from ttus_opt.solvers.dual.active_set import (
 )
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers

@@ -10,10 +10,9 @@ from ttus_opt.solvers.dual import soft_values
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.soft_values import SoftValues
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.structured import Structured
 

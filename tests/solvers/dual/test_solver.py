@@ -1,5 +1,7 @@
 """One dual solve: refinement, and unknowns beside the field that change sides."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 
 
@@ -185,3 +186,10 @@ def test_dependent_columns_share_what_they_explain():
     residual = E @ np.array([2.0, 3.0])
     np.testing.assert_allclose(twice.coefficients(residual), [1.0, 3.0, 1.0])
     np.testing.assert_allclose(twice.part(residual), 0.0, atol=1e-14)
+
+
+def test_a_deadline_passes() -> None:
+    now = time.perf_counter()
+    assert not Accuracy(1e-8).late
+    assert not Accuracy(1e-8, deadline=now + 60.0).late
+    assert Accuracy(1e-8, deadline=now - 1.0).late

@@ -15,8 +15,7 @@ from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -14,7 +14,7 @@ from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.limited_sum import LimitedSum

@@ -9,7 +9,7 @@ import pytest
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.conjugate_gradients import inner_product
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.primal.least_squares import Goal, Minimum, minimise
 
 V, FEW = 20, 3

@@ -110,6 +110,7 @@ class Hierarchy:
         table: A `LevelIndex` per level, for compiled code.
         fields: Coefficients of all levels.
         work_size: Length of an array that holds the vectors of all levels.
+        scratch: Numbers of it that are scratch space.
         cut: Places of the finest level's nodes with cut links, ascending, shape (k,).
         cut_grounds: What this adds to their diagonal, shape (k,) [m].
         boxes: Levels of the last box (`subdomain`) by its place: the next solve near
@@ -122,6 +123,7 @@ class Hierarchy:
     table: Table = field(repr=False)
     fields: Single = field(repr=False)
     work_size: int
+    scratch: int
     cut: NDArray[np.int64] = field(repr=False)
     cut_grounds: Single = field(repr=False)
     boxes: dict[object, Hierarchy] = field(
@@ -194,7 +196,7 @@ def _cuts(
 
 def _packed(
     levels: list[Level], along: Single, own: Single
-) -> tuple[Table, Single, int]:
+) -> tuple[Table, Single, int, int]:
     """Coefficients of all levels in one array, which levels then refer to.
 
     Args:
@@ -203,7 +205,8 @@ def _packed(
         own: Screening on its diagonal, constant within a layer.
 
     Returns:
-        Where each level's arrays begin, that array, and the size of a workspace.
+        Where each level's arrays begin, that array, and the sizes of a workspace and of
+        its scratch space.
     """
     # an array with several names, as the finest level's weights, is stored once
     arrays = {id(a): a for level in levels for a in level.arrays}
@@ -235,4 +238,4 @@ def _packed(
         levels[n] = replace(
             level, R=R, T=T, Z=Z, inverse=inverse, weights=tuple(weights)
         )
-    return np.array(table, np.int64), fields, end
+    return np.array(table, np.int64), fields, end, scratch

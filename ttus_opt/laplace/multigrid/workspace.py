@@ -32,7 +32,7 @@ from ttus_opt.laplace.multigrid.kernels import (
 )
 from ttus_opt.laplace.multigrid.line_smoother import sweep
 from ttus_opt.laplace.multigrid.red_black import BLACK, RED, Single
-from ttus_opt.laplace.multigrid.transfer import prolong, restrict, scratch_size
+from ttus_opt.laplace.multigrid.transfer import prolong, restrict
 
 #: Least number of nodes of a level that several cores share [–]
 LARGE = 2_000_000
@@ -68,7 +68,7 @@ class Workspace:
         large = LARGE if large is None else large
         sizes = [level.inverse.size for level in hierarchy.levels[:-1]]
         self._parts = [*(parts_of(size, large) for size in sizes), 1]
-        scratch = scratch_size(layout.width, layout.pitch)
+        scratch = hierarchy.scratch
         vectors = hierarchy.work_size + more * layout.colour_size
         self.values: Single = np.zeros(
             vectors + (max(self._parts) - 1) * scratch, np.float32

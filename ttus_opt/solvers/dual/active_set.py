@@ -45,8 +45,7 @@ from ttus_opt.solvers.dual.optimality import (
     find_violations,
     multipliers,
 )
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualAnswer
+from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 
 #: KKT violation that may remain, over the KKT tolerance, and working sets with such

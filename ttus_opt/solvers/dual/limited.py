@@ -20,7 +20,7 @@ from ttus_opt.solvers.dual.active_set import (
     primal_dual_active_set,
 )
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 #: Most attempts until the KKT residuals hold, each with a residual smaller by a factor:

@@ -1,15 +1,10 @@
-"""The numbers of the method that some problem notices, and the accuracy of a solve.
+"""The numbers of the method that some problem notices.
 
 `benchmarks/ablation.py` moves each alone, on problems with many active limits, and
 prints V-cycles, working sets and KKT residuals.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.solvers.base import is_late
 
 #: Most rounds of iterative refinement of a dual: 1 to 20 [–]
 REFINEMENTS = 8
@@ -54,23 +49,3 @@ SHARE = 0.3
 
 #: Number of voxels, 1 to 16, to each side in a neighbourhood [–]
 NEIGHBOURHOOD = 4
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Accuracy and deadline of a dual solve.
-
-    Attributes:
-        rtol: Residual of the dual, relative to t - D p₀ [–].
-        field_rtol: Relative residual of the solves for the answer's field [–].
-        deadline: `time.perf_counter` at which to stop [s]; None for never.
-    """
-
-    rtol: float
-    field_rtol: float = RTOL
-    deadline: float | None = None
-
-    @property
-    def late(self) -> bool:
-        """Whether the deadline has passed."""
-        return is_late(self.deadline)

@@ -27,9 +27,8 @@ from ttus_opt.laplace.multigrid import Multigrid
 from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.pair_laplace import PairBlock
-from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
 from ttus_opt.solvers.dual.subproblem import selection
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet

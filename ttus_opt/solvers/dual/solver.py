@@ -15,10 +15,10 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.solvers.base import is_late
 from ttus_opt.solvers.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -27,6 +27,26 @@ PRODUCT = 1e-2
 
 #: Most solves with the same parameters at the same bounds [–]
 TWICE = 2
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Accuracy and deadline of a dual solve.
+
+    Attributes:
+        rtol: Residual of the dual, relative to t - D p₀ [–].
+        field_rtol: Relative residual of the solves for the answer's field [–].
+        deadline: `time.perf_counter` at which to stop [s]; None for never.
+    """
+
+    rtol: float
+    field_rtol: float = RTOL
+    deadline: float | None = None
+
+    @property
+    def late(self) -> bool:
+        """Whether the deadline has passed."""
+        return is_late(self.deadline)
 
 
 class BlockPivoting:

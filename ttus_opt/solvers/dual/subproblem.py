@@ -29,9 +29,8 @@ from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.soft_values import SoftValues
-from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.grid import CylindricalGrid

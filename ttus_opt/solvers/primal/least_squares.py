@@ -30,8 +30,8 @@ from ttus_opt.solvers.conjugate_gradients import (
     inner_product,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateSystem,
 )

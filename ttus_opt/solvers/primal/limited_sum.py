@@ -16,8 +16,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualAnswer
+from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer
 from ttus_opt.solvers.dual.subproblem import (
     ReducedLaplace,
     Subproblem,

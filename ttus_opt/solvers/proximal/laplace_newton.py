@@ -23,8 +23,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.terms.penalties.base import Slope
 from ttus_opt.problem.terms.structure import LaplaceRows
-from ttus_opt.solvers.dual.options import Accuracy
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_columns
 
