@@ -25,8 +25,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_force import DragForceTerm
-from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.part_noise import TURN
 
 

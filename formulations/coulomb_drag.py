@@ -19,9 +19,8 @@ from ttus_opt.problem.constraints.mean_friction import MeanFriction
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import CoulombField
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_force import DragForceTerm
 from ttus_opt.problem.terms.drag_smoothness import DragSmoothnessTerm
-from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 

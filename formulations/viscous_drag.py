@@ -11,8 +11,7 @@ from ttus_opt.problem.constraints.viscous_sign import ViscousSign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import Viscous
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_force import DragForceTerm
-from ttus_opt.problem.terms.drag_torque import DragTorqueTerm
+from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 
 

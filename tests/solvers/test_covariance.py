@@ -14,7 +14,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 from ttus_opt.problem.terms.drag import Viscous
-from ttus_opt.problem.terms.drag_force import DragForceTerm
+from ttus_opt.problem.terms.drag_wrench import DragForceTerm
 from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.torque import TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals

@@ -1,7 +1,7 @@
 """Drag models: rows that drag adds to measured forces and torques.
 
-A model has its variables and rows (`ttus_opt.contact.friction`); the terms `drag_force`
-and `drag_torque` combine them with N and W.
+A model has its variables and rows (`ttus_opt.contact.friction`); the terms of
+`drag_wrench` combine them with N and W.
 """
 
 from __future__ import annotations
