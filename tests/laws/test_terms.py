@@ -1,8 +1,6 @@
 """Laws of every term on the shelf: a new file there is tested by existing."""
 
-import importlib
 import inspect
-import pkgutil
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ import scipy.sparse as sp
 
 import ttus_opt.problem.terms
 from tests.conftest import small_scene
+from ttus_opt.core import plugins
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.base import Term
@@ -34,14 +33,9 @@ OPTIONS: dict[str, list[dict[str, object]]] = {
 
 def members():
     """All but cvxpy's rows, whose laws are those of the expression they are given."""
-    found = []
-    for info in pkgutil.iter_modules(ttus_opt.problem.terms.__path__):
-        module = importlib.import_module(f"ttus_opt.problem.terms.{info.name}")
-        for member in vars(module).values():
-            own = inspect.isclass(member) and member.__module__ == module.__name__
-            if own and issubclass(member, Term) and member not in (Term, CvxpyRows):
-                found.append(member)
-    return found
+    kinds = plugins.classes_of(ttus_opt.problem.terms).values()
+    kinds = [kind for kind in kinds if issubclass(kind, Term)]
+    return [kind for kind in kinds if kind not in (Term, CvxpyRows)]
 
 
 CASES = [

@@ -313,7 +313,7 @@ class Program:
         squares = StackedTerms.of([t for t in self.terms if t.is_squares], n)
         rows = [squares.weighted, *(c.matrix for c in self.constraints)]
         t, m = squares.root * squares.target, len(squares.target)
-        lower, upper = self._limits()
+        lower, upper = self.limits
         # one format per stacking: scipy converts mixed ones through coordinates
         left = sp.csc_array(sp.vstack(rows, format="csr"))
         right = sp.csc_array(
@@ -334,8 +334,9 @@ class Program:
             m,
         )
 
-    def _limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of all constraint rows."""
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of all linear rows, shape (m,) each."""
         nothing = np.zeros(0)
         lower = [constraint.lower for constraint in self.constraints]
         upper = [constraint.upper for constraint in self.constraints]

@@ -30,7 +30,7 @@ from ttus_opt.problem.terms.distinct_drag import (
     distinct_drag,
 )
 from ttus_opt.problem.terms.drag_smoothness import MEAN_FRICTION
-from ttus_opt.problem.terms.replaced import replaced
+from ttus_opt.problem.terms.member import replaced
 
 Blocks = dict[str, sp.csr_array]
 

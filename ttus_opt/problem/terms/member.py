@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import scipy.sparse as sp
 
@@ -12,6 +13,8 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.structure import Tags
+
+_Member = TypeVar("_Member")
 
 
 @dataclass(frozen=True)
@@ -99,3 +102,18 @@ class Member(abc.ABC):
     @abc.abstractmethod
     def rows(self) -> object:
         """Its rows over the variables."""
+
+
+def replaced(member: _Member, *cached: str, **changes: Any) -> _Member:
+    """`dataclasses.replace` that keeps cached properties.
+
+    Args:
+        member: A frozen dataclass.
+        cached: Names of cached properties that the changes do not affect; others are
+            recomputed.
+        changes: New values of fields.
+    """
+    other: _Member = replace(member, **changes)  # type: ignore[type-var]
+    known = vars(member)
+    vars(other).update({name: known[name] for name in cached if name in known})
+    return other

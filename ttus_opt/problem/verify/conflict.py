@@ -64,8 +64,7 @@ def _elastic(
     program: Program, lower: Array, upper: Array, time_limit: float | None
 ) -> tuple[str, ...]:
     A = sp.csr_array(sp.vstack([c.matrix for c in program.constraints]))
-    low = np.concatenate([c.lower for c in program.constraints])
-    high = np.concatenate([c.upper for c in program.constraints])
+    low, high = program.limits
     m, n = A.shape
     unit = sp.eye_array(m, format="csr")
     full = sp.csr_array(sp.hstack([A, unit, -unit]))

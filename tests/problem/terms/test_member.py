@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from ttus_opt.problem.terms.replaced import replaced
+from ttus_opt.problem.terms.member import replaced
 
 
 @dataclass(frozen=True)
