@@ -16,10 +16,7 @@ from ttus_opt.problem.terms.penalties.squares import Squares
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import method_of_multipliers
-from ttus_opt.solvers.proximal.method_of_multipliers import (
-    MethodOfMultipliers,
-    Options,
-)
+from ttus_opt.solvers.proximal.method_of_multipliers import MethodOfMultipliers
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
@@ -74,7 +71,6 @@ def method_of(
     anchor=0.0,
     size=1.0,
     request=None,
-    options=None,
 ):
     problem = PenalisedProblem.of(what)
     for block in problem.bent:
@@ -83,7 +79,7 @@ def method_of(
     blocks = [*problem.blocks, *([own] if own else [])]
     system = Dense(problem, blocks, size)
     asked = request or Request(1e-9)
-    return MethodOfMultipliers(problem, blocks, own, system, asked, options), system
+    return MethodOfMultipliers(problem, blocks, own, system, asked), system
 
 
 def lasso(seed, shape=(9, 5)):
@@ -174,13 +170,14 @@ def test_given_values_stay_and_their_multipliers_balance():
     np.testing.assert_allclose(found.duals.rows["given"], [balance], rtol=1e-6)
 
 
-def test_the_anchor_leaves_what_nothing_determines_where_it_was():
+def test_the_anchor_leaves_what_nothing_determines_where_it_was(monkeypatch):
     """|x₀ + x₁ − 4| alone: from (9, −1) the proximal point moves along (1, 1).
 
     By no more than one a round each, for its slope is one: the anchor goes along.
     """
     what = program([term([[1.0, 1.0]], [4.0], 1.0, Absolute(), name="bent")])
-    method, _ = method_of(what, anchor=0.5, options=Options(growth=1.0))
+    monkeypatch.setattr(method_of_multipliers, "GROWTH", 1.0)
+    method, _ = method_of(what, anchor=0.5)
     x = verified(what, method.solve(np.array([9.0, -1.0])))
     np.testing.assert_allclose(x, [7.0, -3.0], atol=1e-6)
 
@@ -199,14 +196,17 @@ def test_limits_hold_with_their_multipliers():
 @pytest.mark.parametrize(
     ("change", "claim"),
     [
-        (lambda: {"request": Request(1e-9, 1e-9)}, Claim.TIME_LIMIT),
-        (lambda: {"options": Options(rounds=2, newton_steps=1)}, Claim.GAVE_UP),
+        ({"request": Request(1e-9, 1e-9)}, Claim.TIME_LIMIT),
+        ({}, Claim.GAVE_UP),
     ],
     ids=["time", "rounds"],
 )
-def test_an_end_before_the_tolerance_is_told(change, claim):
+def test_an_end_before_the_tolerance_is_told(change, claim, monkeypatch):
+    if not change:
+        monkeypatch.setattr(method_of_multipliers, "ROUNDS", 2)
+        monkeypatch.setattr(method_of_multipliers, "NEWTON_STEPS", 1)
     what = lasso(0)
-    method, _ = method_of(what, **change())
+    method, _ = method_of(what, **change)
     found = method.solve(np.full(5, 10.0))
     assert found.claim is claim
     assert what.objective(found.x) < what.objective(np.full(5, 10.0))
@@ -251,7 +251,8 @@ def test_a_step_that_is_no_number_changes_nothing():
 def test_parameters_grow_after_a_complete_round_and_shrink_after_another(
     monkeypatch,
 ):
-    method, _ = method_of(lasso(0), options=Options(growth=2.0, retreat=1.5, rounds=3))
+    monkeypatch.setattr(method_of_multipliers, "ROUNDS", 3)
+    method, _ = method_of(lasso(0))
     outcomes, growths = iter([True, False, True]), []
 
     def minimise(state, rtol):

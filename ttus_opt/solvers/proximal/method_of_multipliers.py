@@ -66,25 +66,16 @@ SHORT = 0.3
 #: value [–]
 TIGHTENING, LEAST_RTOL = 0.1, 1e-9
 
+#: Most rounds, and most Newton steps of a round
+ROUNDS, NEWTON_STEPS = 150, 5
 
-@dataclass(frozen=True)
-class Options:
-    """Options of the method.
+#: A round is complete when the remaining decrease of the Lagrangian is below this part,
+#: squared, of the multipliers' movement [–]
+SHARE = 0.1
 
-    Attributes:
-        rounds: Most rounds.
-        newton_steps: Most Newton steps of a round.
-        share: A round is complete when the remaining decrease of the Lagrangian is
-            below this part, squared, of the multipliers' movement [–].
-        growth: Factor on σ, and inverse factor on the anchor, after a complete round.
-        retreat: Inverse factor on σ, and factor on the anchor, after another.
-    """
-
-    rounds: int = 150
-    newton_steps: int = 5
-    share: float = 0.1
-    growth: float = 2.0
-    retreat: float = 1.5
+#: Factor on σ, and inverse factor on the anchor, after a complete round; inverse factor
+#: on σ, and factor on the anchor, after another [–]
+GROWTH, RETREAT = 2.0, 1.5
 
 
 @dataclass
@@ -142,7 +133,6 @@ class MethodOfMultipliers:
         anchor: PenalisedRows | None,
         system: NewtonSystem,
         request: Request,
-        options: Options | None = None,
     ) -> None:
         """Take a problem.
 
@@ -152,11 +142,9 @@ class MethodOfMultipliers:
             anchor: Rows E of the anchor; None for none.
             system: Solves for the steps.
             request: Tolerance and time limit.
-            options: Options of the method.
         """
         self._problem, self._blocks, self._anchor = problem, blocks, anchor
         self._system, self._request = system, request
-        self._options = options or Options()
         self.steps = self.newton_steps = 0
         self._length = 0.0  # of the last step; none at the start
 
@@ -174,7 +162,7 @@ class MethodOfMultipliers:
         # without multiplier estimates, one round minimises the objective itself
         most = 25 if self._problem.bent else 3
         rtol = self._system.rtol
-        for _ in range(self._options.rounds):
+        for _ in range(ROUNDS):
             done = self._minimise(state, rtol)
             duals = self._problem.duals(
                 [
@@ -196,8 +184,7 @@ class MethodOfMultipliers:
                 break
             rtol *= TIGHTENING if not done else 1.0 / TIGHTENING
             rtol = min(max(rtol, LEAST_RTOL), self._system.rtol)
-            options = self._options
-            self._next_round(state, options.growth if done else 1.0 / options.retreat)
+            self._next_round(state, GROWTH if done else 1.0 / RETREAT)
         if least <= self._request.tolerance:
             return best
         return replace(best, claim=Claim.TIME_LIMIT if self._late else Claim.GAVE_UP)
@@ -210,7 +197,7 @@ class MethodOfMultipliers:
         """Take Newton steps; whether the round is complete."""
         blocks, fixed = self._blocks, self._problem.fixed
         state.evaluate(blocks)
-        for _ in range(self._options.newton_steps):
+        for _ in range(NEWTON_STEPS):
             gradient = np.where(fixed, 0.0, state.gradient)
             given = gradient, state.multipliers, self._slopes(state)
             d, spent = self._system.step(*given, rtol, self._deadline)
@@ -232,7 +219,7 @@ class MethodOfMultipliers:
                 r += length * change
             state.evaluate(blocks)
             left = max(abs(end), rtol**2 * -start) if length == 1.0 else np.inf
-            if left <= self._options.share**2 * self._moved(state) or self._late:
+            if left <= SHARE**2 * self._moved(state) or self._late:
                 return True
             if self._small(state):
                 return True
