@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -277,6 +278,7 @@ def follower(
             start.rotation[0],
             start.position[0],
             seconds=seconds,
+            tell=_say("follower"),
         )
     finally:
         link.close()
@@ -350,7 +352,9 @@ def _operate(link: Any, who: Subject, seconds: float) -> tuple[Any, Any]:
     with HapticProcess(LoopPlan(shell, partial(Hand, path, again=MEETING))) as loop:
         side = Operator(_epoch(), shell, feedback=lambda model: loop.begin(model.field))
         promptly()
-        ended = run_operator_apart(side, link, start, seconds=seconds)
+        ended = run_operator_apart(
+            *(side, link, start), seconds=seconds, tell=_say("operator")
+        )
     return side, replace(ended, lateness=loop.lateness or ended.lateness)
 
 
@@ -368,8 +372,20 @@ def _record(
     with Recorder(file, described) as recorder:
         watch = recorder.watch
         promptly()
-        ended = run_operator(side, link, hand, seconds=seconds, watch=watch)
+        ended = run_operator(
+            *(side, link, hand), seconds=seconds, watch=watch, tell=_say("operator")
+        )
     return side, ended
+
+
+def _say(name: str) -> Callable[[str, str], None]:
+    """Says on stderr what state a side is in."""
+    import typer
+
+    def say(state: str, cause: str) -> None:
+        typer.echo(f"{name}: {state}" + (f" ({cause})" if cause else ""), err=True)
+
+    return say
 
 
 def _tell_end(

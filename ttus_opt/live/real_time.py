@@ -23,7 +23,7 @@ from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
-from ttus_opt.live.peer import Outgoing
+from ttus_opt.live.peer import Outgoing, Peer
 from ttus_opt.live.safety import State
 from ttus_opt.live.simulation import Moment
 
@@ -211,6 +211,28 @@ class Ended:
         return asdict(self)
 
 
+class _Seen:
+    """States of a side, told when they change."""
+
+    def __init__(self, peer: Peer, tell: Callable[[str, str], None] | None) -> None:
+        self._safety, self._tell = peer.safety, tell or (lambda state, cause: None)
+        self._last: State | None = None
+        self._names: dict[str, None] = {}
+
+    def look(self) -> None:
+        """After a frame."""
+        safety = self._safety
+        if safety.state is not self._last:
+            self._last = safety.state
+            self._names[safety.state.name] = None
+            self._tell(safety.state.name, safety.cause)
+
+    def ended(self, beat: Metronome) -> Ended:
+        """How the loop ended."""
+        safety = self._safety
+        return Ended(safety.state.name, safety.cause, beat.lateness, tuple(self._names))
+
+
 def run_operator(
     operator: Operator,
     link: Link,
@@ -219,7 +241,7 @@ def run_operator(
     seconds: float = math.inf,
     rate: float = OPERATOR_RATE,
     watch: Callable[[Moment], None] | None = None,
-    show: Callable[[LiveState], None] | None = None,
+    tell: Callable[[str, str], None] | None = None,
 ) -> Ended:
     """The operator's loop: hand, link, force.
 
@@ -230,11 +252,9 @@ def run_operator(
         seconds: Length [s].
         rate: Frames a second [Hz].
         watch: Called with every frame, such as `Recorder.watch`.
-        show: Called ten times a second with what a page shows.
+        tell: Called with every new state, and why it is not NORMAL.
     """
-    beat, shown, seen = Metronome(rate, seconds), -math.inf, dict[str, None]()
-    start = math.nan
-    safety = operator.peer.safety
+    beat, seen, start = Metronome(rate, seconds), _Seen(operator.peer, tell), math.nan
     for now in beat:
         start = now if math.isnan(start) else start
         packets = link.receive(now)
@@ -243,14 +263,11 @@ def run_operator(
         link.send(now, step.send)
         felt = operator.feel(now, *pose).copy()
         hand.step(now - start, felt[:3], 1.0 / rate)
-        seen[step.state.name] = None
+        seen.look()
         if watch is not None:
             state, nothing = step.state, Sample(now, *pose, felt)
             watch(Moment(now, *pose, tuple(packets), felt, state, state, nothing))
-        if show is not None and now - shown >= SHOW:
-            shown = now
-            show(operator.view(now))
-    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))
+    return seen.ended(beat)
 
 
 def run_operator_apart(
@@ -261,6 +278,7 @@ def run_operator_apart(
     seconds: float = math.inf,
     rate: float = APART_RATE,
     show: Callable[[LiveState], None] | None = None,
+    tell: Callable[[str, str], None] | None = None,
 ) -> Ended:
     """The operator's loop where hand and force are in a process of their own.
 
@@ -271,9 +289,10 @@ def run_operator_apart(
         seconds: Length [s].
         rate: Frames a second of this loop, not of the haptic one [Hz].
         show: Called ten times a second with what a page shows.
+        tell: Called with every new state, and why it is not NORMAL.
     """
-    beat, seen = Metronome(rate, seconds), dict[str, None]()
-    safety, pose, shown = operator.peer.safety, start, -math.inf
+    beat, seen = Metronome(rate, seconds), _Seen(operator.peer, tell)
+    pose, shown = start, -math.inf
     for now in beat:
         loop = operator.feedback
         if isinstance(loop, HapticLoop):
@@ -287,11 +306,11 @@ def run_operator_apart(
             friction = 0.0 if model is None else model.learner.friction
             loop.tell(friction, step.state)
             operator.feel(now, *pose)
-        seen[step.state.name] = None
+        seen.look()
         if show is not None and now - shown >= SHOW:
             shown = now
             show(operator.view(now))
-    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))
+    return seen.ended(beat)
 
 
 def run_follower(
@@ -303,6 +322,7 @@ def run_follower(
     *,
     seconds: float = math.inf,
     rate: float = FOLLOWER_RATE,
+    tell: Callable[[str, str], None] | None = None,
 ) -> Ended:
     """The follower's loop: link, probe, measurement.
 
@@ -314,13 +334,13 @@ def run_follower(
         position: Its position, patient frame, (3,) [m].
         seconds: Length [s].
         rate: Frames a second [Hz].
+        tell: Called with every new state, and why it is not NORMAL.
     """
-    beat, seen = Metronome(rate, seconds), dict[str, None]()
-    safety = follower.peer.safety
+    beat, seen = Metronome(rate, seconds), _Seen(follower.peer, tell)
     for now in beat:
         sensed = patient.sense(now, rotation, position)
         step = follower.step(now, link.receive(now), sensed)
         link.send(now, step.send)
         rotation, position = step.rotation, step.position
-        seen[step.state.name] = None
-    return Ended(safety.state.name, safety.cause, beat.lateness, tuple(seen))
+        seen.look()
+    return seen.ended(beat)

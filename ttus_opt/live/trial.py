@@ -25,7 +25,7 @@ from ttus_opt.live.model import LiveModel, ModelPlan
 from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Breathing, SimulatedPatient
-from ttus_opt.live.simulation import Moment, Simulation
+from ttus_opt.live.simulation import HAPTIC, Moment, Simulation
 from ttus_opt.live.skin_motion import SkinMotion
 from ttus_opt.live.subject import (
     MEETING,
@@ -123,6 +123,7 @@ class TrialResult:
         true: Size of the torso's force at the hand's pose then, at rest and so without
             friction, shape (n,) [N].
         error: Mean of their difference in contact, once it has settled [N].
+        drag_error: The same with the patient's drag at the hand's own velocity [N].
         largest: Largest felt force [N].
         energy: Most energy that the hand had got by any time [J]; a passive patient
             gives none.
@@ -131,6 +132,7 @@ class TrialResult:
         packets: Datagrams a second, the busier direction [1/s].
         bits: Bits a second with headers, the busier direction [bit/s].
         folded: Measurements learned from [–].
+        friction: μ that was learned [–].
     """
 
     trial: Trial
@@ -138,6 +140,7 @@ class TrialResult:
     felt: Array = field(repr=False)
     true: Array = field(repr=False)
     error: float
+    drag_error: float
     largest: float
     energy: float
     step: float
@@ -145,16 +148,17 @@ class TrialResult:
     packets: float
     bits: float
     folded: int
+    friction: float
 
     def as_dict(self) -> dict[str, Any]:
         """All figures, without the curves."""
-        kept = ("error", "largest", "energy", "step", "packets", "bits")
-        units = ("N", "N", "J", "N", "per_s", "per_s")
+        kept = ("error", "drag_error", "largest", "energy", "step", "packets", "bits")
+        units = ("N", "N", "N", "J", "N", "per_s", "per_s")
         figures = {
             f"{name}_{unit}": getattr(self, name)
             for name, unit in zip(kept, units, strict=True)
         }
-        told = {"stopped": self.stopped, "folded": self.folded}
+        told = {"stopped": self.stopped, "folded": self.folded, "mu": self.friction}
         return {**asdict(self.trial), **figures, **told}
 
 
@@ -245,19 +249,20 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
         watch: Called with every frame.
     """
     session = simulation(trial)
-    figures = _Figures(ElasticTorso(), trial.settled)
+    figures = _Figures(ElasticTorso(trial.friction), trial.settled)
     for moment in session.run(trial.seconds):
         figures.add(moment)
         if watch is not None:
             watch(moment)
     sides = session.operator.peer, session.follower.peer
+    model = session.operator.model
     time, felt, true = (np.array(curve) for curve in figures.curves)
     return TrialResult(
         trial,
         time,
         felt,
         true,
-        figures.error,
+        *figures.errors,
         figures.largest,
         figures.energy,
         figures.step,
@@ -265,6 +270,7 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
         max(s.rate.sent_packets for s in sides) / trial.seconds,
         8.0 * max(s.rate.sent_bytes for s in sides) / trial.seconds,
         session.operator.folded,
+        0.0 if model is None else model.learner.friction,
     )
 
 
@@ -275,7 +281,7 @@ class _Figures:
         self._truth, self._settled = truth, settled
         self.curves = array("d"), array("d"), array("d")  # time, felt, true
         self.largest = self.energy = self.step = 0.0
-        self._work = self._missed = 0.0
+        self._work, self._missed = 0.0, np.zeros(2)
         self._frames = self._counted = 0
         self._felt = self._place = np.zeros(3)
 
@@ -296,15 +302,20 @@ class _Figures:
 
     def _compare(self, moment: Moment, size: float) -> None:
         """With what the patient at rest would answer at the hand's pose."""
-        still = self._truth.wrench(moment.rotation, moment.position, np.zeros(3))
-        true = float(np.linalg.norm(still[:3]))
-        for curve, value in zip(self.curves, (moment.time, size, true), strict=True):
+        pose, moved = (moment.rotation, moment.position), self._place
+        speed = (pose[1] - moved) / HAPTIC if self._frames else np.zeros(3)
+        still, dragged = (
+            float(np.linalg.norm(self._truth.wrench(*pose, v)[:3]))
+            for v in (np.zeros(3), speed)
+        )
+        for curve, value in zip(self.curves, (moment.time, size, still), strict=True):
             curve.append(value)
-        if moment.time > self._settled and max(true, size) > 0.5:
-            self._missed += abs(size - true)
+        if moment.time > self._settled and max(still, size) > 0.5:
+            self._missed += abs(size - still), abs(size - dragged)
             self._counted += 1
 
     @property
-    def error(self) -> float:
-        """Mean difference of felt and true force in contact [N]."""
-        return self._missed / self._counted if self._counted else math.nan
+    def errors(self) -> tuple[float, float]:
+        """Mean difference of felt and true force in contact, at rest and moved [N]."""
+        n = self._counted or math.nan
+        return float(self._missed[0] / n), float(self._missed[1] / n)
