@@ -121,3 +121,11 @@ def test_what_is_repaired_has_no_fault_that_repair_is_for(seed):
     except FileError:
         return
     assert not [fault for fault in faults(found) if fault.repairable]
+
+
+def test_a_quaternion_whose_square_overflows_is_told(tmp_path):
+    rows = table()
+    rows[0][4:] = [1e200] * 4
+    file = written(tmp_path / "far.csv", rows)
+    with pytest.raises(FileError, match="quaternion has length 2e\\+200"):
+        read_trajectory(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -163,7 +164,7 @@ def _quaternions(raw: RawRecording) -> Iterator[Fault]:
     bad = bad_quaternions(raw)
     if raw.quaternion is None or not bad.any():
         return
-    length = float(np.linalg.norm(raw.quaternion[np.argmax(bad)]))
+    length = math.hypot(*raw.quaternion[np.argmax(bad)])  # squares may overflow
     if length < 1e-9:
         what = "the quaternion is zero"
         remedy = "that frame has no orientation, remove the line"
