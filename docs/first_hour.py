@@ -18,6 +18,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -187,11 +188,7 @@ def first_hour() -> list[str]:
         "ttus-opt evaluate --field field.nc --probe probe.stl --trajectory unseen.csv "
         f"{mends}"
     )
-    terminal.run(evaluate)
-    told = Terminal().run(f"{evaluate} --json")
-    error = json.loads(told)["force_magnitude_error_N"]
-    if not error < GOAL:
-        raise SystemExit(f"unseen force error {error:.3f} N, expected below {GOAL} N")
+    error = unseen_error(terminal, evaluate, GOAL)
     terminal.tell(
         f"The mean force error is {error:.2f} N on a recording that had no part in "
         "the fit. From here, [rendering](how-to/rendering.md) puts the field under an "
@@ -201,12 +198,26 @@ def first_hour() -> list[str]:
     return terminal.lines
 
 
-def main() -> None:
-    """Write the page."""
+def unseen_error(terminal: Terminal, evaluate: str, goal: float) -> float:
+    """Show an evaluation; its mean force error [N].
+
+    Raises:
+        SystemExit: It is not below the goal [N].
+    """
+    terminal.run(evaluate)
+    told = Terminal().run(f"{evaluate} --json")
+    error = float(json.loads(told)["force_magnitude_error_N"])
+    if not error < goal:
+        raise SystemExit(f"unseen force error {error:.3f} N, expected below {goal} N")
+    return error
+
+
+def write_page(page: Path, head: str, transcript: Callable[[], list[str]]) -> None:
+    """Run a transcript in a folder of its own, and write its page."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        lines = first_hour()
-    PAGE.write_text("\n".join([HEAD, *lines, ""]), encoding="utf-8")
+        lines = transcript()
+    page.write_text("\n".join([head, *lines, ""]), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    write_page(PAGE, HEAD, first_hour)

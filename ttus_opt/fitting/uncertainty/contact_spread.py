@@ -104,8 +104,7 @@ def told_variance(scene: Scene, mean: UncertainMean) -> float:
 
     The deviation found at places that tell as much as n independent ones counts n
     times, the one of bodies in general `USUAL_PLACES` times; never less than 1. A
-    `TtusWarning` tells when the
-    recordings cannot tell how stiffness varies.
+    `TtusWarning` tells when the recordings cannot tell how stiffness varies.
 
     Args:
         scene: What was fitted.
