@@ -75,7 +75,7 @@ def test_the_page_holds_it_likewise(cylinder):
 def test_a_scanned_torso_is_felt_with_a_real_probe():
     """What `live page --surface --probe` shows, without the page."""
     cloud = tt.read_cloud(shared_data("torso/realsense_male_m.pcd"), unit="m")
-    axis = tt.Axis.from_cloud(cloud)
+    axis = tt.Axis.from_cloud(cloud, head=[1.0, 0.0, 0.0])
     surface = tt.extract_surface(cloud, axis=axis, n_theta=180, n_z=60)
     with pytest.warns(tt.TtusWarning, match="open by"):
         shell = shell_of(str(shared_data("probe/Probe_L14-5_38_lowres.stl")))
