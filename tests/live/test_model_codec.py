@@ -1,3 +1,4 @@
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -65,6 +66,8 @@ def test_arbitrary_content_is_refused(data):
 
 @settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 255))
+@hypothesis.example(13, 128)  # a negative exponent
+@hypothesis.example(13, 68)  # one of hundreds
 def test_changed_content_is_refused_or_a_finite_model(place, value):
     model = learned_once()
     content = bytearray(encode_model(model))

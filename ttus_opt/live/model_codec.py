@@ -28,6 +28,9 @@ STEP = 0.01
 #: Largest values accepted: voxels and nodes, as much as case L; relative stiffness
 MOST_VOXELS, MOST_NODES, MOST_STIFFNESS = 2_000_000, 20_000, 300.0
 
+#: Largest exponent of a law accepted; tissue has 1 to 3 [–]
+MOST_EXPONENT = 10.0
+
 #: Plan: shape, inner radius, exponent and coefficient, σ, memory; state: scale, slope,
 #: friction; shell: points, rms radius; nodes around, along
 _HEAD = struct.Struct("<3H5f3fIf2H")
@@ -73,6 +76,10 @@ def decode_model(content: bytes, surface: Surface, shell: PointShell) -> LiveMod
     points, radius, n_theta, n_z = rest[8:]
     if not all(math.isfinite(v) for v in rest):
         raise MessageError("a model's message contains NaN or infinity")
+    if not (0.0 < exponent <= MOST_EXPONENT and coefficient > 0.0):
+        raise MessageError(
+            f"a law {coefficient:g} (d/10 mm)^{exponent:g} is not that of a tissue"
+        )
     if points != len(shell.points) or abs(radius / shell.rms_radius - 1.0) > 1e-4:
         raise MessageError(
             f"the model is for a probe of {points} points and {1e3 * radius:.2f} mm, "
