@@ -20,7 +20,6 @@ import ttus_opt as tt
 from tests.viewer.conftest import field, probe, recorded
 from tests.viewer.test_viewer import until
 from ttus_opt.contact.standing import skin_points
-from ttus_opt.viewer.guarded_server import guarded_server
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -323,28 +322,6 @@ def test_another_host_cannot_be_asked(visit):
     assert re.search("Failed to fetch", answer)
     visit.until(lambda: any("Content Security Policy" in f for f in visit.faults))
     visit.faults.clear()
-
-
-def test_a_browser_may_come_before_the_patient(browser):
-    server, url = guarded_server(0)
-    page = browser.new_page(viewport=DESK)
-    page.set_default_timeout(1e3 * PATIENCE)
-    page.goto(url)
-    page.wait_for_selector("canvas")
-    end = time.monotonic() + PATIENCE
-    while not (clients := server.get_clients()) and time.monotonic() < end:
-        page.wait_for_timeout(100)
-    (early,) = clients.values()
-    with tt.view(field(), probe(), server=(server, url)):
-        page.get_by_text("force", exact=True).first.wait_for()
-        known = server.initial_camera
-        while not np.allclose(early.camera.look_at, known.look_at):
-            assert time.monotonic() < end, "looks elsewhere"
-            page.wait_for_timeout(100)
-        assert early.camera.fov == pytest.approx(known.fov)
-        page.wait_for_timeout(500)
-        assert np.allclose(early.camera.position, known.position, atol=1e-3)
-    page.close()
 
 
 def test_a_page_whose_viewer_has_ended_says_so(browser):

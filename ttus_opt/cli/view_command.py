@@ -71,7 +71,7 @@ def view(
         ttus-opt view field.nc --trajectory press.csv
     """
     from ttus_opt.core.optional import load
-    from ttus_opt.viewer.guarded_server import guarded_server, quiet
+    from ttus_opt.viewer.viewer import view as opened
 
     load("viser", "viewer")  # before anything that takes long
     if (field is None) != example:
@@ -90,17 +90,7 @@ def view(
             files = [field] if compare is None else [field, compare]
             shown, options = _read(files, tool, recordings)
         begin("opening the page")
-        server, url = guarded_server(port)
-        if not no_browser:
-            open_browser(url)  # it loads the page's scripts while the patient is drawn
-        try:
-            from ttus_opt.viewer.viewer import view as opened
-
-            viewer = opened(shown, server=(server, url), **options)
-        except BaseException:
-            with quiet():
-                server.stop()
-            raise
+        viewer = opened(shown, port=port, **options)
     tell(
         {"url": viewer.url},
         viewer.url,
@@ -109,6 +99,8 @@ def view(
     )
     sys.stdout.flush()
     with viewer:
+        if not no_browser:
+            open_browser(viewer.url)
         try:
             viewer.wait()
         except KeyboardInterrupt:
@@ -124,22 +116,21 @@ def _read(
         FileError: A file is not usable.
         InputError: Recordings without a probe, or whatever is wrong with them.
     """
+    from ttus_opt.probe.mesh import read_mesh
+    from ttus_opt.viewer.viewer import probe_of
     from ttus_opt.voxmap.field import PotentialField
 
     fields = [PotentialField.load(file) for file in files]
-    patient, shell, mesh = fields[0].voxmap.surface, None, None
-    if tool is not None:
+    patient, mesh = fields[0].voxmap.surface, None
+    if tool is None:
+        shell = probe_of(fields[0])
+    else:
         shell = tool.read()
         warn_of_another_probe(fields[0].provenance, tool, recordings)
         if ":" not in tool.probe:
-            from ttus_opt.probe.mesh import read_mesh
-
             mesh = read_mesh(tool.probe, unit=tool.probe_unit)
     trajectory = None
     if recordings.trajectory:
-        from ttus_opt.viewer.viewer import probe_of
-
-        shell = shell or probe_of(fields[0])
         if shell is None:
             raise InputError(
                 f"{files[0]} does not say which probe it was fitted with: give --probe"

@@ -20,8 +20,6 @@ from ttus_opt.viewer.state import ViewState
 from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
-    import viser
-
     from ttus_opt.viewer.skin_tab import Stated
 
 #: Time between frames while something moves, and while nothing does [s]
@@ -50,8 +48,6 @@ class Viewer:
         mesh: The probe's own mesh, probe frame; None for the hull of its points.
         uncertainty: Of the first field's fit, for where to press next.
         port: Where to serve; the next free one if it is taken.
-        server: One that listens already, with its link, in place of a port: a browser
-            loads the page's scripts while the patient is drawn.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -65,10 +61,9 @@ class Viewer:
         mesh: TriangleMesh | None = None,
         uncertainty: Stated | None = None,
         port: int = PORT,
-        server: tuple[viser.ViserServer, str] | None = None,
     ) -> None:
         self.state = state
-        self._server, self.url = server or guarded_server(port)
+        self._server, self.url = guarded_server(port)
         self.page = Page(self._server, state, names, mesh, uncertainty)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -170,7 +165,6 @@ def view(
     mesh: TriangleMesh | None = None,
     uncertainty: Stated | None = None,
     port: int = PORT,
-    server: tuple[viser.ViserServer, str] | None = None,
 ) -> Viewer:
     """Open a page that shows a field and lets one press it.
 
@@ -187,7 +181,6 @@ def view(
         uncertainty: Of the first field's fit (`ttus_opt.uncertainty`), for where to
             press next; or a function that gives it, called when somebody looks.
         port: Where to serve; the next free one if it is taken.
-        server: One that listens already, with its link, in place of a port.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -202,9 +195,7 @@ def view(
     named = list(names) or ["felt", "other"][: len(fields)]
     if len(named) != len(fields):
         raise InputError(f"{len(fields)} fields need as many names, got {len(named)}")
-    return Viewer(
-        state, named, mesh=mesh, uncertainty=uncertainty, port=port, server=server
-    )
+    return Viewer(state, named, mesh=mesh, uncertainty=uncertainty, port=port)
 
 
 def probe_of(field: PotentialField) -> PointShell | None:
