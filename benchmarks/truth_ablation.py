@@ -19,6 +19,7 @@ from ttus_opt.fitting.weights.weight_choice import likely_sampling
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import (
     PRIOR,
     DepthMapEstimate,
@@ -68,7 +69,7 @@ class Model:
     def built(self, scene: Scene) -> Formulation:
         """The formulation in one sampling."""
         shown = self.drag is None or (self.drag and estimate_drag(scene).is_shown)
-        guess = estimate_drag(scene, self.acts_at)
+        guess, _ = estimate_dragged(scene, self.acts_at)
         mu = min(guess.friction_coefficient, 1.0) if shown else 0.0
         rows = sp.csr_array(scene.N - mu * guess.drag.rows.force)
         found = self.estimate(scene, rows)

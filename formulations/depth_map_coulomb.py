@@ -5,7 +5,7 @@ min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² ((N − μ F) 
 
 The profile φ, σ, the lengths and the noise are chosen once, by their evidence at a
 first estimate of μ. F p is drag of every point of the probe, or of the whole patch
-(``acts_at``). See `depth_map` and `coulomb_global`.
+(``acts_at``), by default what evidence says. See `depth_map` and `coulomb_global`.
 
 Source: as `depth_map`, with Coulomb's law.
 """
@@ -15,8 +15,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.drag_limit import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 
 
@@ -32,11 +31,10 @@ def build(
 ) -> Formulation:
     """λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
     check_coefficient(largest_friction)
-    guess = estimate_drag(scene, acts_at, deadband)
+    where = acts_at, deadband, largest_friction
+    guess, found = estimate_dragged(scene, *where, depth_length=depth_length)
     drag = guess.drag
     first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))
-    rows = scene.N - first.coefficient * drag.rows.force
-    found = estimate_depth_map(scene, rows, depth_length=depth_length)
     noise = found.part_noise(scene)
     usual = noise.level**-2
     weight = usual if force_weight is None else force_weight

@@ -186,8 +186,8 @@ def test_where_drag_acts_is_found_and_given_options_come_first(
     sampling = looked[1].sampling
     assert sampling.startswith("contact-size:")
     assert asked == [
-        ("depth_map_coulomb", sampling, {"acts_at": place})
-        for place in (estimate(looked[1]).acts_at, "reference")
+        ("depth_map_coulomb", sampling, given)
+        for given in ({}, {"acts_at": "reference"})
     ]
 
 

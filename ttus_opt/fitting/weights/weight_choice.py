@@ -271,9 +271,7 @@ def default_model(
                 told("sampling")
                 sampling = likely_sampling(scene, given)
             place = scene if scene.sampling == sampling else scene.resampled(sampling)
-            drag = estimate_drag(place)
-            given = {"acts_at": drag.acts_at} | given if drag.is_shown else given
-            name = DEPTH_MAPS[drag.is_shown]
+            name = DEPTH_MAPS[estimate_drag(place).is_shown]
             told(f"{name}, {sampling} sampling")
             declared = load(name, place, **given)
     except UnusableForcesError as error:

@@ -24,6 +24,9 @@ from ttus_opt.problem.terms.drag import GlobalCoulomb
 #: hundred cases [–]
 LEAST_GAIN = 6.6
 
+#: Where drag may act
+PLACES = ("points", "contact", "reference")
+
 #: Relative misfit that is rounding [–]
 ROUNDING = 1e-9
 
@@ -60,7 +63,7 @@ def estimate_drag(
     scene: Scene,
     acts_at: str = "auto",
     deadband: float = DEADBAND,
-    places: tuple[str, ...] = ("points", "contact", "reference"),
+    places: tuple[str, ...] = PLACES,
 ) -> DragEstimate:
     """Estimate drag by least squares.
 
@@ -76,6 +79,25 @@ def estimate_drag(
 
     Raises:
         InputError: ``acts_at`` is neither "auto" nor one of the places.
+    """
+    return alike_drag(scene, acts_at, deadband, places, alike=0.0)[0]
+
+
+def alike_drag(
+    scene: Scene,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+    places: tuple[str, ...] = PLACES,
+    alike: float = LEAST_GAIN,
+) -> list[DragEstimate]:
+    """The best estimate, and others that are hardly worse.
+
+    Args:
+        scene: As of `estimate_drag`.
+        acts_at: The same.
+        deadband: The same [m/s].
+        places: The same.
+        alike: By how much less the others gain at most [–].
     """
     if acts_at != "auto" and acts_at not in places:
         raise InputError(
@@ -109,14 +131,22 @@ def estimate_drag(
             least = max(misfit, ROUNDING * without)
             gain = 6.0 * n_places * math.log(without / least)
         estimates.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
-    best = min(estimates, key=lambda one: one.misfit)
+    estimates.sort(key=lambda one: one.misfit)
+    best = estimates[0]
     if not best.friction_coefficient:
-        return best
-    if distinct_drag(scene, best.drag.rows.force) >= LEAST_DISTINCT:
-        return best
+        return [best]
+    distinct = [
+        one
+        for one in estimates
+        if (one is best or one.gain > best.gain - alike)
+        and one.friction_coefficient
+        and distinct_drag(scene, one.drag.rows.force) >= LEAST_DISTINCT
+    ]
+    if best in distinct:
+        return distinct
     s = _scale(pressed, measured)
     misfit = _mean_size(measured - s * pressed)
-    return DragEstimate(0.0, s, best.acts_at, misfit, best.drag)
+    return [DragEstimate(0.0, s, best.acts_at, misfit, best.drag)]
 
 
 def _scale(pressed: Array, measured: Array) -> float:
