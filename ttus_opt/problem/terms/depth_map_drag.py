@@ -22,7 +22,7 @@ def estimate_dragged(
     acts_at: str = "auto",
     deadband: float = DEADBAND,
     largest: float = 1.0,
-    **given: float | None,
+    depth_length: float | None = None,
 ) -> tuple[DragEstimate, DepthMapEstimate]:
     """The likeliest drag and the depth map with it.
 
@@ -31,7 +31,7 @@ def estimate_dragged(
         acts_at: As of `estimate_drag`.
         deadband: The same [m/s].
         largest: Largest μ [–].
-        given: Values that are not estimated, as of `estimate_depth_map`.
+        depth_length: Length in depth [m]; by default it is estimated too.
 
     Raises:
         InputError: As of both.
@@ -41,5 +41,5 @@ def estimate_dragged(
     for drag in alike_drag(scene, acts_at, deadband):
         mu = min(drag.friction_coefficient, largest)
         rows = scene.N - mu * drag.drag.rows.force
-        found.append((drag, estimate_depth_map(scene, rows, **given)))
+        found.append((drag, estimate_depth_map(scene, rows, depth_length=depth_length)))
     return max(found, key=lambda one: one[1].log_evidence)
