@@ -1,22 +1,13 @@
-"""Damage of a file is noticed, and what was left out is not missed."""
+"""Damage of a file is noticed."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from tests.refusals import refuses
 from ttus_opt import example
-from ttus_opt.core.checksum import (
-    ATTRIBUTE,
-    DIGITS,
-    SEAL,
-    check_content,
-    check_seal,
-    seal,
-    with_checksums,
-)
+from ttus_opt.core.checksum import DIGITS, SEAL, check_seal, seal
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.io import kind_of
 from ttus_opt.scan.surface import Surface
@@ -26,44 +17,6 @@ from ttus_opt.sensors.streams import WrenchStream
 
 def kind(file):
     return kind_of(file, "surface")
-
-
-def dataset():
-    return with_checksums(
-        xr.Dataset(
-            {"p": ("x", np.arange(4.0), {"units": "N"}), "name": ("x", list("abcd"))},
-            coords={"x": ("x", [1, 2, 3, 4])},
-            attrs={"kind": "field", "version": 1},
-        )
-    )
-
-
-def test_what_was_written_passes():
-    check_content(dataset())
-    check_content(dataset().drop_vars("p"), ["p"])
-    again = dataset().assign_attrs(version=np.int64(1))  # as a file gives it
-    check_content(again)
-
-
-@pytest.mark.parametrize("name", ["p", "name", "x"])
-def test_a_changed_value_is_named(name):
-    changed = dataset()
-    values = changed[name].values.copy()
-    values[2] = values[1]
-    changed[name] = (("x",), values, changed[name].attrs)
-    refuses(InputError, f"^{name} is not what was written", check_content, changed)
-
-
-def test_changed_attributes_and_missing_variables_are_named():
-    changed = dataset()
-    changed["p"].attrs["units"] = "kN"
-    refuses(InputError, r"^p is not", check_content, changed)
-    refuses(InputError, r"^p is not", check_content, dataset().drop_vars("p"))
-    with pytest.raises(InputError, match=r"^an attribute is not"):
-        check_content(dataset().assign_attrs(version=2))
-    for damaged in ("{", "[1]", 7):
-        with pytest.raises(InputError, match="checksums are damaged"):
-            check_content(dataset().assign_attrs({ATTRIBUTE: damaged}))
 
 
 def test_a_flipped_bit_is_noticed_before_the_library_reads(tmp_path):
@@ -81,9 +34,9 @@ def test_a_flipped_bit_is_noticed_before_the_library_reads(tmp_path):
 def test_a_file_without_a_seal_passes(tmp_path):
     for content in (b"", b"x", SEAL, b"another program's bytes" * 10):
         (file := tmp_path / "other").write_bytes(content)
-        check_seal(file)
+        assert not check_seal(file)
     seal(file)
-    check_seal(file)
+    assert check_seal(file)
     assert file.read_bytes().startswith(content + SEAL)
 
 

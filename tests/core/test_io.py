@@ -197,7 +197,7 @@ def test_stamps_of_another_type(tmp_path, attributes, told):
 def test_a_file_from_elsewhere_is_read_only_where_allowed(tmp_path):
     file = tmp_path / "a.nc"
     dataset().to_netcdf(file)
-    with pytest.warns(TtusWarning, match="has no checksums"):
+    with pytest.warns(TtusWarning, match="has no checksum"):
         found = io.read_dataset(file, kind="surface", version=1, foreign=True)
     assert "a" in found
     with pytest.raises(FileError, match="no ttus_opt data"):

@@ -22,13 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.core.checksum import (
-    check_content,
-    check_seal,
-    has_checksums,
-    seal,
-    with_checksums,
-)
+from ttus_opt.core.checksum import check_seal, seal
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.core.interrupts import signals_deferred as signals_deferred
 
@@ -234,16 +228,15 @@ def _remove_abandoned(folder: Path, begin: str) -> None:
                 file.unlink()
 
 
-def whole_file(path: str | os.PathLike[str], what: str) -> Path:
-    """As `existing_file`; a file sealed by `write_dataset` has all bytes written.
+def whole_file(path: str | os.PathLike[str], what: str) -> tuple[Path, bool]:
+    """As `existing_file`, and whether the file ends in a checksum, which is compared.
 
     Raises:
         FileError: As `existing_file`, or it is damaged.
     """
     file = existing_file(path, what)
     with located(file, FileError):
-        check_seal(file)
-    return file
+        return file, check_seal(file)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -292,7 +285,7 @@ def write_dataset(
     )
     with signals_deferred(), replacing(path) as temporary:
         try:
-            with_checksums(stamped).to_netcdf(temporary, engine="netcdf4")
+            stamped.to_netcdf(temporary, engine="netcdf4")
             seal(temporary)
         except (OSError, RuntimeError) as error:
             raise FileError(
@@ -321,7 +314,7 @@ def read_dataset(
         FileError: The file is missing, damaged, not netCDF, or of another kind or
             version.
     """
-    file = whole_file(path, kind)
+    file, sealed = whole_file(path, kind)
     import xarray as xr
 
     try:
@@ -339,12 +332,9 @@ def read_dataset(
         ) from error
     if not (foreign and "ttus_opt_kind" not in dataset.attrs):
         _check_kind(dataset, file, kind, version)
-    if has_checksums(dataset):
-        with located(file, FileError):
-            check_content(dataset, without)
-    else:
+    if not sealed:
         warnings.warn(
-            f"{file} has no checksums, so damage may go unnoticed: it was written by "
+            f"{file} has no checksum, so damage may go unnoticed: it was written by "
             "another program, or an older ttus_opt",
             TtusWarning,
             stacklevel=3,
@@ -380,7 +370,7 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
     """
     import netCDF4
 
-    file = whole_file(path, what)
+    file, _ = whole_file(path, what)
     try:
         with netCDF4.Dataset(file) as opened:
             kind = getattr(opened, "ttus_opt_kind", None)

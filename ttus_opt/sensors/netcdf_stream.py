@@ -120,7 +120,7 @@ def _opened(
     """
     import xarray as xr
 
-    file = io.whole_file(path, "netCDF stream")
+    file, _ = io.whole_file(path, "netCDF stream")
     names = columns or {}
     single = [name for name in names if name not in ("t", ORDER, *UNITS)]
     if single:
