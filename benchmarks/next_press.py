@@ -116,11 +116,11 @@ class Presses:
         poses = replace(self.truth, force=None, torque=None)
         own = [poses.select(np.array([k])) for k in self.deepest]
         presses = tt.Trajectory.concatenate([nodes, *own])
-        rows, noise = normal_forces(uncertainty, presses)
+        rows, sized, noise = normal_forces(uncertainty, presses)
         region = np.arange(len(presses)) < len(nodes)
         noise[region] = np.inf  # they are asked about, not pressed
         noise[len(nodes) + np.array(taken, dtype=np.int64)] = np.inf
-        covariance = uncertainty.covariance(rows, len(presses))[0]
+        covariance = uncertainty.covariance(rows, len(presses), sized)[0]
         chosen, _, _ = greedy(covariance, noise, region, count)
         return [int(k) - len(nodes) for k in chosen]
 

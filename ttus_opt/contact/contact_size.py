@@ -102,6 +102,13 @@ def patch_factors(spread: Array, least: float) -> Array:
     return np.asarray(REFERENCE_LENGTH / np.sqrt(least**2 + 12.0 * spread))
 
 
+def size_slopes(spread: Array, least: float) -> Array:
+    """Slope of ln `patch_factors` over ln ℓ₀, shape (T,) [–]; 0 for ℓ₀ = 0."""
+    if not least:
+        return np.zeros(len(spread))
+    return np.asarray(-(least**2) / (least**2 + 12.0 * spread))
+
+
 @compiled()
 def _patches(
     rotation: Array,

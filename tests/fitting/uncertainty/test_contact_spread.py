@@ -102,7 +102,9 @@ def test_places_that_tell_the_deviation_count_by_how_far_they_differ():
 
 def test_one_place_is_widened_by_bodies_in_general_and_told():
     depth = np.full(30, 0.006)
-    mean = UncertainMean(np.zeros((1, 0)), 0.1, 0.4, 0.01, (0.03, 0.7))
+    mean = UncertainMean(
+        np.zeros((1, 0)), np.zeros(30), 1.0, 0.1, 0.4, 0.01, (0.03, 0.7)
+    )
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
     with pytest.warns(
         TtusWarning, match="more than one place, not how stiffness varies"

@@ -41,7 +41,9 @@ def unseen():
 
 def wrench_rows(scene, trajectory):
     """Six rows per frame, one frame after the other."""
-    there = Scene.assemble(scene.voxmap, scene.shell, trajectory, inner=1.0)
+    there = Scene.assemble(
+        scene.voxmap, scene.shell, trajectory, inner=1.0, sampling=scene.sampling
+    )
     T, V = len(trajectory), scene.n_voxels
     parts = [m.toarray().reshape(T, 3, V) for m in (there.N, there.W)]
     return np.concatenate(parts, axis=1).reshape(6 * T, V)

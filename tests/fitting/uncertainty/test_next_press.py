@@ -76,16 +76,16 @@ def test_presses_are_where_least_is_known():
     assert (found.after <= found.before + 1e-9).all()
     before, after = found.region_std
     assert after**2 / before**2 == pytest.approx(1.0 - found.reduction.sum())
-    _, noise = normal_forces(
-        stated(), found.poses
-    )  # what was measured is known so well
+    *_, noise = normal_forces(stated(), found.poses)
+    # what was measured is known so well
     assert (found.after[found.node] ** 2 <= noise).all()
     assert len(found.as_dict()["presses"]) == 3
 
 
 def test_stated_deviations_are_those_of_the_uncertainty():
     found = suggested()
-    rows, noise = normal_forces(stated(), found.poses)
+    rows, sized, noise = normal_forces(stated(), found.poses)
+    assert not sized.any()  # of trilinear sampling
     own = np.sqrt(stated().covariance(rows)[:, 0, 0])
     np.testing.assert_allclose(own, found.before[found.node], rtol=1e-6)
     force = rows @ stated().potential.values.ravel()

@@ -33,7 +33,8 @@ def test_deeper_than_the_innermost_layer_is_the_whole_inside():
 def test_covariance_is_that_of_what_is_measured_of_the_draws(count):
     rng = np.random.default_rng(0)
     values, voxels = rng.normal(size=(count, 3)), np.array([1, 4, 5])
-    draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01)
+    sizes, sized = rng.normal(size=count), rng.normal(size=6)
+    draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01, sizes)
     rows = np.zeros((6, 8))
     rows[0, 1], rows[1, [4, 5]], rows[4, 5], rows[5, 6] = 2.0, (1.0, -3.0), 1.0, 1.0
     found = draws.covariance(sp.csr_array(rows), 2)
@@ -41,3 +42,6 @@ def test_covariance_is_that_of_what_is_measured_of_the_draws(count):
     np.testing.assert_allclose(found[0], said @ said.T / count, rtol=1e-5)
     assert (found[1] == 0.0).all()
     assert np.isnan(found[2]).all()
+    said += sized[:2, None] * sizes
+    found = draws.covariance(sp.csr_array(rows), 2, sized)
+    np.testing.assert_allclose(found[0], said @ said.T / count, rtol=1e-5)

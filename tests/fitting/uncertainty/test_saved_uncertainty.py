@@ -77,6 +77,8 @@ def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(file, tmp_p
         {**facts, "noise": {**facts["noise"], "share": np.nan}},
         {**facts, "noise": {}},
         {**facts, "noise": 0.2},
+        {**facts, "sizes": [0.0]},
+        {**facts, "sizes": [np.nan] * len(facts["sizes"])},
     ]
     bent = whole.copy()
     bent[DRAWS] = whole[DRAWS].assign_attrs(factor=np.nan)

@@ -20,13 +20,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
+from ttus_opt.fitting.uncertainty.posterior import Draws, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.structure import known_covariance
+from ttus_opt.problem.terms.structure import known_covariance, whitening
 
 #: Rows whose covariance with all measured voxels is formed at once
 AT_ONCE = 6
@@ -42,8 +43,9 @@ class CovariancePosterior(Posterior):
     Attributes:
         columns: Columns of C at the n voxels that measured rows touch.
         touching: D over these voxels, shape (rows, n).
-        drift: H (1 + HᵀDᵀ S⁻¹ D H)^(−1/2), shape (V, k).
-        drift_rows: D times it, shape (rows, k).
+        drift: H (1 + HᵀDᵀ S⁻¹ D H)^(−1/2), shape (V, k); H is zero for ln ℓ₀.
+        drift_rows: The same of D H, and of what ln ℓ₀ changes, shape (rows, k).
+        size: The same of ln ℓ₀, shape (k,) [–].
         factor: p̂/φ, within `FACTORS`; 1 of a prior without an uncertain mean, (V,).
         row_factor: Its mean over the voxels of every row of D, shape (rows,).
     """
@@ -52,6 +54,7 @@ class CovariancePosterior(Posterior):
     touching: sp.csr_array = field(repr=False)
     drift: Array = field(repr=False)
     drift_rows: Array = field(repr=False)
+    size: Array = field(repr=False)
     factor: Array = field(repr=False)
     row_factor: Array = field(repr=False)
 
@@ -79,30 +82,37 @@ class CovariancePosterior(Posterior):
         touching = sp.csr_array(rows.tocsc()[:, columns.voxels])
         images = np.ascontiguousarray((touching @ square_root(columns.among)).T)
         measured = conditioned(images, np.concatenate(targets)[told] - rows @ mean)
-        drift, factor = np.zeros((rows.shape[1], 0)), np.ones(len(values))
-        if tag.mean is not None:
-            factor = np.clip(values / mean, *FACTORS)
-            seen = rows @ tag.mean.drift
-            inner = seen.T @ measured.solve(seen)
-            inner[np.diag_indices_from(inner)] += 1.0
-            drift = tag.mean.drift @ np.linalg.inv(np.linalg.cholesky(inner)).T
-        base = tag.covariance, told, rows, images, measured
-        share = abs(rows) @ sp.diags_array(abs(mean))
-        known = drift, rows @ drift, factor, share @ factor / share.sum(axis=1)
-        return cls(*base, columns, touching, *known)
+        base = tag.covariance, told, rows, images, measured, columns, touching
+        if tag.mean is None:
+            none, ones = np.zeros((rows.shape[1], 0)), np.ones(len(values))
+            return cls(*base, none, rows @ none, none[0], ones, np.ones(rows.shape[0]))
+        factor, share = np.clip(values / mean, *FACTORS), abs(rows) * abs(mean)
+        row_factor = share @ factor / share.sum(axis=1)
+        slopes = tag.mean.size_deviation * np.repeat(tag.mean.size_slopes, 3)
+        sized = np.concatenate(
+            [r * times(t, mean, slopes) for t, r in zip(terms, roots, strict=True)]
+        )
+        seen = np.column_stack([rows @ tag.mean.drift, sized[told]])
+        inner = seen.T @ measured.solve(seen)
+        inner[np.diag_indices_from(inner)] += 1.0
+        root = np.linalg.inv(np.linalg.cholesky(inner)).T
+        drift, size = tag.mean.drift @ root[:-1], tag.mean.size_deviation * root[-1]
+        return cls(*base, drift, seen @ root, size, factor, row_factor)
 
-    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+    def covariance(
+        self, rows: sp.csr_array, height: int, sized: Array | None = None
+    ) -> Array:
         """As of `Posterior`."""
-        return super().covariance(sp.csr_array(rows * self.factor), height)
+        return super().covariance(sp.csr_array(rows * self.factor), height, sized)
 
-    def _gained(self, rows: sp.csr_array, height: int) -> Array:
+    def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
         errors = self._known_errors
         cross = self._cross(rows)
         gain = self.measured.solve(cross.T).T
         mean, own, total, noise = (
             part.reshape(-1, height, part.shape[1])
             for part in (
-                rows @ self.drift - gain @ self.drift_rows,
+                rows @ self.drift + np.outer(sized, self.size) - gain @ self.drift_rows,
                 gain,
                 cross + gain,
                 errors.roots(gain / self.row_factor),
@@ -116,20 +126,33 @@ class CovariancePosterior(Posterior):
         few = (rows[i : i + AT_ONCE] for i in range(0, rows.shape[0], AT_ONCE))
         return np.concatenate([self.columns.of_rows(r) @ self.touching.T for r in few])
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
+    def draw(self, count: int, voxels: IntArray | None = None) -> Draws:
         """As of `Posterior`."""
         draws = super().draw(count, voxels)
-        draws *= self.factor if voxels is None else self.factor[voxels]
+        draws.values[:] *= self.factor if voxels is None else self.factor[voxels]
         return draws
 
-    def _draw_noise(self, rng: np.random.Generator) -> Array:
-        return super()._draw_noise(rng) / self.row_factor
-
-    def _draw_prior(self, rng: np.random.Generator) -> Array:
-        mean = self.drift @ rng.standard_normal(self.drift.shape[1])
-        return self.prior.draw(rng) + mean
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
+        errors = self._known_errors
+        known = np.sqrt(errors.variance) * rng.standard_normal(len(self.size))
+        p = np.sqrt(errors.variance) * self.prior.draw(rng)
+        samples = self.rows @ p + self.drift_rows @ known
+        samples += errors.draw(rng) / self.row_factor
+        return p + self.drift @ known, samples, float(self.size @ known)
 
     def _estimate(self, samples: Array, voxels: IntArray | None) -> Array:
         at = slice(None) if voxels is None else voxels
         loads = self.measured.solve(samples.T).T @ self.touching
         return np.stack([self.columns.times(load)[at] for load in loads])
+
+
+def wrenches(term: ProgramTerm, values: Array) -> Array:
+    """The measured components that a field renders, shape (3T,) [N, N·m]."""
+    rendered, by = term.matrix @ values, whitening(term.tags)
+    return rendered if by is None else np.asarray(spsolve(sp.csc_array(by), rendered))
+
+
+def times(term: ProgramTerm, values: Array, factors: Array) -> Array:
+    """What the term's rows are of such components times factors, shape (3T,)."""
+    out, by = factors * wrenches(term, values), whitening(term.tags)
+    return out if by is None else np.asarray(by @ out)

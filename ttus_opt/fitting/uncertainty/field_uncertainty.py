@@ -21,14 +21,17 @@ from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu, spsolve
+from scipy.sparse.linalg import splu
 
 from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.contact_spread import told_variance
-from ttus_opt.fitting.uncertainty.covariance_posterior import CovariancePosterior
+from ttus_opt.fitting.uncertainty.covariance_posterior import (
+    CovariancePosterior,
+    wrenches,
+)
 from ttus_opt.fitting.uncertainty.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.uncertainty.posterior import Posterior
 from ttus_opt.fitting.uncertainty.posterior_draws import (
@@ -100,12 +103,16 @@ class Uncertainty:
         at = self.potential, self.scene.shell, trajectory
         return WrenchUncertainty.of(*at, self.covariance, self.noise)
 
-    def covariance(self, rows: sp.csr_array, height: int = 1) -> Array:
+    def covariance(
+        self, rows: sp.csr_array, height: int = 1, sized: Array | None = None
+    ) -> Array:
         """Covariance of the errors of blocks of consecutive rows of the field.
 
         Args:
             rows: N, shape (k · height, V).
             height: Rows of a block [–].
+            sized: Change of N p per ln ℓ₀ of `contact-size`, whose error is part of
+                that of a depth map, shape (k · height,); None for 0.
 
         Returns:
             Shape (k, height, height); NaN where a block touches voxels at which draws
@@ -119,15 +126,15 @@ class Uncertainty:
                 f"rows must be (k · {height}, {self.scene.n_voxels}), got {rows.shape}"
             )
         if self._draws is not None:
-            return self._draws.covariance(rows, height)
-        return self._posterior.covariance(rows, height)
+            return self._draws.covariance(rows, height, sized)
+        return self._posterior.covariance(rows, height, sized)
 
     def potential_std(self) -> Array:
         """Standard deviation of the field, shape (n_r, n_θ, n_z) [unit of the field].
 
         Always from draws.
         """
-        draws = self._posterior.draw(DRAWS)
+        draws = self._posterior.draw(DRAWS).values
         std = np.sqrt(np.mean(draws.astype(np.float64) ** 2, axis=0))
         return np.asarray(self.scene.voxmap.grid.unflatten(std))
 
@@ -144,13 +151,14 @@ class Uncertainty:
         """
         kept = self._draws
         if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
-            return PosteriorDraws(kept.values[:count], kept.voxels, depth)
+            few = kept.values[:count], kept.voxels, depth, kept.sizes[:count]
+            return PosteriorDraws(*few)
         if not (isinstance(count, int | np.integer) and count > 1):
             raise InputError(
                 f"the number of draws must be a whole number above 1, got {count}"
             )
         voxels = skin_voxels(self.scene.voxmap, depth)
-        return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
+        return PosteriorDraws.of(self._posterior, count, voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Uncertainty:
         """The same by the method "samples"; arguments as for `draws`."""
@@ -222,7 +230,7 @@ def uncertainty(
     posterior = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
-        draws = PosteriorDraws(posterior.draw(DRAWS, voxels), voxels, depth)
+        draws = PosteriorDraws.of(posterior, DRAWS, voxels, depth)
     return Uncertainty(scene, potential, method, variance, noise, posterior, draws)
 
 
@@ -270,11 +278,9 @@ def _errors(
     values, frames = potential.values.reshape(-1), len(scene.trajectory)
     wrench, weighted = np.zeros((frames, 6)), []
     for term in measured:
+        wrench[:, COMPONENTS[term.name]] = wrenches(term, values).reshape(frames, 3)
         by = whitening(term.tags)
-        if by is None:
-            by = sp.eye_array(3 * frames, format="csr")
-        rendered = spsolve(sp.csc_array(by), term.matrix @ values)
-        wrench[:, COMPONENTS[term.name]] = rendered.reshape(frames, 3)
+        by = sp.eye_array(3 * frames, format="csr") if by is None else by
         weighted.append(np.sqrt(term.weight / prior.weight) * by)
     informative = posterior.informative
     touching = scene.touching

@@ -91,7 +91,7 @@ class LaplacePosterior(Posterior):
             return super()._missing(rows, height)
         return kept_rows(rows, self.voxels, height)[1]
 
-    def _gained(self, rows: sp.csr_array, height: int) -> Array:
+    def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
         kept = rows
         if self.voxels is not None:
             kept, _ = kept_rows(rows, self.voxels, height)
@@ -101,15 +101,15 @@ class LaplacePosterior(Posterior):
         images = images.reshape(-1, height, images.shape[1])
         return np.asarray(images @ self._inner @ images.transpose(0, 2, 1))
 
-    def _draw_prior(self, rng: np.random.Generator) -> Array:
-        p = self.prior.draw(rng)
-        return p if self.base is None else p + rng.standard_normal() * self.base
-
-    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        p, samples = super()._drawn(rng)
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
+        errors, p = self._known_errors, self.prior.draw(rng)
+        if self.base is not None:
+            p += rng.standard_normal() * self.base
+        p *= np.sqrt(errors.variance)
+        samples = self.rows @ p + errors.draw(rng)
         if self.base is not None:  # far larger than a draw: double precision
             p -= self.measured.coefficients(samples)[-1] * self.base
-        return p, samples
+        return p, samples, 0.0
 
     def _estimate(self, samples: Array, voxels: IntArray | None) -> Array:
         """By the basis where it is stored, else by two solves each."""

@@ -35,7 +35,11 @@ from ttus_opt.fitting.uncertainty.skin_uncertainty import (
     skin_nodes,
     usual_depth,
 )
-from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
+from ttus_opt.fitting.uncertainty.wrench_uncertainty import (
+    rendered,
+    slopes_along,
+    wrench_rows,
+)
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import normal_rows
@@ -156,7 +160,7 @@ def next_press(
     )
     seen = scene.voxmap.surface.seen_at(theta, z)
     presses = presses_at(scene, theta[seen], z[seen], depth)
-    rows, noise = normal_forces(uncertainty, presses)
+    rows, sized, noise = normal_forces(uncertainty, presses)
     force = rows @ uncertainty.potential.values.ravel()
     reached = np.abs(force) > LEAST_FORCE  # within the grid's sector
     at = np.flatnonzero(seen)[reached]
@@ -166,7 +170,8 @@ def next_press(
     points = radius[:, None] * np.stack([np.cos(theta[at]), np.sin(theta[at])], axis=1)
     points = np.column_stack([points, z[at]])
     region = _region(theta[at], points, sector, box)
-    covariance = uncertainty.covariance(sp.csr_array(rows[reached]), len(at))[0]
+    few = sp.csr_array(rows[reached]), len(at), sized[reached]
+    covariance = uncertainty.covariance(*few)[0]
     if not np.isfinite(covariance).all():
         raise InputError(
             f"presses of {depth:g} m reach deeper than draws are kept: give "
@@ -225,7 +230,7 @@ def greedy(
 
 def normal_forces(
     uncertainty: Uncertainty, presses: Trajectory
-) -> tuple[sp.csr_array, Array]:
+) -> tuple[sp.csr_array, Array, Array]:
     """Rows of the forces along the directions of contact, and the noise of measuring.
 
     Args:
@@ -233,18 +238,22 @@ def normal_forces(
         presses: A pose each, shape (k,).
 
     Returns:
-        The rows, (k, V), and the variances of their measurements' noise, (k,) [N²].
+        The rows, (k, V), the change of the forces per ln ℓ₀ of `contact-size`, (k,)
+        [N], and the variances of their measurements' noise, (k,) [N²].
     """
     scene, k = uncertainty.scene, len(presses)
-    rows = wrench_rows(uncertainty.potential, scene.shell, presses)
+    potential = uncertainty.potential
+    rows = wrench_rows(potential, scene.shell, presses)
     frame = np.arange(k)[:, None]
     forces = sp.csr_array(rows[(6 * frame + np.arange(3)).ravel()])
     u = (forces @ np.maximum(voxel_depths(scene.voxmap), 0.0)).reshape(k, 3)
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
-    noise = uncertainty.noise.covariance(rendered(uncertainty.potential, rows))[
-        :, :3, :3
-    ]
-    return sp.csr_array(normal_rows(u) @ forces), np.einsum("ti,tij,tj->t", u, noise, u)
+    noise = uncertainty.noise.covariance(rendered(potential, rows))[:, :3, :3]
+    along = sp.csr_array(normal_rows(u) @ forces)
+    sized = slopes_along(potential, scene.shell, presses) * (
+        along @ potential.values.ravel()
+    )
+    return along, sized, np.einsum("ti,tij,tj->t", u, noise, u)
 
 
 def _region(

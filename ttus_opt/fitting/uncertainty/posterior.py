@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +31,18 @@ Float32Array = NDArray[np.float32]
 #: Rows, and draws, that are corrected by all measurements at once: a pass over what
 #: these are stored as costs more than the sums
 ROWS_AT_ONCE, DRAWS_AT_ONCE = 192, 32
+
+
+class Draws(NamedTuple):
+    """Draws of a fit's error.
+
+    Attributes:
+        values: Of the field, shape (count, n).
+        sizes: Of ln ℓ₀ of `contact-size`, shape (count,) [–].
+    """
+
+    values: Float32Array
+    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -62,11 +74,20 @@ class Posterior(abc.ABC):
         assert self.errors is not None
         return self.errors
 
-    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+    def covariance(
+        self, rows: sp.csr_array, height: int, sized: Array | None = None
+    ) -> Array:
         """Covariance of blocks of rows of the field, (k, height, height).
 
         NaN where a block touches voxels at which nothing is stored.
+
+        Args:
+            rows: Shape (k · height, V).
+            height: Rows of a block [–].
+            sized: Their change per ln ℓ₀ of `contact-size`, shape (k · height,); None
+                for 0.
         """
+        sized = np.zeros(rows.shape[0]) if sized is None else sized
         filled = np.asarray(np.diff(rows.indptr).reshape(-1, height).any(axis=1))
         missing = self._missing(rows, height)
         out = np.zeros((len(filled), height, height))
@@ -76,8 +97,8 @@ class Posterior(abc.ABC):
         out[blocks] = self._known_errors.variance * self.prior.among_rows(few, height)
         step = max(ROWS_AT_ONCE // height, 1)
         for some in (blocks[i : i + step] for i in range(0, len(blocks), step)):
-            few = sp.csr_array(rows[_rows_of(some, height)])
-            out[some] += self._gained(few, height)
+            at = _rows_of(some, height)
+            out[some] += self._gained(sp.csr_array(rows[at]), height, sized[at])
         return out
 
     def _missing(self, rows: sp.csr_array, height: int) -> Mask:
@@ -85,11 +106,11 @@ class Posterior(abc.ABC):
         return np.zeros(rows.shape[0] // height, dtype=bool)
 
     @abc.abstractmethod
-    def _gained(self, rows: sp.csr_array, height: int) -> Array:
+    def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
         """Blocks of Q Σ Qᵀ − v (Q Xᵀ + Q Qᵀ), shape (k, height, height)."""
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
-        """Draws of the fit's error, shape (count, n).
+    def draw(self, count: int, voxels: IntArray | None = None) -> Draws:
+        """Draws of the fit's error.
 
         Args:
             count: Number of draws [–].
@@ -98,27 +119,18 @@ class Posterior(abc.ABC):
         rng, at = np.random.default_rng(0), slice(None) if voxels is None else voxels
         n = self.rows.shape[1] if voxels is None else len(voxels)
         out = np.empty((count, n), dtype=np.float32)
-        samples = np.empty((count, self.rows.shape[0]))
+        samples, sizes = np.empty((count, self.rows.shape[0])), np.zeros(count)
         for k in range(count):
-            p, samples[k] = self._drawn(rng)
+            p, samples[k], sizes[k] = self._drawn(rng)
             out[k] = p[at]
         for first in range(0, count, DRAWS_AT_ONCE):
             some = slice(first, first + DRAWS_AT_ONCE)
             out[some] -= self._estimate(samples[some], voxels)
-        return out
-
-    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """A draw of the prior, (V,), and its noisy measurements, (rows,)."""
-        p = np.sqrt(self._known_errors.variance) * self._draw_prior(rng)
-        return p, self.rows @ p + self._draw_noise(rng)
-
-    def _draw_noise(self, rng: np.random.Generator) -> Array:
-        """A draw of the noise of the measurements, shape (rows,)."""
-        return self._known_errors.draw(rng)
+        return Draws(out, sizes)
 
     @abc.abstractmethod
-    def _draw_prior(self, rng: np.random.Generator) -> Array:
-        """A draw of the prior, what is unknown of its mean included, shape (V,)."""
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
+        """A draw of the prior, (V,), its noisy measurements, (rows,), and ln ℓ₀."""
 
     @abc.abstractmethod
     def _estimate(self, samples: Array, voxels: IntArray | None) -> Array:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.posterior import Float32Array, kept_rows
+from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -33,18 +33,31 @@ class PosteriorDraws:
         values: The draws, shape (count, n) [unit of the field].
         voxels: Their voxels, shape (n,), ascending.
         depth: Depth below the skin down to which they are kept [m].
+        sizes: Draws of ln ℓ₀ of `contact-size`, shape (count,) [–].
     """
 
     values: Float32Array = field(repr=False)
     voxels: IntArray = field(repr=False)
     depth: float
+    sizes: Array = field(repr=False)
 
-    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+    @classmethod
+    def of(
+        cls, posterior: Posterior, count: int, voxels: IntArray, depth: float
+    ) -> PosteriorDraws:
+        """New draws; arguments as of `Posterior.draw`, and the depth of the voxels."""
+        values, sizes = posterior.draw(count, voxels)
+        return cls(values, voxels, depth, sizes)
+
+    def covariance(
+        self, rows: sp.csr_array, height: int, sized: Array | None = None
+    ) -> Array:
         """Covariance of blocks of rows of a field.
 
         Args:
             rows: Shape (k · height, V).
             height: Rows of a block [–].
+            sized: As of `Posterior.covariance`.
 
         Returns:
             Shape (k, height, height); NaN where a block touches other voxels.
@@ -53,8 +66,11 @@ class PosteriorDraws:
         count = len(self.values)
         out = np.zeros((rows.shape[0] // height, height, height))
         for start in range(0, count, BATCH):  # only a batch in double precision
-            some = self.values[start : start + BATCH]
-            samples = np.asarray(near @ some.T).reshape(len(out), height, len(some))
+            these = slice(start, start + BATCH)
+            samples = np.asarray(near @ self.values[these].T)
+            if sized is not None:
+                samples += np.outer(sized, self.sizes[these])
+            samples = samples.reshape(len(out), height, -1)
             out += samples @ samples.transpose(0, 2, 1) / count
         out[missing] = np.nan
         return np.asarray(out)

@@ -90,7 +90,11 @@ def save_with_uncertainty(
     mapped = replace(fitted, uncertainty=uncertainty_map(sampled, fitted))
     factor = float(np.abs(draws.values).max(initial=0.0)) / LARGEST or 1.0
     whole = np.rint(draws.values / np.float32(factor)).astype(np.int16)
-    facts = {"depth": draws.depth, "noise": uncertainty.noise.as_dict()}
+    facts = {
+        "depth": draws.depth,
+        "noise": uncertainty.noise.as_dict(),
+        "sizes": draws.sizes.tolist(),
+    }
     about = {"units": fitted.unit, "factor": factor}
     dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, about)})
     dataset[field_file.DRAWS].encoding.update(zlib=True, complevel=1)
@@ -133,7 +137,11 @@ def read_uncertainty(
         voxels = skin_voxels(fitted.voxmap, depth)
         if whole.shape[1] != len(voxels) or whole.shape[0] < 2:
             raise InputError(f"draws at {whole.shape[1]} voxels, not {len(voxels)}")
-        draws = PosteriorDraws(whole.astype(np.float32) * factor, voxels, depth)
+        sizes = np.array(facts.get("sizes", np.zeros(len(whole))), np.float64)
+        if sizes.shape != whole.shape[:1] or not np.isfinite(sizes).all():
+            raise InputError(f"sizes of {sizes.shape} draws, not {len(whole)}")
+        values = whole.astype(np.float32) * factor
+        draws = PosteriorDraws(values, voxels, depth, sizes)
         return SavedUncertainty(fitted, shell, draws, noise)
     except (KeyError, InputError, TypeError, ValueError) as error:
         raise FileError(f"{path}: damaged uncertainty: {error}") from error

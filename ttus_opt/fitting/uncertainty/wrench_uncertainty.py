@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.contact.contact_size import patches_of, size_slopes
 from ttus_opt.contact.friction import (
     DRAG_AT_POINTS,
     DRAG_AT_REFERENCE,
@@ -28,6 +29,7 @@ from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import least_length
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class WrenchUncertainty:
         potential: PotentialField,
         shell: PointShell,
         trajectory: Trajectory,
-        covariance: Callable[[sp.csr_array, int], Array],
+        covariance: Callable[[sp.csr_array, int, Array], Array],
         noise: WrenchNoise,
     ) -> WrenchUncertainty:
         """The uncertainty along a trajectory.
@@ -59,12 +61,13 @@ class WrenchUncertainty:
             potential: The field.
             shell: The probe.
             trajectory: Poses; with drag, their motion matters.
-            covariance: Covariance of the errors of blocks of rows of the field.
+            covariance: As `Uncertainty.covariance`.
             noise: Noise of measured wrenches.
         """
         rows = wrench_rows(potential, shell, trajectory)
         wrench = rendered(potential, rows)
-        error = covariance(rows, 6) + noise.of_model(wrench)
+        sized = slopes_along(potential, shell, trajectory)[:, None] * wrench
+        error = covariance(rows, 6, sized.ravel()) + noise.of_model(wrench)
         return cls(error, noise.of_frame(wrench))
 
     @property
@@ -133,6 +136,15 @@ def wrench_rows(
     frame, part = np.divmod(np.arange(6 * T), 6)
     order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
     return sp.csr_array(both[order])
+
+
+def slopes_along(
+    potential: PotentialField, shell: PointShell, trajectory: Trajectory
+) -> Array:
+    """Relative change of every frame's wrench per ln ℓ₀ of `contact-size`, (T,) [–]."""
+    poses = trajectory.rotation, trajectory.position
+    spread = patches_of(potential.voxmap, shell, *poses).spread
+    return size_slopes(spread, least_length(potential.sampling))
 
 
 def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:

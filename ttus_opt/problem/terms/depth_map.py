@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 
+from ttus_opt.contact.contact_size import size_slopes
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.gaussian.matern import SeparableCovariance
@@ -28,6 +29,7 @@ from ttus_opt.problem.terms.depth_profile import (
     voxel_depths,
 )
 from ttus_opt.problem.terms.structure import KnownCovariance, UncertainMean
+from ttus_opt.voxmap.sampling import least_length
 
 #: Smallest depth at which φ is evaluated, over a layer's thickness [–]: rows must be
 #: finite at voxels on the surface
@@ -115,7 +117,7 @@ class DepthMapTerm(Term):
         return AffineRows({"p": rows}, rows @ self.mean, tags)
 
     def _uncertain_mean(self) -> UncertainMean:
-        """φ with its scale and its exponents unknown, as priors have them.
+        """φ with its scale and its exponents unknown, and ℓ₀, as priors have them.
 
         The relative deviation of stiffness in bodies in general is the median of its
         prior, 40 %. Between persons Young's moduli at one site vary by 17 to 73 %
@@ -132,8 +134,10 @@ class DepthMapTerm(Term):
             drift.append(PRIOR["exponent"][1] * a * log_depth * power)
         usual = PRIOR["deviation"][0]
         columns = np.stack(drift, axis=1)
-        lengths = self.surface_length, PRIOR["shared_error"]
-        return UncertainMean(columns, self.deviation, usual, *lengths)
+        scene, own = self.scene, (self.deviation, usual, self.surface_length)
+        slopes = size_slopes(scene.patches.spread, least_length(scene.sampling))
+        size = slopes, PRIOR["least_length"][1]
+        return UncertainMean(columns, *size, *own, PRIOR["shared_error"])
 
 
 def voxel_depth(scene: Scene) -> Array:

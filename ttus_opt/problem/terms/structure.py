@@ -73,6 +73,9 @@ class UncertainMean:
     Attributes:
         drift: Columns h_j, of which the true mean is μ + Σ β_j h_j with β ~ N(0, 1),
             shape (V, k).
+        size_slopes: Relative change of every measured wrench per ln ℓ₀ of
+            `contact-size`, shape (T,) [–].
+        size_deviation: Prior standard deviation of ln ℓ₀ [–].
         deviation: Relative standard deviation of the field about its mean [–].
         usual: What it is in bodies in general [–].
         length: Length over which it varies along the surface [m].
@@ -81,6 +84,8 @@ class UncertainMean:
     """
 
     drift: Array = field(repr=False)
+    size_slopes: Array = field(repr=False)
+    size_deviation: float
     deviation: float
     usual: float
     length: float
