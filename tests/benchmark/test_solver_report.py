@@ -23,22 +23,22 @@ def problems(count):
 @pytest.mark.parametrize("count", [1, FEWEST, MANY, MANY + 1])
 def test_the_terminal_has_a_table_for_each_of_few_problems(count):
     """And a line for each of many; a profile from two of them on."""
-    said = terminal(problems(count), QUIET)
+    said = text(terminal(problems(count), QUIET))
     each = [f"C{k}, eq10, {1000 * (k + 1):,} voxels:" in said for k in range(count)]
     assert all(each) if count <= MANY else not any(each)
     assert ("Solved of those run, and the fastest:" in said) == (count > MANY)
     profiled = f"Share of {count} problems solved within τ times the fastest" in said
     assert profiled == (count >= FEWEST)
     assert "Memory by stage" not in said
-    told = terminal(problems(count), Settings(closed_form="", memory=True))
+    told = text(terminal(problems(count), Settings(closed_form="", memory=True)))
     assert "Memory by stage" in told
     assert "Against the closed form" not in said
 
 
 def test_the_reference_comes_first_where_there_is_one():
     rows = [row("closed_form", 4.0, 2.0, case="C0", voxels=1000), *problems(1)]
-    assert terminal(rows, Settings()).startswith("Against the closed form:")
-    assert not terminal(rows, QUIET).startswith("Against")
+    assert text(terminal(rows, Settings())).startswith("Against the closed form:")
+    assert not text(terminal(rows, QUIET)).startswith("Against")
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -1,5 +1,6 @@
 """Functions as commands: options by their signature, words by their docstring."""
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -7,6 +8,7 @@ from typing import Annotated, Any
 import pytest
 import typer
 
+from ttus_opt.cli import command as command_module
 from ttus_opt.cli.app import app
 from ttus_opt.cli.command import add_command
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT
@@ -157,6 +159,26 @@ def test_every_command_takes_short_help_a_log_and_quiet(run, name):
     for option in ("-v, --verbose", "-q, --quiet", "-h, --help"):
         assert option in answer.out
     assert max(map(len, answer.out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("words", "heard"),
+    [
+        ("-v solvers", (1, False)),
+        ("solvers -v", (1, False)),
+        ("-qv solvers -v", (2, True)),
+        ("formulations -q", (0, True)),
+    ],
+)
+def test_a_log_and_quiet_are_taken_before_a_command_too(run, monkeypatch, words, heard):
+    got = []
+
+    def listen(verbose, *, quiet):
+        return contextlib.nullcontext(got.append((verbose, quiet)))
+
+    monkeypatch.setattr(command_module, "logging_to_stderr", listen)
+    assert run(words).status == 0
+    assert got == [heard]
 
 
 def test_all_that_is_missing_is_named_at_once(run):

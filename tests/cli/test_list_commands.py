@@ -16,6 +16,13 @@ def test_only_some_solvers_need_a_laplace_term():
         assert set(_letters(one)) <= {*TAKES, "·"}
 
 
+def test_auto_is_told_with_installed_solvers_only(run, monkeypatch):
+    solver = registry.solvers()["osqp"]
+    monkeypatch.setattr(solver, "module", "no_such_package")
+    told = run("solvers").out
+    assert "osqp (osqp)" in told and "osqp" not in told[told.index("auto picks") :]
+
+
 @pytest.mark.parametrize("name", ["solvers", "formulations"])
 def test_lists_fit_80_columns_and_leave_nothing_out(run, monkeypatch, name):
     monkeypatch.setenv("COLUMNS", "80")

@@ -8,6 +8,7 @@ from ttus_opt.report.document import (
     Picture,
     Table,
     Text,
+    text,
     write_report,
 )
 from ttus_opt.report.plots.canvas import new_figure
@@ -26,10 +27,10 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
     ]
     assert write_report(tmp_path, blocks) == tmp_path / "report.md"
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert text.startswith("# Errors & aims\n\nA **bold**")
-    assert "![a caption](figures/a.png)" in text
-    assert "| press | **0.3** |" in text
+    plain = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert plain.startswith("# Errors & aims\n\nA **bold**")
+    assert "![a caption](figures/a.png)" in plain
+    assert "| press | **0.3** |" in plain
     assert "<h1>Errors &amp; aims</h1>" in page
     assert "A <b>bold</b> word, <i>this</i> and <code>code</code> &lt; 3" in page
     assert '<a href="a.csv">see</a>' in page and "<title>Errors &amp; aims<" in page
@@ -40,6 +41,15 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
 
 def test_markdown_of_a_list():
     assert str(Items(["a", "b"])) == "- a\n- b"
+
+
+def test_a_terminal_gets_what_fits():
+    words = " ".join(["word"] * 30)
+    blocks = [Heading("Long"), Text(words), Items([words]), Table(["a"], [[words]])]
+    narrow = text(blocks, 40)
+    assert max(map(len, narrow.splitlines())) <= 40
+    assert narrow.count("word") == text(blocks).count("word") == 90
+    assert f"- {words}" in text(blocks)
 
 
 def test_a_figure_is_written_beside_the_report(tmp_path):

@@ -66,27 +66,27 @@ GROWTH = (
 )
 
 
-def terminal(rows: Sequence[Row], settings: Settings) -> str:
-    """All finished rows as text."""
-    parts = []
+def terminal(rows: Sequence[Row], settings: Settings) -> list[Block]:
+    """All finished rows in short."""
+    parts: list[Block] = []
     groups = _groups(rows)
     if len(groups) > MANY:
-        parts.append(f"Solved of those run, and the fastest:\n{problem_table(rows)}")
+        parts += [Text("Solved of those run, and the fastest:"), problem_table(rows)]
     else:
         against = closed_form_table(rows, settings.reference)
         if against:
-            parts.append(f"Against the closed form:\n{against}")
+            parts += [Text("Against the closed form:"), against]
         for (case, formulation), runs in groups:
             size = f"{runs[0]['voxels']:,} voxels"
-            parts.append(f"{case}, {formulation}, {size}:\n{row_table(runs)}")
+            parts += [Text(f"{case}, {formulation}, {size}:"), row_table(runs)]
     profile, n_problems = _profile(rows)
     if profile:
         head = f"Share of {n_problems} problems solved within τ times the fastest:"
-        parts.append(f"{head}\n{profile_table(profile)}")
-    parts.append(f"Shifted geometric means:\n{score_table(rows)}")
+        parts += [Text(head), profile_table(profile)]
+    parts += [Text("Shifted geometric means:"), score_table(rows)]
     if settings.memory:
-        parts.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
-    return "\n\n".join(parts)
+        parts += [Text("Memory by stage [MiB]:"), memory_table(rows)]
+    return parts
 
 
 def sections(rows: Sequence[Row], settings: Settings) -> list[Block]:

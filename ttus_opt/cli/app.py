@@ -16,7 +16,7 @@ import typer
 
 from ttus_opt.cli import live_commands
 from ttus_opt.cli.benchmark_command import benchmark
-from ttus_opt.cli.command import add_command
+from ttus_opt.cli.command import COMMON, add_command
 from ttus_opt.cli.compensate_command import compensate
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
 from ttus_opt.cli.demo_command import demo
@@ -170,6 +170,13 @@ def _common(
             "--version", help="Print the version.", callback=_version, is_eager=True
         ),
     ] = False,
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "-v", "--verbose", count=True, show_default=False, help=COMMON["verbose"]
+        ),
+    ] = 0,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help=COMMON["quiet"])] = False,
 ) -> None:
     """Patient models for haptic tele-ultrasound: scan, fit, evaluate, render."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import bars_shown, tell
+from ttus_opt.cli.console import bars_shown, fitted, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
 from ttus_opt.core.errors import InputError
@@ -228,7 +228,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
     )
     rows = {parts()[name].key or name: told for name, told in found.items()}
     texts = [
-        f"{parts()[name].text(own, suite.settings)}\n"
+        f"{fitted(*parts()[name].text(own, suite.settings))}\n"
         for name, own in found.items()
         if own
     ]

@@ -52,7 +52,7 @@ EVERYWHERE: dict[str, tuple[Any, Any]] = {
 
 
 class _Command(TyperCommand):
-    """A command that names everything that is missing, not the first of it."""
+    """A command that names all that is missing, and heeds options given before it."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse, after a look at what is missing."""
@@ -63,7 +63,12 @@ class _Command(TyperCommand):
             if missing:
                 names = ", ".join("/".join(p.opts) for p in missing)
                 raise InputError(f"missing: {names}: see {ctx.command_path} --help")
-        return list(super().parse_args(ctx, args))
+        rest = list(super().parse_args(ctx, args))
+        before = ctx.find_root().params  # ttus-opt -v surface, too
+        for name in EVERYWHERE:
+            if name in ctx.params and name in before:
+                ctx.params[name] += before[name]
+        return rest
 
 
 def add_command(

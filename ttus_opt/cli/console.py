@@ -24,7 +24,7 @@ from ttus_opt.core.errors import TtusWarning
 from ttus_opt.core.json_values import plain
 
 if TYPE_CHECKING:
-    from ttus_opt.report.document import Table
+    from ttus_opt.report.document import Block
 
 LOG = logging.getLogger(__name__)
 
@@ -127,9 +127,11 @@ def words_beside(taken: bool, place: str) -> Iterator[None]:
         _words.to_stderr, _words.unnamed = False, ""
 
 
-def fitted(table: Table) -> str:
-    """A table that is no wider than the terminal."""
-    return table.fitted(shutil.get_terminal_size().columns)
+def fitted(*blocks: Block) -> str:
+    """Tables and other blocks of a report, no wider than the terminal."""
+    from ttus_opt.report.document import text
+
+    return text(blocks, shutil.get_terminal_size().columns)
 
 
 def wrapped(text: str) -> str:

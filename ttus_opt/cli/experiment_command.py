@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.cli.console import Stages, as_options, tell
+from ttus_opt.cli.console import Stages, as_options, fitted, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.core.errors import InputError
 
@@ -56,7 +56,6 @@ def experiment(
     """
     from ttus_opt.experiment import Plan, n_stages, run
     from ttus_opt.experiment.report import summary
-    from ttus_opt.report.document import text
 
     plan = Plan(
         voxel_counts(shape),
@@ -79,6 +78,6 @@ def experiment(
         except InputError as error:
             raise InputError(as_options(str(error), unit="--torso-unit")) from error
     facts = {**result.as_dict(), "report": str(output / "report.md")}
-    said = "" if json else text(summary(result))
+    said = "" if json else fitted(*summary(result))
     where = f"\nreport.md, report.html, results.json and figures in {output}/"
     tell(facts, said, where, json=json)

@@ -30,7 +30,8 @@ def solvers(json: bool = False) -> None:
     from ttus_opt.report.document import Table
     from ttus_opt.solvers import registry
 
-    known, order = registry.solvers(), registry.estimating()
+    known = registry.solvers()
+    order = [name for name in registry.estimating() if known[name].installed]
     facts = {"solvers": [_solver(s) for s in known.values()], "auto_tries": order}
     body = [
         [name, _letters(solver), solver.summary]

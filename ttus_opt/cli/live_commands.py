@@ -174,7 +174,7 @@ def report(
         found = run(trial, watch)
     if picture is not None:
         save_picture(live_picture([found]), picture)
-    tell(found.as_dict(), str(comparison([found])), json=json)
+    tell(found.as_dict(), fitted(comparison([found])), json=json)
 
 
 def replay(recording: Path, json: bool = False) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
@@ -15,6 +15,13 @@ from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions, sector_of
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.uncertainty.next_press import NextPresses
+
+
+#: What is told of a place
+PRESS_COLUMNS = [
+    *("", "θ [°]", "z [cm]", "skin x, y, z [cm]", "normal"),
+    *("variance [%]", "force [N]", "std [N]"),
+]
 
 
 def next_press(
@@ -102,21 +109,25 @@ def next_press(
 
 def _lines(found: NextPresses) -> list[str]:
     """A table of the presses."""
+    from ttus_opt.report.document import Table
+
     before, after = found.region_std
     told = found.as_dict()["presses"]
+    rows = [
+        [
+            str(k + 1),
+            f"{p['theta_deg']:.1f}",
+            f"{100 * p['z_m']:.1f}",
+            ", ".join(f"{100 * v:.1f}" for v in p["point_m"]),
+            ", ".join(f"{v:.2f}" for v in p["normal"]),
+            f"{-100 * p['variance_reduction']:.1f}",
+            f"{p['expected_force_N']:.2f}",
+            f"{p['std_before_N']:.2f} → {p['std_after_N']:.2f}",
+        ]
+        for k, p in enumerate(told)
+    ]
     return [
-        "      θ [°]   z [cm]   skin x, y, z [cm]      normal                 "
-        "variance  force [N]  std before, after [N]",
-        *(
-            f"{k + 1:3d}  {p['theta_deg']:6.1f}  {100 * p['z_m']:6.1f}   "
-            + " ".join(f"{100 * v:6.1f}" for v in p["point_m"])
-            + "   "
-            + " ".join(f"{v:6.2f}" for v in p["normal"])
-            + f"   {-100 * p['variance_reduction']:5.1f} %  "
-            f"{p['expected_force_N']:8.2f}   {p['std_before_N']:.2f}, "
-            f"{p['std_after_N']:.2f}"
-            for k, p in enumerate(told)
-        ),
+        fitted(Table(PRESS_COLUMNS, rows)),
         f"a press of {1e3 * found.depth:.1f} mm in the region: standard deviation "
         f"{before:.2f} N now, {after:.2f} N after these presses",
     ]

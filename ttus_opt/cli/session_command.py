@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, fitted, tell
 
 
 def session(
@@ -29,7 +29,6 @@ def session(
     Example:
         ttus-opt session recording -o results
     """
-    from ttus_opt.report.document import text
     from ttus_opt.session import run_session
     from ttus_opt.session.report import summary
     from ttus_opt.session.results import STEPS, complete_steps
@@ -49,6 +48,6 @@ def session(
         typer.echo(f"complete in {output}: {steps}", err=True)
         raise
     facts = {"output": str(output), **result.figures, "report": f"{output}/report.md"}
-    said = text(summary(result)[2:])
+    said = fitted(*summary(result)[2:])
     where = f"\nreport.md, report.html, session.json and all steps in {output}/"
     tell(facts, said, where, json=json)

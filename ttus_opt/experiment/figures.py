@@ -60,21 +60,26 @@ def boundary_picture(result: ExperimentResult) -> Figure:
     """Error over the boundary value, before and after, a panel per patient."""
     names = [each.patient.name for each in result.patients]
     with look():
-        figure = new_figure(7.2, 2.6)
+        figure = new_figure(7.2, 2.9)
         axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel, name in zip(axes, names, strict=True):
             points = [row for row in result.boundary if row.patient == name]
             factors = [row.factor for row in points]
             before, after = [r.before_N for r in points], [r.after_N for r in points]
-            panel.plot(factors, before, color=BEFORE, linestyle="--", marker="o")
-            panel.plot(factors, after, color=AFTER, marker="o")
+            for values, style, label in (
+                (before, {"color": BEFORE, "linestyle": "--"}, "without forces"),
+                (after, {"color": AFTER}, "with measured forces"),
+            ):
+                panel.plot(factors, values, marker="o", label=label, **style)
             panel.set_xscale("log")
             panel.set_xticks(factors[::2], [f"{f:.2g}" for f in factors[::2]])
             panel.minorticks_off()
-            panel.set_xlabel("p_in over its fitted value")
+            panel.set_xlabel("p_in over its fitted value [–]")
             panel.set_title(name)
             panel.set_ylim(bottom=0.0)
         axes[0].set_ylabel("magnitude error [N]")
+        drawn = axes[0].get_legend_handles_labels()
+        figure.legend(*drawn, loc="outside lower center", ncols=2)
     return figure
 
 

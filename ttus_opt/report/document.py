@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from html import escape
 from itertools import zip_longest
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING
 
 from ttus_opt.core import html_card, io
@@ -36,6 +36,10 @@ UNBROKEN = 12
 
 class Block:
     """A part of a report; as text it is Markdown, which a terminal shows as well."""
+
+    def fitted(self, width: int) -> str:
+        """As text in so many columns, where words allow."""
+        return str(self)
 
     def html(self, folder: Path) -> str:
         """As HTML; pictures are read from ``folder`` and embedded."""
@@ -70,6 +74,10 @@ class Text(Block):
     def __str__(self) -> str:
         return self.text
 
+    def fitted(self, width: int) -> str:
+        """As text in so many columns."""
+        return fill(self.text, width)
+
     def html(self, folder: Path) -> str:
         """As HTML."""
         return f"<p>{_inline(self.text)}</p>"
@@ -83,6 +91,11 @@ class Items(Block):
 
     def __str__(self) -> str:
         return "\n".join(f"- {line}" for line in self.lines)
+
+    def fitted(self, width: int) -> str:
+        """As text in so many columns."""
+        inner = {"initial_indent": "- ", "subsequent_indent": "  "}
+        return "\n".join(fill(line, width, **inner) for line in self.lines)
 
     def html(self, folder: Path) -> str:
         """As HTML."""
@@ -205,9 +218,9 @@ class Picture(Block):
             small.save(temporary, format="PNG", optimize=True)
 
 
-def text(blocks: Iterable[Block]) -> str:
-    """The blocks as Markdown."""
-    return "\n\n".join(map(str, blocks))
+def text(blocks: Iterable[Block], width: int | None = None) -> str:
+    """The blocks as Markdown, or as text in so many columns."""
+    return "\n\n".join(str(b) if width is None else b.fitted(width) for b in blocks)
 
 
 def write_report(folder: Path, blocks: Sequence[Block]) -> Path:

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,6 +114,29 @@ def test_poses_are_written_as_a_trajectory(tmp_path):
     figure = tt.plots.next_press_picture(suggested(), three_presses().trajectory)
     tt.plots.save_picture(figure, tmp_path / "next.png")
     assert (tmp_path / "next.png").stat().st_size > 10_000
+
+
+def test_each_place_is_a_cell_of_its_own_size():
+    """Also beside skin that was not seen."""
+    found = suggested()
+    kept = (found.theta < 2.0) | (found.theta > 5.5)
+    some = replace(
+        found,
+        **{n: getattr(found, n)[kept] for n in ("theta", "z", "before", "after")},
+        in_region=found.in_region[kept],
+        node=np.zeros(1, dtype=int),
+    )
+    cells = tt.plots.next_press_picture(some).axes[0].collections[0]
+    corners = cells.get_coordinates()
+    widths = np.diff(corners[0, :, 0])
+    np.testing.assert_allclose(widths, widths[0])
+    middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2.0
+    drawn = np.asarray(cells.get_array().filled(np.nan)).reshape(middle.shape[:2])
+    for theta, z, value in zip(some.theta, some.z, some.before, strict=True):
+        place = np.degrees(theta), 100.0 * z
+        at = np.linalg.norm(middle - place, axis=2).argmin()
+        assert drawn.flat[at] == value
+    assert np.isnan(drawn).any()
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_each_part_shows_what_was_given(fields, evaluations, monkeypatch):
     surface, z, cloud = drawn["section"]
     assert surface is voxmap.surface and z == grid.z[k]
     np.testing.assert_allclose(cloud, points, atol=1e-12)
-    assert figure.axes[3].get_xlabel() == "p [N/cm²]"
+    assert figure.axes[3].get_ylabel() == "p [N/cm²]"
     force, fitted = figure.axes[2], evaluations["fitted"]
     shown = lines(force)
     np.testing.assert_allclose(

@@ -26,12 +26,12 @@ def test_the_curve_and_the_errors_are_those_of_the_path():
     np.testing.assert_allclose(x, value.sel(term="force"))
     rest = value.sel(term="laplace") + 1e-2 * value.sel(term="torque")
     np.testing.assert_allclose(y, rest, rtol=1e-6)
-    assert left.get_title(loc="left") == "a path"
+    assert left.get_title(loc="left") == "a path, with some of its weights"
     # torque is weighed by the formulation and stands with the others
     assert left.get_xlabel() == "force, without weight [N²]"
     assert left.get_ylabel() == "all other terms [(N/cm²)²]"
     named = [text.get_text() for text in right.get_legend().get_texts()]
-    assert named == ["unseen, force", "unseen, angle"]
+    assert named == ["unseen, force", "least", "unseen, angle"]
     error = found["held_out_force_magnitude_error"].to_numpy()[:, 0]
     np.testing.assert_allclose(right.lines[0].get_data()[1], error)
     assert right.lines[1].get_xdata()[0] == WEIGHTS[error.argmin()]
@@ -49,7 +49,10 @@ def test_without_held_out_recordings_the_residuals_are_drawn():
 
 def test_a_grid_is_a_map():
     found = path(weights={"force": WEIGHTS, "torque": [1e-2, 1.0]})
-    _left, right, _bar = plots.weight_path(found).axes
+    left, right, _bar = plots.weight_path(found).axes
+    told = left.get_legend()
+    assert told.get_title().get_text() == "torque weight"
+    assert [line.get_text() for line in told.get_texts()] == ["0.01", "1"]
     drawn = np.asarray(right.collections[0].get_array()).reshape(2, 3)
     np.testing.assert_allclose(drawn, found["force_residual"].mean("recording").T)
 

@@ -113,10 +113,9 @@ class Part(abc.ABC):
         """What the report has below the table; nothing by default."""
         return []
 
-    def text(self, rows: Sequence[Row], settings: Settings) -> str:
-        """All rows as text for the terminal."""
-        below = [str(block) for block in self.below(rows)]
-        return "\n\n".join([f"{self.title}:\n{self.table(rows)}", *below])
+    def text(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
+        """All rows for the terminal."""
+        return [Text(f"{self.title}:"), self.table(rows), *self.below(rows)]
 
     def report(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
         """Its sections of the report."""

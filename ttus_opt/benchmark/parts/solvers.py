@@ -158,7 +158,7 @@ class SolversPart(Part):
         """All rows, fastest verified answer first."""
         return row_table(rows)
 
-    def text(self, rows: Sequence[Row], settings: Settings) -> str:
+    def text(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
         """All tables."""
         return terminal(rows, settings)
 

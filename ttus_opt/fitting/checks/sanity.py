@@ -155,7 +155,7 @@ class SanityReport:
     def lines(self) -> list[str]:
         """The report as text."""
         size = " × ".join(f"{1e3 * v:.0f}" for v in self.shell_size)
-        centroid = ", ".join(f"{1e3 * v:.1f}" for v in self.shell_centroid)
+        centroid = ", ".join(f"{1e3 * v:z.1f}" for v in self.shell_centroid)
         return [
             *map(str, self.recordings),
             f"probe: {size} mm, centroid at ({centroid}) mm of its frame",

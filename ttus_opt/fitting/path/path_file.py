@@ -81,7 +81,7 @@ def _kept(file: str | os.PathLike[str], inputs: Mapping[str, str]) -> xr.Dataset
         other.remove("formulation")  # its rows are those of the scene
     if not other:
         return saved
-    what = f"other {', '.join(other)}" if stated else "unknown inputs"
+    what = f"other inputs ({', '.join(other)})" if stated else "unknown inputs"
     warn(
         f"{file} holds a path of {what}: all points are computed, and the file is "
         "replaced",

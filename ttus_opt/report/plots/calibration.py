@@ -44,7 +44,8 @@ def calibration_picture(
         figure = new_figure(9.6, 3.4)
         left, right = figure.subplots(1, 2)
         _grey_diagonal(left, 0.0, 100.0)
-        left.plot([95.0, 95.0], [100.0 * c for c in ASKED], color="0.8", lw=6.0)
+        asked = [100.0 * c for c in ASKED]
+        left.plot([95.0, 95.0], asked, color="0.8", lw=6.0, label="asked for")
         pairs = [(c.stated_N, c.error_N) for c in curves.values()]
         ends = np.concatenate([np.concatenate(pair) for pair in pairs])
         ends = ends[ends > 0.0]
@@ -66,9 +67,14 @@ def calibration_picture(
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axis.set_minor_formatter(NullFormatter())
         right.set(xlabel="stated standard deviation of force [N]", ylabel="error [N]")
-        figure.legend(loc="outside right center", title="in the 95 % interval")
+        # both panels have the diagonal and the recordings
+        drawn = left.get_legend_handles_labels()
+        words = {"loc": "outside right center", "title": "in the 95 % interval"}
+        figure.legend(*drawn, **words)
     return figure
 
 
 def _grey_diagonal(axes: Any, low: float, high: float) -> None:
-    axes.plot([low, high], [low, high], color="0.8", lw=1.0, zorder=0)
+    axes.plot(
+        [low, high], [low, high], color="0.6", lw=1.0, zorder=0, label="as stated"
+    )

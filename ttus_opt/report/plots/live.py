@@ -40,7 +40,7 @@ def live_picture(sessions: Sequence[Session]) -> Figure:
     names = list(dict.fromkeys(s.trial.comparator for s in sessions))
     trips = sorted({s.trial.round_trip for s in sessions})
     with look():
-        figure = new_figure(3.6 * len(trips), 1.5 * len(names) + 0.4)
+        figure = new_figure(3.6 * len(trips), 1.5 * len(names) + 0.7)
         axes = figure.subplots(
             len(names), len(trips), sharex=True, sharey=True, squeeze=False
         )
@@ -57,5 +57,6 @@ def live_picture(sessions: Sequence[Session]) -> Figure:
             ax.set_xlabel("time [s]")
         for ax in axes[:, 0]:
             ax.set_ylabel("force [N]")
-        axes[0, 0].legend(loc="upper left")
+        drawn = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*drawn, loc="outside lower center", ncols=2)
     return figure

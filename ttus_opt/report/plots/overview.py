@@ -29,15 +29,15 @@ def overview(
     k = grid.shape[2] // 2
     values = field.values[:, :, k]
     with look():
-        figure = new_figure(9.8, 2.7, margins=(0.65, 0.22, 0.45, 0.25))
-        columns = {"width_ratios": (1.0, 1.25, 1.9), "wspace": 0.36}
+        figure = new_figure(9.8, 3.0, margins=(0.65, 0.22, 0.75, 0.25))
+        columns = {"width_ratios": (1.0, 1.25, 1.9), "wspace": 0.42}
         scan, slice_, force = figure.subplots(1, 3, gridspec_kw=columns)
         draw_section(scan, surface, float(grid.z[k]), surface.axis.to_patient(cloud))
         scan.set_title("scan → surface")
         limit = colour_limit(field, k)
         mesh = draw_slice(slice_, field, values, k, limit)
         bar = figure.colorbar(mesh, ax=slice_, fraction=0.046, pad=0.04)
-        bar.ax.set_xlabel(f"p [{UNITS[field.unit]}]", labelpad=9)
+        bar.set_label(f"p [{UNITS[field.unit]}]", labelpad=-4)
         bar.set_ticks([-limit, 0.0, limit])
         slice_.set_title("surface, wrenches → potential")
         for ax in (scan, slice_):
@@ -47,5 +47,6 @@ def overview(
         force.set_title("potential → force, unseen motion")
         force.set_xlabel("time [s]")
         force.set_ylim(top=1.2 * force.get_ylim()[1])
-        force.legend(loc="upper right", ncols=3)
+        force.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.6)
+        figure.legend(*scan.get_legend_handles_labels(), loc="lower left", ncols=4)
     return figure

@@ -97,7 +97,7 @@ def pose_picture(
             for axis in axes.flat
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
         }
-        figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=4)
+        figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=6)
         left = f", first {len(shown)} of {len(segments)}" * (len(segments) > len(shown))
         figure.suptitle(
             "Probe and measured force in the patient frame, patient on the back, z "
@@ -240,7 +240,8 @@ def _draw_skin(axis: Any, surface: Surface, view: _View, z: float) -> None:
         outline = nodes[:, int(np.argmin(np.abs(surface.z - z)))]
         closed = 100.0 * np.stack([outline @ view.right, outline @ view.up], axis=1)
         axis.fill(*closed.T, color="0.92", zorder=0)
-        axis.plot(*np.vstack([closed, closed[:1]]).T, color="black", linewidth=1.2)
+        loop = np.vstack([closed, closed[:1]])
+        axis.plot(*loop.T, color="black", linewidth=1.2, label="skin")
         return
     reach = 100.0 * nodes @ view.up
     height = 100.0 * surface.z

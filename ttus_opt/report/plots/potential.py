@@ -89,6 +89,7 @@ def potential_slices(
             ha="left",
             fontsize=10,
         )
+        figure.legend(*_skin_lines(axes[0, 0]), loc="upper right", ncols=2)
     return figure
 
 
@@ -124,7 +125,14 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
         bar = figure.colorbar(mesh, ax=axes)
         bar.set_label(f"p [{UNITS[field.unit]}]")
         bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+        figure.legend(*_skin_lines(axes), loc="outside lower center", ncols=2)
     return figure
+
+
+def _skin_lines(axes: Any) -> tuple[list[Any], list[str]]:
+    """The two lines of the skin, and their labels."""
+    handles, labels = axes.get_legend_handles_labels()
+    return handles[:2], labels[:2]
 
 
 def colour_limit(field: PotentialField, k: int) -> float:
@@ -237,11 +245,10 @@ def draw_outline(axes: Any, surface: Surface, z: float) -> None:
     both = seen & np.roll(seen, -1)
     keep_seen = both | np.roll(both, 1)
     keep_filled = ~both | np.roll(~both, 1)
-    for keep, line, width in ((keep_seen, "-", 1.5), (keep_filled, (0, (1, 1.5)), 1.3)):
-        axes.plot(
-            np.where(keep, x, np.nan),
-            np.where(keep, y, np.nan),
-            color="black",
-            linestyle=line,
-            linewidth=width,
-        )
+    for keep, line, width, label in (
+        (keep_seen, "-", 1.5, "skin, seen"),
+        (keep_filled, (0, (1, 1.5)), 1.3, "skin, filled"),
+    ):
+        at = np.where(keep, x, np.nan), np.where(keep, y, np.nan)
+        (drawn,) = axes.plot(*at, color="black", linestyle=line, label=label)
+        drawn.set_linewidth(width)

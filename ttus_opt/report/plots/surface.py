@@ -43,7 +43,7 @@ def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
             ax.set_xlabel("x [cm]")
         axes[0].set_ylabel("y [cm]")
         handles, labels = axes[-1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="lower center", ncols=3, borderaxespad=0.1)
+        figure.legend(handles, labels, loc="lower center", ncols=4, borderaxespad=0.1)
     return figure
 
 
@@ -73,9 +73,7 @@ def draw_section(axes: Any, surface: Surface, z: float, points: Array | None) ->
             label="scan within 4 mm",
         )
     draw_outline(axes, surface, z)
-    for line, label in zip(axes.lines[-2:], ("surface, seen", "filled"), strict=True):
-        line.set_label(label)
-    axes.plot(0.0, 0.0, "+", color="0.3", markersize=6)
+    axes.plot(0.0, 0.0, "+", color="0.3", markersize=6, label="z axis")
     axes.set_aspect("equal")
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)

@@ -37,8 +37,9 @@ def uncertainty_picture(
         if measured is not None:
             x, y, z = measured.position.T
             around = np.degrees(np.arctan2(y, x)) % 360.0
-            axes.plot(around, 100.0 * z, ".", ms=2, color="white", label="recorded")
-            axes.legend(loc="upper right")
+            axes.plot(around, 100.0 * z, ".", ms=2, color="white")
+            axes.set_title("white: recorded")
         axes.set(xlim=(0.0, 360.0), xlabel="θ [°]", ylabel="z [cm]")
+        axes.set_xticks(np.arange(0, 361, 60))
         axes.set_ylim(100.0 * chart.z[0], 100.0 * chart.z[-1])
     return figure

@@ -54,7 +54,8 @@ def weight_path(path: xr.Dataset, title: str = "") -> Figure:
         figure = new_figure(8.0, 3.4)
         left, right = figure.subplots(1, 2)
         _draw_l_curve(left, path, dims)
-        left.set_title(title or str(path.attrs.get("title", "")))
+        named = title or str(path.attrs.get("title", ""))
+        left.set_title(f"{named}, with some of its weights".removeprefix(", "))
         if len(dims) == 1:
             _draw_errors(right, path, dims[0])
         else:
@@ -82,13 +83,18 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
         shade = str(0.7 * k / max(len(lines) - 1, 1))
         colour = AFTER if len(dims) == 1 else shade
         x, y = plain.isel(at).to_numpy(), rest.isel(at).to_numpy()
-        axes.loglog(x, y, color=colour, marker=".", linewidth=1.1)
+        (line,) = axes.loglog(x, y, color=colour, marker=".", linewidth=1.1)
+        if len(dims) > 1:
+            line.set_label(_short(path[dims[1]][k]))
         if k == 0:
             _write_weights(axes, x, y, path[dims[0]].to_numpy())
     measured = " [N²]" * ({*named} <= {"force", "torque"})  # torque over a length
     axes.set_xlabel(f"{' + '.join(named)}, without weight{measured}")
     unit = _SQUARES.get(str(path["objective"].attrs.get("units")), "")
     axes.set_ylabel(f"all other terms{unit}")
+    if len(dims) > 1:
+        title = dims[1].replace("_", " ")
+        axes.legend(title=title, fontsize=7, title_fontsize=7.5, labelspacing=0.2)
     _few_ticks(axes.xaxis, plain.to_numpy())
     _few_ticks(axes.yaxis, rest.to_numpy())
     axes.grid(color="0.92", linewidth=0.5)
@@ -110,13 +116,18 @@ def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
     solved = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     for i in solved[np.linspace(0, len(solved) - 1, min(5, len(solved))).astype(int)]:
         axes.annotate(
-            f"{weights[i]:.2g}",
+            _short(weights[i]),
             (x[i], y[i]),
             textcoords="offset points",
             xytext=(4, 4),
             fontsize=7.5,
             color=BEFORE,
         )
+
+
+def _short(weight: Any) -> str:
+    """A weight in two digits: 100, not 1e+02."""
+    return f"{float(f'{float(weight):.2g}'):g}"
 
 
 def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
@@ -137,7 +148,7 @@ def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
         label = f"{one}, force" if held else f"{one}"
         axes.plot(weights, values, color=AFTER, linestyle=dashes, label=label)
         if held:
-            _mark_least(axes, weights, values)
+            _mark_least(axes, weights, values, first=k == 0)
     axes.set_ylabel("held-out force error [N]" if held else "force residual, rms [N]")
     axes.set_ylim(bottom=0.0)
     lines = axes.get_lines()
@@ -162,10 +173,11 @@ def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
     )
 
 
-def _mark_least(axes: Any, weights: Any, values: Any) -> None:
+def _mark_least(axes: Any, weights: Any, values: Any, *, first: bool) -> None:
     if np.isfinite(values).any():
         at = int(np.nanargmin(values))
-        axes.plot(weights[at], values[at], "o", color=AFTER, markersize=4.0)
+        label = "least" if first else None
+        axes.plot(weights[at], values[at], "o", color=AFTER, ms=4.0, label=label)
 
 
 def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
@@ -180,6 +192,7 @@ def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) 
     )
     if np.isfinite(values).any():
         i, j = np.unravel_index(np.nanargmin(values), values.shape)
-        axes.plot(x[i], y[j], "o", color="black", markersize=4.0, fillstyle="none")
+        axes.plot(x[i], y[j], "o", color="white", mec="black", ms=5.0, label="least")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for set_label, dim in ((axes.set_xlabel, dims[0]), (axes.set_ylabel, dims[1])):
         set_label(f"log₁₀ of the {dim.replace('_', ' ')}")
