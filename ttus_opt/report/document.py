@@ -94,8 +94,10 @@ class Items(Block):
 
     def fitted(self, width: int) -> str:
         """As text in so many columns."""
-        inner = {"initial_indent": "- ", "subsequent_indent": "  "}
-        return "\n".join(fill(line, width, **inner) for line in self.lines)
+        lines = (
+            fill(f"- {line}", width, subsequent_indent="  ") for line in self.lines
+        )
+        return "\n".join(lines)
 
     def html(self, folder: Path) -> str:
         """As HTML."""
