@@ -65,8 +65,8 @@ def formulations(json: bool = False) -> None:
 
     known = formulation.available()
     rows = [{"name": f.name, "summary": f.summary, "options": f.options} for f in known]
-    measured = [f.options for f in known if f.options]
-    usual = [o for o in measured[0] if all(o in own for own in measured)]
+    first, *others = [f.options for f in known if f.options]
+    usual = [o for o in first if all(o in options for options in others)]
     body = []
     for found in known:
         further = ", ".join(str(o) for o in found.options if o not in usual)

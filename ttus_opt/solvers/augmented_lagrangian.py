@@ -202,7 +202,7 @@ class _Loaded(Prepared):
         x = self._first_point()
         if anchor is not None:
             anchor.target = np.asarray(anchor.matrix @ x)
-        size = float(np.abs(x).max(initial=0.0)) or 1.0
+        size = float(np.abs(x).max()) or 1.0
         bent = [b for b in problem.bent if not isinstance(b.law, Between)]
         limits = [b for b in problem.bent if isinstance(b.law, Between)]
         for b in bent:

@@ -50,6 +50,23 @@ def test_holds_the_voxels_and_their_margin(spoke):
         assert inside[i, j, (k + a).clip(0, GRID.shape[2] - 1)].all()
 
 
+@pytest.mark.parametrize(("n_theta", "n_z"), [(34, 60), (50, 34)])
+def test_the_margin_of_a_wide_patch_is_half_of_its_smaller_width(n_theta, n_z):
+    grid = make_grid((110, 240, 160))
+    layer, spoke, slices = 60, 10, 40
+    at = np.ix_([layer], spoke + np.arange(n_theta), slices + np.arange(n_z))
+    chosen = np.zeros(grid.shape, dtype=bool)
+    chosen[at] = True
+    box = Subdomain.around(grid, np.flatnonzero(chosen))
+    arc = grid.theta_step * grid.r[layer]  # [m]
+    reach = 0.5 * min(n_theta * arc, n_z * grid.z_step)
+    margins = [int(np.ceil(reach / step)) for step in (grid.r_step, arc, grid.z_step)]
+    assert min(margins) > MARGIN
+    assert box.first == tuple(np.subtract((layer, spoke, slices), margins) % grid.shape)
+    assert box.shape[::2] == (1 + 2 * margins[0], n_z + 2 * margins[2])
+    assert 0 < box.shape[1] - n_theta - 2 * margins[1] <= SPOKES
+
+
 @pytest.mark.parametrize("spoke", [30, 0])
 def test_its_arrays_are_the_grids(spoke):
     free = torso(GRID)
