@@ -5,8 +5,8 @@ condition: cosmic-ray's operators), runs the tests of the same stem and counts w
 It works on a copy; the tree is never touched. Compiled functions run as plain Python
 where that is fast enough, else each mutant compiles what it reaches and nothing else.
 
-    python tests/mutants.py                     all modules, a sample of each
-    python tests/mutants.py metrics kkt         some modules
+    python tests/mutants.py                     core modules, a sample of each
+    python tests/mutants.py metrics scan        some modules, or all that a room tests
     python tests/mutants.py --sample 100 kkt    more of them
 
 Mutants that change nothing anyone could see are listed with their reason in
@@ -84,223 +84,123 @@ class Target:
         return Path(self.module).stem
 
 
-TARGETS = (
-    Target("report/metrics.py", ("report/test_metrics.py",)),
-    Target(
-        "problem/verify/kkt.py",
-        ("problem/verify/test_kkt.py", "problem/verify/test_absorption.py"),
+#: Modules that are tried without being named, by room
+CORE = {
+    "cli": "command",
+    "comparators": "contact_geometry ellipsoid_torso hunt_crossley_two_stage "
+    "kelvin_voigt patch_grid patch_model perceptual_updates proxy_six_dof "
+    "stiffness_map voxmap_point_shell",
+    "contact": "boundary_scale friction point_drag pose_rows row_kernels rows "
+    "shell_blocks slip standing",
+    "core": "compiled threads",
+    "fitting": "batch breakdown verdict",
+    "fitting/checks": "agreement sanity",
+    "fitting/parameters": "parabola",
+    "fitting/path": "weight_grid",
+    "fitting/poses": "pose_error_step pose_refinement",
+    "fitting/recursion": "dual_recursion field_refinement low_rank_kernel "
+    "measured_rows pivots recursive triangular_factor",
+    "fitting/uncertainty": "contact_spread posterior posterior_draws presses "
+    "skin_uncertainty wrench_noise",
+    "fitting/weights": "place_left_out tuning_rows",
+    "gaussian": "matern",
+    "haptic": "blend force_uncertainty kernel_data motion point_drag renderer tables",
+    "laplace": "stencil system",
+    "probe": "conventions orientation point_shell text_table tracker_noise",
+    "problem/terms": "depth_map depth_map_estimate depth_profile distinct_drag "
+    "drag_estimate torque total_variation",
+    "problem/terms/penalties": "absolute groups huber linear squares",
+    "problem/verify": "gradient_blocks kkt violation",
+    "report": "metrics",
+    "scan": "contour_filter",
+    "session": "readings registration",
+    "solvers": "conjugate_gradients structured verified",
+    "solvers/dual": "active_set field_pair limits linear_parameters optimality "
+    "pair_subproblem soft_values solver subproblem touched_limits weight_sweep "
+    "working_set",
+    "solvers/primal": "elimination",
+}
+
+PATCH = ("comparators/test_patch_model.py", "comparators/test_patch_law.py")
+PENALTIES = ("problem/terms/penalties/test_penalties.py",)
+
+#: What else than the tests of their stem is meant to tell
+FURTHER = {
+    "comparators/hunt_crossley_two_stage.py": PATCH,
+    "comparators/kelvin_voigt.py": PATCH,
+    "comparators/patch_model.py": PATCH[1:],
+    "contact/row_kernels.py": ("contact/test_rows.py", "voxmap/test_sector.py"),
+    "contact/rows.py": ("contact/test_contact_size.py",),
+    "contact/slip.py": ("contact/test_point_drag.py",),
+    "fitting/batch.py": ("fitting/weights/test_tuning.py",),
+    "fitting/recursion/measured_rows.py": ("fitting/recursion/test_dual_recursion.py",),
+    "fitting/recursion/pivots.py": ("fitting/recursion/test_low_rank_kernel.py",),
+    "fitting/verdict.py": ("fitting/test_batch.py",),
+    "haptic/kernel_data.py": ("haptic/test_frame.py", "haptic/test_wrench.py"),
+    "haptic/point_drag.py": ("haptic/test_drag.py", "haptic/test_wrench.py"),
+    "laplace/stencil.py": ("laplace/test_system.py",),
+    "laplace/system.py": ("laplace/test_stencil.py",),
+    **{
+        f"problem/terms/penalties/{stem}.py": PENALTIES
+        for stem in CORE["problem/terms/penalties"].split()
+    },
+    "problem/terms/depth_profile.py": ("problem/terms/test_depth_map_estimate.py",),
+    "problem/terms/drag_estimate.py": ("problem/terms/test_distinct_drag.py",),
+    "problem/verify/gradient_blocks.py": ("problem/verify/test_kkt.py",),
+    "problem/verify/kkt.py": ("problem/verify/test_absorption.py",),
+    "problem/verify/violation.py": ("problem/verify/test_kkt.py",),
+    "session/registration.py": ("session/test_readings.py",),
+    "solvers/dual/active_set.py": ("solvers/dual/test_primal_dual_active_set.py",),
+    "solvers/dual/field_pair.py": ("solvers/dual/test_touched_limits.py",),
+    "solvers/dual/optimality.py": ("solvers/dual/test_primal_dual_active_set.py",),
+    "solvers/dual/soft_values.py": ("solvers/dual/test_preconditioner.py",),
+    "solvers/dual/subproblem.py": (
+        "solvers/dual/test_active_set.py",
+        "solvers/dual/test_soft_values.py",
     ),
-    Target(
-        "problem/verify/violation.py",
-        ("problem/verify/test_violation.py", "problem/verify/test_kkt.py"),
-    ),
-    Target(
-        "fitting/batch.py", ("fitting/test_batch.py", "fitting/weights/test_tuning.py")
-    ),
-    Target("fitting/verdict.py", ("fitting/test_verdict.py", "fitting/test_batch.py")),
-    Target(
-        "problem/verify/gradient_blocks.py",
-        ("problem/verify/test_gradient_blocks.py", "problem/verify/test_kkt.py"),
-    ),
-    Target("fitting/recursion/recursive.py", ("fitting/recursion/test_recursive.py",)),
-    Target(
-        "fitting/recursion/dual_recursion.py",
-        ("fitting/recursion/test_dual_recursion.py",),
-    ),
-    Target(
-        "fitting/recursion/field_refinement.py",
-        ("fitting/recursion/test_field_refinement.py",),
-    ),
-    Target(
-        "fitting/recursion/low_rank_kernel.py",
-        ("fitting/recursion/test_low_rank_kernel.py",),
-    ),
-    Target(
-        "fitting/recursion/pivots.py",
-        (
-            "fitting/recursion/test_pivots.py",
-            "fitting/recursion/test_low_rank_kernel.py",
-        ),
-    ),
-    Target("fitting/parameters/parabola.py", ("fitting/parameters/test_parabola.py",)),
-    Target(
-        "fitting/recursion/triangular_factor.py",
-        ("fitting/recursion/test_triangular_factor.py",),
-        is_compiled=False,
-    ),
-    Target("solvers/verified.py", ("solvers/test_verified.py",)),
-    Target(
-        "haptic/renderer.py",
-        (
-            "haptic/test_renderer.py",
-            "haptic/test_renderer_motion.py",
-            "haptic/test_renderer_poses.py",
-            "haptic/test_renderer_threads.py",
-        ),
-    ),
-    Target("haptic/force_uncertainty.py", ("haptic/test_force_uncertainty.py",)),
-    Target(
-        "haptic/blend.py",
-        (
-            "haptic/test_blend.py",
-            "haptic/test_blend_drag.py",
-            "haptic/test_blend_step.py",
-        ),
-    ),
-    Target("contact/friction.py", ("contact/test_friction.py",)),
-    Target("scan/contour_filter.py", ("scan/test_contour_filter.py",)),
-    Target("contact/rows.py", ("contact/test_rows.py", "contact/test_contact_size.py")),
-    Target(
-        "contact/row_kernels.py",
-        (
-            "contact/test_row_kernels.py",
-            "contact/test_rows.py",
-            "voxmap/test_sector.py",
-        ),
-    ),
-    Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
-    Target("probe/orientation.py", ("probe/test_orientation.py",)),
-    Target("solvers/structured.py", ("solvers/test_structured.py",)),
-    Target(
-        "solvers/dual/active_set.py",
-        (
-            "solvers/dual/test_active_set.py",
-            "solvers/dual/test_primal_dual_active_set.py",
-        ),
-    ),
-    Target(
-        "solvers/dual/optimality.py",
-        (
-            "solvers/dual/test_optimality.py",
-            "solvers/dual/test_primal_dual_active_set.py",
-        ),
-    ),
-    Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
-    Target("solvers/conjugate_gradients.py", ("solvers/test_conjugate_gradients.py",)),
-    Target(
-        "solvers/dual/soft_values.py",
-        ("solvers/dual/test_soft_values.py", "solvers/dual/test_preconditioner.py"),
-    ),
-    *(
-        Target(f"solvers/dual/{stem}.py", (f"solvers/dual/test_{stem}.py",))
-        for stem in (
-            "limits",
-            "linear_parameters",
-            "pair_subproblem",
-            "touched_limits",
-            "weight_sweep",
-            "working_set",
-        )
-    ),
-    Target(
-        "solvers/dual/field_pair.py",
-        ("solvers/dual/test_field_pair.py", "solvers/dual/test_touched_limits.py"),
-    ),
-    Target(
-        "solvers/dual/subproblem.py",
-        (
-            "solvers/dual/test_subproblem.py",
-            "solvers/dual/test_active_set.py",
-            "solvers/dual/test_soft_values.py",
-        ),
-    ),
-    Target("solvers/primal/elimination.py", ("solvers/primal/test_elimination.py",)),
-    Target("contact/boundary_scale.py", ("contact/test_boundary_scale.py",)),
-    Target("laplace/system.py", ("laplace/test_system.py", "laplace/test_stencil.py")),
-    Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
-    Target("gaussian/matern.py", ("gaussian/test_matern.py",)),
-    Target(
-        "problem/terms/depth_map_estimate.py",
-        ("problem/terms/test_depth_map_estimate.py",),
-    ),
-    Target("problem/terms/distinct_drag.py", ("problem/terms/test_distinct_drag.py",)),
-    Target(
-        "fitting/uncertainty/wrench_noise.py",
-        ("fitting/uncertainty/test_wrench_noise.py",),
-    ),
-    Target("fitting/checks/sanity.py", ("fitting/checks/test_sanity.py",)),
-    Target("fitting/checks/agreement.py", ("fitting/checks/test_agreement.py",)),
-    Target(
-        "fitting/uncertainty/posterior.py", ("fitting/uncertainty/test_posterior.py",)
-    ),
-    Target(
-        "fitting/uncertainty/posterior_draws.py",
-        ("fitting/uncertainty/test_posterior_draws.py",),
-    ),
-    Target(
-        "fitting/weights/place_left_out.py", ("fitting/weights/test_place_left_out.py",)
-    ),
-    Target("fitting/uncertainty/presses.py", ("fitting/uncertainty/test_presses.py",)),
-    Target("fitting/weights/tuning_rows.py", ("fitting/weights/test_tuning_rows.py",)),
-    Target(
-        "fitting/recursion/measured_rows.py",
-        (
-            "fitting/recursion/test_measured_rows.py",
-            "fitting/recursion/test_dual_recursion.py",
-        ),
-    ),
-    Target("fitting/path/weight_grid.py", ("fitting/path/test_weight_grid.py",)),
-    Target("problem/terms/depth_map.py", ("problem/terms/test_depth_map.py",)),
-    Target(
-        "problem/terms/depth_profile.py",
-        (
-            "problem/terms/test_depth_profile.py",
-            "problem/terms/test_depth_map_estimate.py",
-        ),
-    ),
-    Target(
-        "problem/terms/drag_estimate.py",
-        ("problem/terms/test_drag_estimate.py", "problem/terms/test_distinct_drag.py"),
-    ),
-    Target("contact/slip.py", ("contact/test_point_drag.py",)),
-    Target("haptic/point_drag.py", ("haptic/test_drag.py", "haptic/test_wrench.py")),
-    Target(
-        "haptic/kernel_data.py",
-        ("haptic/test_kernel_data.py", "haptic/test_frame.py", "haptic/test_wrench.py"),
-    ),
-    *(
-        Target(f"{room}/{stem}.py", (f"{room}/test_{stem}.py",))
-        for room, stems in {
-            "comparators": (
-                *("contact_geometry", "ellipsoid_torso", "patch_grid"),
-                *("perceptual_updates", "proxy_six_dof", "stiffness_map"),
-                "voxmap_point_shell",
-            ),
-            "contact": ("point_drag", "pose_rows", "shell_blocks", "standing"),
-            "fitting": ("breakdown",),
-            "fitting/poses": ("pose_error_step", "pose_refinement"),
-            "fitting/uncertainty": ("contact_spread", "skin_uncertainty"),
-            "probe": ("tracker_noise",),
-            "haptic": ("motion", "tables"),
-            "problem/terms": ("torque", "total_variation"),
-        }.items()
-        for stem in stems
-    ),
-    *(
-        Target(
-            f"problem/terms/penalties/{stem}.py",
-            ("problem/terms/penalties/test_penalties.py",),
-        )
-        for stem in ("absolute", "groups", "huber", "linear", "squares")
-    ),
-    *(
-        Target(
-            f"comparators/{stem}.py",
-            ("comparators/test_patch_model.py", "comparators/test_patch_law.py"),
-        )
-        for stem in ("hunt_crossley_two_stage", "kelvin_voigt", "patch_model")
-    ),
-    Target("probe/conventions.py", ("probe/test_conventions.py",)),
-    Target("probe/text_table.py", ("probe/test_text_table.py",)),
-    Target("session/readings.py", ("session/test_readings.py",)),
-    Target(
-        "session/registration.py",
-        ("session/test_registration.py", "session/test_readings.py"),
-    ),
-    Target("cli/command.py", ("cli/test_command.py",)),
-    Target("core/compiled.py", ("core/test_compiled.py",)),
-    Target("core/threads.py", ("core/test_threads.py",)),
-)
+}
+
+#: Compiled functions that run as plain Python, where that is fast enough
+PLAIN = ("fitting/recursion/triangular_factor.py",)
+
+
+def targets() -> Iterator[Target]:
+    """Every module that has tests, of its stem or as `FURTHER` says."""
+    tests = ROOT / "tests"
+    for path in sorted((ROOT / "ttus_opt").rglob("*.py")):
+        module = path.relative_to(ROOT / "ttus_opt")
+        room, stem = tests / module.parent, module.stem
+        own = [room / f"test_{stem}.py", *room.glob(f"test_{stem}_*.py")]
+        # test_blend_step.py tests blend, if there is no module blend_step
+        named = [
+            test.relative_to(tests).as_posix()
+            for test in sorted(own)
+            if test.is_file()
+            and (test is own[0] or not (path.parent / test.name[5:]).is_file())
+        ]
+        every = (*named, *FURTHER.get(module.as_posix(), ()))
+        if every:
+            yield Target(module.as_posix(), every, module.as_posix() not in PLAIN)
+
+
+def chosen(given: list[str]) -> list[Target]:
+    """Targets by name, path or room; `CORE` if none is given.
+
+    Raises:
+        ValueError: No module is called so.
+    """
+    known, taken = list(targets()), list[Target]()
+    for name in given or [f"{room}/{s}" for room in CORE for s in CORE[room].split()]:
+        found = [
+            t
+            for t in known
+            if name in (t.name, t.module, t.module.removesuffix(".py"))
+            or t.module.startswith(f"{name}/")
+        ]
+        if not found:
+            raise ValueError(f"no module or room {name!r} with tests of its own")
+        taken += [t for t in found if t not in taken]
+    return taken
 
 
 @dataclass(frozen=True)
@@ -631,19 +531,18 @@ def report(rows: list[tuple[str, int, int]], survivors: list[Mutant]) -> float:
 def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    names = [target.name for target in TARGETS]
-    parser.add_argument("modules", nargs="*", metavar="module", help=", ".join(names))
+    parser.add_argument("modules", nargs="*", metavar="module", help="name or room")
     parser.add_argument("--sample", type=int, default=20, help="mutants per module")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     given = parser.parse_args()
-    for name in given.modules:
-        if name not in names:
-            parser.error(f"no module {name!r}; there are {', '.join(names)}")
-    targets = [t for t in TARGETS if not given.modules or t.name in given.modules]
+    try:
+        tried = chosen(given.modules)
+    except ValueError as error:
+        parser.error(str(error))
     for line in outdated():
         print(f"{EQUIVALENT.name} lists a line that is gone: {line}", flush=True)
-    share = run(targets, given.sample, given.seed, given.workers)
+    share = run(tried, given.sample, given.seed, given.workers)
     if share < LEAST:
         print(f"\n{share:.0%} told, {LEAST:.0%} are asked for")
         return 1

@@ -58,7 +58,7 @@ def test_a_kept_path_gives_what_it_gave(module):
 def test_mutants_are_made_of_files_that_are_there():
     listed = mutants.EQUIVALENT.read_text(encoding="utf-8").splitlines()[1:]
     code = {line.split(" | ")[0] for line in listed if line}
-    for target in mutants.TARGETS:
+    for target in mutants.chosen([]):
         code.add(target.module)
         for test in target.tests:
             assert (mutants.ROOT / "tests" / test).is_file(), test
