@@ -11,7 +11,8 @@ from tests.conftest import presses, small_scene, torso
 from tests.dragging import dragged_scene
 from tests.fitting.uncertainty.test_contact_spread import scene_of
 from tests.fitting.weights.test_tuning import drawn, tuned
-from ttus_opt.contact.scene import Scene
+from ttus_opt import example
+from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import (
@@ -23,8 +24,10 @@ from ttus_opt.fitting.weights.weight_choice import (
     word_for,
 )
 from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.voxmap.sampling import least_length
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.voxmap.sampling import least_length, sized
 
 OWN = {"force": 1e-2, "torque": 1e-2}
 
@@ -164,7 +167,7 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
 def test_where_drag_acts_is_found_and_given_options_come_first(
     monkeypatch,
 ):
-    """It is looked for in the sampling that is likely with a first estimate of it."""
+    """It is looked for in the sampling that is likely with it."""
     looked, asked = [], []
     estimate, load = weight_choice.estimate_drag, weight_choice.load
 
@@ -189,6 +192,23 @@ def test_where_drag_acts_is_found_and_given_options_come_first(
         ("depth_map_coulomb", sampling, given)
         for given in ({}, {"acts_at": "reference"})
     ]
+
+
+def test_the_sampling_is_that_of_drag_where_the_depth_map_has_it():
+    """Of the example's sweep, which a Laplace field takes for drag of every point."""
+    surface = tt.Surface.load(example.path("surface.nc"))
+    names = "press_fit.csv", "sweep_drag_fit.csv"
+    recordings = [tt.read_trajectory(example.path(name)) for name in names]
+    shell = tt.PointShell.from_spec(example.PROBE)
+    plan = ScenePlan((24, 72, 30), sampling="trilinear")
+    scene = plan.build(surface, shell, recordings)
+    assert estimate_drag(scene).acts_at == "points"
+    at = {
+        where: sized(estimate_dragged(scene, where, resampled=True)[1].least_length)
+        for where in ("points", "contact")
+    }
+    assert at["points"] != at["contact"]
+    assert weight_choice.likely_sampling(scene) == at["contact"]
 
 
 def test_forces_that_no_depth_map_explains_leave_eq10():

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.blas_threads import one_blas_thread
@@ -28,6 +27,7 @@ from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
+from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import (
     PRIOR,
     UnusableForcesError,
@@ -284,7 +284,7 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
 
     The stiffness per area of tissue that is deep relative to the probe decreases with
     the length of the contact, that of a thin layer does not. ℓ₀ is estimated with the
-    other hyperparameters, and a first estimate of drag.
+    other hyperparameters, and drag where it acts.
 
     Args:
         scene: Patient, probe and measurements.
@@ -295,11 +295,12 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
     """
     if scene.sampling == "voxel-mean":
         scene = scene.resampled("trilinear")
-    drag = estimate_drag(scene)
-    mu = min(drag.friction_coefficient, 1.0) if drag.is_shown else 0.0
-    rows = sp.csr_array(scene.N - mu * drag.drag.rows.force)
     held = {name: (options or {}).get(name) for name in PRIOR}
-    return sized(estimate_depth_map(scene, rows, resampled=True, **held).least_length)
+    if estimate_drag(scene).is_shown:
+        _, found = estimate_dragged(scene, resampled=True, **held)
+    else:
+        found = estimate_depth_map(scene, resampled=True, **held)
+    return sized(found.least_length)
 
 
 def depth_map_of(model: Formulation) -> DepthMapTerm:

@@ -22,7 +22,9 @@ def estimate_dragged(
     acts_at: str = "auto",
     deadband: float = DEADBAND,
     largest: float = 1.0,
-    depth_length: float | None = None,
+    *,
+    resampled: bool = False,
+    **given: float | None,
 ) -> tuple[DragEstimate, DepthMapEstimate]:
     """The likeliest drag and the depth map with it.
 
@@ -31,7 +33,8 @@ def estimate_dragged(
         acts_at: As of `estimate_drag`.
         deadband: The same [m/s].
         largest: Largest μ [–].
-        depth_length: Length in depth [m]; by default it is estimated too.
+        resampled: As of `estimate_depth_map`.
+        given: The same.
 
     Raises:
         InputError: As of both.
@@ -41,5 +44,6 @@ def estimate_dragged(
     for drag in alike_drag(scene, acts_at, deadband):
         mu = min(drag.friction_coefficient, largest)
         rows = scene.N - mu * drag.drag.rows.force
-        found.append((drag, estimate_depth_map(scene, rows, depth_length=depth_length)))
+        likeliest = estimate_depth_map(scene, rows, resampled=resampled, **given)
+        found.append((drag, likeliest))
     return max(found, key=lambda one: one[1].log_evidence)
