@@ -295,11 +295,12 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
     """
     if scene.sampling == "voxel-mean":
         scene = scene.resampled("trilinear")
-    held = {name: (options or {}).get(name) for name in PRIOR}
+    held: dict[str, Any] = {name: (options or {}).get(name) for name in PRIOR}
+    held["resampled"] = True
     if estimate_drag(scene).is_shown:
-        _, found = estimate_dragged(scene, resampled=True, **held)
+        _, found = estimate_dragged(scene, **held)
     else:
-        found = estimate_depth_map(scene, resampled=True, **held)
+        found = estimate_depth_map(scene, **held)
     return sized(found.least_length)
 
 

@@ -8,6 +8,8 @@ forces with each one's drag taken from the rows.
 
 from __future__ import annotations
 
+from typing import Any
+
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -22,9 +24,7 @@ def estimate_dragged(
     acts_at: str = "auto",
     deadband: float = DEADBAND,
     largest: float = 1.0,
-    *,
-    resampled: bool = False,
-    **given: float | None,
+    **options: Any,
 ) -> tuple[DragEstimate, DepthMapEstimate]:
     """The likeliest drag and the depth map with it.
 
@@ -33,8 +33,7 @@ def estimate_dragged(
         acts_at: As of `estimate_drag`.
         deadband: The same [m/s].
         largest: Largest μ [–].
-        resampled: As of `estimate_depth_map`.
-        given: The same.
+        options: Of `estimate_depth_map`.
 
     Raises:
         InputError: As of both.
@@ -44,6 +43,5 @@ def estimate_dragged(
     for drag in alike_drag(scene, acts_at, deadband):
         mu = min(drag.friction_coefficient, largest)
         rows = scene.N - mu * drag.drag.rows.force
-        likeliest = estimate_depth_map(scene, rows, resampled=resampled, **given)
-        found.append((drag, likeliest))
+        found.append((drag, estimate_depth_map(scene, rows, **options)))
     return max(found, key=lambda one: one[1].log_evidence)
