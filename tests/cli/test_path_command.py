@@ -69,7 +69,7 @@ def test_an_interrupt_writes_what_is_done(run, files, tmp_path, monkeypatch, don
     found = tt.read_solution_path(output)
     assert (found["status"] == 0).all() and found.attrs["probe"] == PROBE
     answer = run(words(files, output, "--weight force=1e-2:1:3 --jobs 2"))
-    assert f"{output} holds a path of other weights" in answer.err
+    assert f"{output} holds a path of other inputs (weights): " in answer.err
     assert "jobs and dask are not used" in answer.err
     assert tt.read_solution_path(output)["status"].shape == (3,)
 
