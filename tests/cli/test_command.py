@@ -1,6 +1,7 @@
 """Functions as commands: options by their signature, words by their docstring."""
 
 import contextlib
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -128,6 +129,18 @@ def test_every_option_says_what_it_does_and_every_command_has_an_example():
         assert "ttus-opt" in command.epilog
         silent = [p.name for p in command.params if not (p.help or p.hidden)]
         assert not silent, (command.name, silent)
+
+
+def test_every_example_is_one_that_the_command_takes():
+    root = typer.main.get_command(app)
+    for command in commands(root):
+        words, named = shlex.split(command.epilog), root
+        del words[: words.index("ttus-opt") + 1]
+        while hasattr(named, "commands"):
+            named = named.commands[words.pop(0)]
+        assert named is command
+        with command.make_context(command.name, words):
+            pass
 
 
 def test_limits_are_the_library_s():

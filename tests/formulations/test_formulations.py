@@ -72,8 +72,8 @@ def test_a_file_states_the_mathematics_and_its_source(name):
     module = importlib.import_module(f"formulations.{name}")
     doc = inspect.getdoc(module)
     assert doc is not None
-    assert "min_" in doc
-    assert "Source" in doc or name == "laplace_only"
+    assert "min_" in doc, "the docstring states the problem: min_p ‖L p - b‖² + …"
+    assert "Source" in doc or name == "laplace_only", "the docstring names its source"
     assert inspect.getdoc(module.build)
 
 

@@ -423,7 +423,8 @@ def test_a_file_has_one_format(tmp_path: Path) -> None:
     }
     assert titles["tum.txt"] == titles["rtde.csv"] == titles["euroc.csv"] == "table"
     assert titles["toolbox.csv"] == titles["api.csv"]
-    assert len(set(titles.values())) == 6
+    # every format of text has a sample here, which `test_mutations` damages
+    assert set(titles.values()) == {kind.title for kind in FORMATS[3:]}
     for name, kind in itertools.product(SAMPLES, FORMATS[3:-1]):
         head = (tmp_path / name).read_text()[:8000]
         alone = kind.recognises(tmp_path / name, head)

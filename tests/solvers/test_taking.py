@@ -14,7 +14,9 @@ from ttus_opt.solvers.registry import solvers
 def test_a_formulation_is_taken_by(name):
     program = reduction(name).program
     takers = [s.name for s in solvers().values() if not s.refusal(program)]
-    assert takers == taking.named(taking.FORMULATIONS[name])
+    written = taking.FORMULATIONS.get(name)
+    assert written is not None, f"write into taking.py who takes {name}: {takers}"
+    assert takers == taking.named(written)
 
 
 @pytest.mark.parametrize(
