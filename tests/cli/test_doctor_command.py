@@ -10,10 +10,12 @@ import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import Run
-from tests.conftest import torso
+from tests.conftest import small_scene, torso
 from tests.probe.test_repair import broken, written
 from tests.sensors.test_stream_formats import SAMPLES
+from tests.session.recordings import copied
 from ttus_opt import example
+from ttus_opt.fitting.path.path_dataset import write_solution_path
 
 
 def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
@@ -52,6 +54,44 @@ def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
     assert told["files"][0]["streams"][0]["rate_Hz"] == pytest.approx(20)
 
 
+def test_all_else_that_commands_read(run: Run, tmp_path: Path) -> None:
+    """Motions, pairs, photos, messages, sessions and paths of weights."""
+    import cv2
+
+    motion = np.diag([-1.0, -1.0, 1.0, 1.0])
+    motion[:3, 3] = 0.5, 0.25, 2.0
+    np.savetxt(tmp_path / "base.txt", motion)
+    (tmp_path / "base.json").write_text(json.dumps(motion.tolist()))
+    np.save(tmp_path / "base.npy", motion)
+    pairs = [[motion.tolist(), motion.tolist()]] * 5
+    (tmp_path / "pairs.json").write_text(json.dumps(pairs))
+    cv2.imwrite(str(tmp_path / "photo.png"), np.full((40, 50, 3), 8, np.uint8))
+    cv2.imwrite(str(tmp_path / "photo.jpg"), np.full((40, 50, 3), 8, np.uint8))
+    found = tt.solution_path("eq10", small_scene(), weights={"force": [0.1, 1.0]})
+    write_solution_path(found, tmp_path / "path.nc")
+    names = "base.txt base.json base.npy pairs.json photo.png photo.jpg path.nc"
+    answer = run("doctor " + " ".join(f"{tmp_path / n}" for n in names.split()))
+    assert answer.status == 0
+    assert answer.out.count("to (0.5000, 0.2500, 2.0000) m, turned by 180.0°") == 3
+    for said in ("5 pairs", "2 of 2 points", "photo.jpg: photo\n    50 x 40 pixels"):
+        assert said in answer.out
+
+
+def test_a_session_and_its_message(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
+    recording = copied(tmp_path)
+    surface = tmp_path / "surface.nc"
+    torso().save(surface)
+    message = tmp_path / "surface.msg"
+    assert run(f"encode {surface} -o {message}").status == 0
+    answer = run(f"doctor {recording} {message}")
+    assert answer.status == 0
+    assert "recordings: press_fit, sweep_fit" in answer.out
+    assert f"message: surface\n    {message.stat().st_size:,} bytes" in answer.out
+    message.write_bytes(message.read_bytes()[:-1])
+    assert run(f"doctor {message}").status == 2
+
+
 def test_faults_and_files_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
     file = written(tmp_path / "press.csv", broken())
     answer = run(f"doctor {file}")
@@ -84,7 +124,7 @@ def test_one_stream_of_several(run: Run, tmp_path: Path) -> None:
     assert "Probe" not in answer.out
     answer = run(f"doctor {file} --stream Hand")
     assert answer.status == 2
-    assert "has no tool Hand, but Probe, Stylus" in answer.out
+    assert "has no tool Hand, but Probe, Stylus" in " ".join(answer.out.split())
     pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
     from tests.sensors.test_depth_bag import ALIGNED, recorded
 

@@ -121,6 +121,18 @@ def test_a_decimal_comma_is_named(tmp_path):
         tt.read_trajectory(write(tmp_path, ";".join(OURS), body))
 
 
+def test_decimal_commas_between_commas_are_suspected(tmp_path):
+    file = write(tmp_path, ",".join(OURS), [r.replace(".", ",") for r in lines(",")])
+    refuses(FileError, "decimal commas", tt.read_trajectory, file)
+
+
+def test_what_is_no_text(tmp_path):
+    file = tmp_path / "press.csv"
+    for content in (bytes(3000), "t,px".encode("utf-16")):
+        file.write_bytes(content)
+        refuses(FileError, "CSV in UTF-8", tt.read_trajectory, file)
+
+
 @pytest.mark.parametrize(
     ("name", "ours"),
     [

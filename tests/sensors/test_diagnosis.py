@@ -60,6 +60,7 @@ def test_holes_are_counted():
     [
         ("time", 1e3, "rows are 10 s apart, so t is likely in ms"),
         ("position", 1e3, "likely in mm: px=NAME"),
+        ("position", 300.0, "likely in cm (or mm): px=NAME[cm]"),
         ("force", 1e6, "counts or mN"),
         ("torque", 1e3, "a lever of 20 m in the median, so torques are likely in N mm"),
     ],

@@ -82,7 +82,7 @@ def test_json(tmp_path, matrix):
         ('{"K": "many"}', "not numbers"),
         (json.dumps({"K": [1, 0, 0, 0, 1, 0, 0, 0, 1]}), "normalised"),
         (json.dumps({"K": np.transpose(K).tolist()}), "transposed"),
-        (json.dumps({"K": [float("nan")] * 9}), "focal lengths"),
+        (json.dumps({"K": [float("nan")] * 9}), "finite numbers"),
         (json.dumps({"K": FLAT, "D": [1, 2]}), "distortion has"),
         (json.dumps({"K": FLAT, "D": [1e300] * 5}), "finite"),
         (json.dumps({"K": FLAT, "width": 0, "height": 3}), "0 x 3 pixels"),

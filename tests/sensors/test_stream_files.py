@@ -5,11 +5,15 @@ import pytest
 
 from tests.refusals import refuses
 from tests.sensors.test_plus_sequence import sequence
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.plus_sequence import read_plus_sequence
-from ttus_opt.sensors.stream_files import read_poses, read_wrenches
+from ttus_opt.sensors.stream_files import (
+    raw_recordings,
+    read_poses,
+    read_wrenches,
+)
 from ttus_opt.sensors.streams import WrenchStream
 
 TIME = np.arange(4.0)
@@ -66,3 +70,11 @@ def test_names_and_columns_where_there_are_none_are_told(tmp_path):
     (tmp_path / "bag").mkdir()
     for read in (read_poses, read_wrenches):
         refuses(InputError, "bag has no columns", read, tmp_path / "bag", columns=MAP)
+
+
+def test_a_table_of_neither_kind_is_told_by_the_kind_it_is_nearer(tmp_path):
+    file = tmp_path / "own.csv"
+    for header, lacks in (("t,px,py,pz", "qw, qx, qy, qz"), ("t,fx,fy", "fz")):
+        file.write_text(f"{header}\n{','.join('1' for _ in header.split(','))}\n")
+        told = refuses(FileError, f"has no column {lacks}: ", raw_recordings, file)
+        assert "t,px,py,pz,qw,qx,qy,qz (poses) or t,fx,fy,fz (wrenches)" in told

@@ -40,6 +40,34 @@ MOST_PREAMBLE = 60
 TUM = ("t", "px", "py", "pz", "qx", "qy", "qz", "qw")
 
 
+class MissingColumnsError(FileError):
+    """A header that lacks columns.
+
+    Attributes:
+        missing: Their names.
+    """
+
+    def __init__(
+        self, file: Path, required: Sequence[str], missing: Sequence[str], got: str
+    ) -> None:
+        self.missing, self._got, self._required = missing, got, ",".join(required)
+        self._share = len(missing) / len(required)
+        super().__init__(self._told(file, self._required))
+        self._file = file
+
+    def _told(self, file: Path, names: str) -> str:
+        return (
+            f"{file} has no column {', '.join(self.missing)}: the header must name "
+            f"{names}, got {self._got}; map them by columns, for instance px=x"
+        )
+
+    def either(self, other: MissingColumnsError) -> FileError:
+        """Of two readings of one file, told by the one that lacks least."""
+        nearer = min(self, other, key=lambda error: error._share)
+        names = f"{self._required} (poses) or {other._required} (wrenches)"
+        return FileError(nearer._told(self._file, names))
+
+
 @dataclass(frozen=True)
 class TextTable:
     """Cells of a file, not yet read as numbers.
@@ -144,12 +172,15 @@ def read_text_table(
         InputError: ``columns`` names a column that does not exist.
     """
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        text = file.read_text(encoding="utf-8-sig")
     except (UnicodeDecodeError, OSError) as error:
         raise FileError(
             f"{file} is not a readable text file ({type(error).__name__}): export it "
-            "as CSV"
+            "as CSV in UTF-8"
         ) from error
+    if "\0" in text[:LONGEST_HEADER]:
+        raise FileError(f"{file} is not a text file: export it as CSV in UTF-8")
+    lines = text.splitlines()
     head, separator, given = _header(file, lines, required, columns or {})
     numbered = [
         (number, _split(line, separator))
@@ -196,10 +227,10 @@ def _even(rows: list[list[str]], n: int) -> dict[int, str]:
     damaged = {}
     for place, row in enumerate(rows):
         if len(row) != n:
-            cut = place == len(rows) - 1 and len(row) < n
-            damaged[place] = f"{len(row)} cells, the header has {n}" + (
-                ": the file is truncated" if cut else ""
-            )
+            why = ": decimal commas? write points" if len(row) > n else ""
+            if place == len(rows) - 1 and len(row) < n:
+                why = ": the file is truncated"
+            damaged[place] = f"{len(row)} cells, the header has {n}{why}"
             rows[place] = [*row, *[""] * n][:n]
     return damaged
 
@@ -237,10 +268,7 @@ def _header(
     shown = ",".join(closest) or "none"
     if len(shown) > LONGEST_HEADER:
         shown = f"{shown[:LONGEST_HEADER]}… ({len(closest):,} in all)"
-    raise FileError(
-        f"{file} has no column {', '.join(missing)}: the header must name "
-        f"{','.join(required)}, got {shown}; map them by columns, for instance px=x"
-    )
+    raise MissingColumnsError(file, required, missing, shown)
 
 
 def _lacking(required: Sequence[str], names: Sequence[str]) -> list[str]:

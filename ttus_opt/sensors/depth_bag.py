@@ -242,6 +242,6 @@ def _opened(path: Path, read: Callable[[Any, Any], T]) -> T:
         raise
     except (Exception, MemoryError) as error:  # damaged files raise nearly every class
         raise FileError(
-            f"{path} cannot be read as a recording ({type(error).__name__}): record "
-            "or copy it again"
+            f"{path} cannot be read as a recording ({type(error).__name__}): copy it "
+            "again, or mend one that was not closed by rosbag reindex"
         ) from error

@@ -41,6 +41,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 DEPTH_LIMITS = (0.1, 10.0)
 
 
+class PictureError(FileError):
+    """An image whose pixels are colours or grey values, not depths."""
+
+
 class DepthFrame(NamedTuple):
     """Depths of a file.
 
@@ -192,16 +196,14 @@ def _check_png(file: Path, content: bytes) -> None:
 def _check_kind(file: Path, values: NDArray[Any]) -> None:
     """Refuse colour or 8-bit pictures, and arrays that are not images."""
     if values.ndim != 2:
-        hint = (
-            "a colour picture of the depth? export the depth itself"
-            if values.ndim == 3 and values.shape[2] in (3, 4)
-            else "save one number per pixel"
-        )
-        raise FileError(
-            f"{file}: a depth image is (height, width), got {values.shape}: {hint}"
-        )
+        wrong = f"{file}: a depth image is (height, width), got {values.shape}"
+        if values.ndim == 3 and values.shape[2] in (3, 4):
+            raise PictureError(
+                f"{wrong}: a colour picture of the depth? export the depth itself"
+            )
+        raise FileError(f"{wrong}: save one number per pixel")
     if values.dtype.itemsize == 1:
-        raise FileError(
+        raise PictureError(
             f"{file} has 8 bits per pixel: a picture for the eye? export the depth "
             "itself, 16-bit PNG in millimetres"
         )

@@ -31,6 +31,9 @@ ROUNDING = 1e-9
 #: A lever longer than this makes torques of another unit likely [m]
 LONGEST_LEVER = 2.0
 
+#: Farther positions of a patient, robot or tracker are rather in mm than in cm
+MOST_IN_CM = 60.0
+
 #: Forces below this say nothing of the lever [N]
 LEAST_FORCE = 0.5
 
@@ -243,9 +246,10 @@ def _doubts(sound: RawRecording, steps: Array) -> list[str]:
     if sound.position is not None:
         size = float(np.median(np.linalg.norm(sound.position, axis=1)))
         if size > MOST_POSITION:
+            unit, other = ("mm", "") if size > MOST_IN_CM else ("cm", " (or mm)")
             doubts.append(
                 f"positions are {size:.4g} m away in the median, so they are likely in "
-                "mm: px=NAME[mm]"
+                f"{unit}{other}: px=NAME[{unit}]"
             )
     if sound.force is not None:
         strength = np.linalg.norm(sound.force, axis=1)

@@ -68,8 +68,12 @@ class Intrinsics:
         K = self.matrix
         if K.shape != (3, 3):
             raise InputError(f"a camera matrix is (3, 3), got {K.shape}")
-        plausible = np.isfinite(K).all() and np.abs(K).max() < LARGEST
-        if not (plausible and K[0, 0] > 1 and K[1, 1] > 1):
+        if not (np.isfinite(K).all() and np.abs(K).max() < LARGEST):
+            raise InputError(
+                f"a camera matrix has finite numbers below {LARGEST:g} pixel: export "
+                "the calibration again"
+            )
+        if not (K[0, 0] > 1 and K[1, 1] > 1):
             raise InputError(
                 "a camera matrix has focal lengths above 1 pixel on its diagonal, got "
                 f"{K[0, 0]:g} and {K[1, 1]:g}: is it normalised? Multiply by the width"

@@ -138,7 +138,8 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
     except (Exception, MemoryError) as error:  # damaged files raise nearly every class
         raise FileError(
             f"{place} cannot be read as a ROS recording ({type(error).__name__}): "
-            "name a .bag, .mcap or .db3 file, or the folder of a ROS 2 recording"
+            "damaged, or not closed (ros2 bag reindex, mcap recover)? It is a .bag, "
+            ".mcap or .db3 file, or a folder of ROS 2"
         ) from error
 
 

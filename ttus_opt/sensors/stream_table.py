@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.text_table import MissingColumnsError
 from ttus_opt.probe.trajectory_csv import raw_trajectory
 from ttus_opt.sensors.column_map import table_columns
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
@@ -30,10 +30,13 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         return [raw_trajectory(path, _of(columns, POSES))]
     try:
         return [raw_trajectory(path, columns)]
-    except FileError as error:
-        if wanted.kind or "has no column" not in str(error):
+    except MissingColumnsError as poses:
+        if wanted.kind:
             raise
-        return [raw_wrenches(io.existing_file(path, "wrench"), columns)]
+        try:
+            return [raw_wrenches(io.existing_file(path, "wrench"), columns)]
+        except MissingColumnsError as wrenches:
+            raise poses.either(wrenches) from None
 
 
 def _of(columns: Mapping[str, str], kinds: tuple[str, ...]) -> Mapping[str, str]:
