@@ -124,13 +124,13 @@ def _mapping(file: Path, asked: Asked) -> Found:
     except FileError as error:
         for other in (_motion, _pairs):
             try:
-                return other(file)
+                return other(file, asked)
             except TtusError:
                 pass
         raise error
 
 
-def _motion(file: Path) -> Found:
+def _motion(file: Path, asked: Asked) -> Found:
     from scipy.spatial.transform import Rotation
 
     from ttus_opt.probe.rigid_motion import read_rigid_motion
@@ -142,7 +142,7 @@ def _motion(file: Path) -> Found:
     return Found("rigid motion", [line], {"motion": motion}, {})
 
 
-def _pairs(file: Path) -> Found:
+def _pairs(file: Path, asked: Asked) -> Found:
     from ttus_opt.sensors.hand_eye import read_pose_pairs
 
     count = len(read_pose_pairs(file)[0])
@@ -244,9 +244,9 @@ def _text_or_cloud(file: Path, asked: Asked) -> Found:
     try:
         return _recording(file, asked)
     except FileError as error:
-        for other in (lambda: _motion(file), lambda: _cloud(file, asked)):
+        for other in (_motion, _cloud):
             try:
-                return other()
+                return other(file, asked)
             except TtusError:
                 pass
         raise error
@@ -293,9 +293,9 @@ def _array(file: Path, asked: Asked) -> Found:
 
     shape = io.read_npy(file).shape
     if shape == (4, 4):
-        return _motion(file)
+        return _motion(file, asked)
     if len(shape) == 4:
-        return _pairs(file)
+        return _pairs(file, asked)
     three = len(shape) == 2 and shape[1] == 3
     return (_cloud if three else _depth)(file, asked)
 
