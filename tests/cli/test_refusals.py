@@ -287,6 +287,16 @@ def test_two_outputs_are_two_files(run, files, tmp_path):
     assert empty(tmp_path)
 
 
+def test_a_package_of_an_extra_is_named(run, output, monkeypatch):
+    """Also where a module of ours imports it at its top."""
+    monkeypatch.delitem(sys.modules, "ttus_opt.live.messages", raising=False)
+    monkeypatch.delitem(sys.modules, "ttus_opt.live.recording", raising=False)
+    monkeypatch.setitem(sys.modules, "msgspec", None)
+    told = run(f"live replay --recording {output / 'x.mcap'}")
+    install = 'error: msgspec is not installed: pip install "ttus-opt[live]"'
+    assert (told.status, told.errors) == (2, [install])
+
+
 def test_a_terminated_command_leaves_nothing_behind(tmp_path):
     code = (
         "import os, signal, sys, typer\n"

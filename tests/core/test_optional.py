@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from ttus_opt.core.errors import MissingPackageError
-from ttus_opt.core.optional import load
+from ttus_opt.core.optional import extra_with, load
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
@@ -24,3 +24,10 @@ def test_what_a_package_itself_misses_is_not_hidden(tmp_path, monkeypatch):
     with pytest.raises(ModuleNotFoundError, match="not_there_either") as told:
         load("lame", "any")
     assert not isinstance(told.value, MissingPackageError)
+
+
+def test_the_extra_of_a_module_is_that_of_the_metadata():
+    for module, extra in (("msgspec", "live"), ("mcap", "live"), ("viser", "viewer")):
+        assert extra_with(module) == extra
+    assert extra_with("small_gicp.small") == "sensors"
+    assert extra_with("numpy") is None and extra_with("not_there") is None

@@ -42,6 +42,7 @@ from ttus_opt.cli.view_command import view
 from ttus_opt.cli.warm_up_command import warm_up
 from ttus_opt.core.errors import MistakeWarning, NumericalError, TtusError
 from ttus_opt.core.interrupts import INTERRUPTED, STOPPED
+from ttus_opt.core.optional import extra_with
 
 UNSOLVED, BAD_INPUT, TERMINATED = 1, 2, 143
 
@@ -219,11 +220,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (TtusError, OSError) as error:
         _end(as_options(str(error)), BAD_INPUT)
     except Exception as error:
-        # what the parser raises when an option is unknown, missing or of another type
-        described = getattr(error, "format_message", None)
-        if described is None:
+        if (told := _told(error)) is None:
             raise
-        _end(f"{described()}" or "see ttus-opt --help", BAD_INPUT)
+        _end(told, BAD_INPUT)
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
         _end(STOPPED.removeprefix("error: "), INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)
@@ -240,6 +239,16 @@ def _termination_as_exit() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _told(error: Exception) -> str | None:
+    """A package of an extra that is absent, or what the parser says of options."""
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        extra = extra_with(error.name)
+        install = f'{error.name} is not installed: pip install "ttus-opt[{extra}]"'
+        return None if extra is None else install
+    described = getattr(error, "format_message", None)
+    return None if described is None else described() or "see ttus-opt --help"
 
 
 def _place(error: BaseException) -> str:

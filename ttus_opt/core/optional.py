@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import re
+from collections import Counter
 from types import ModuleType
 from typing import Any
 
@@ -27,6 +30,17 @@ def load(module: str, extra: str) -> ModuleType:
         raise MissingPackageError(
             f'{error.name} is not installed: pip install "ttus-opt[{extra}]"'
         ) from error
+
+
+def extra_with(module: str) -> str | None:
+    """The smallest extra that installs a package of a module's name, if any."""
+    required = importlib.metadata.requires("ttus-opt") or []
+    needs = (re.match(r"([\w.-]+).*extra == ['\"](\w+)", line) for line in required)
+    pairs = [(n[1].lower().replace("-", "_"), n[2]) for n in needs if n]
+    sizes = Counter(extra for _, extra in pairs)
+    name = module.split(".")[0].lower()
+    having = [extra for package, extra in pairs if package == name]
+    return min(having, key=sizes.__getitem__, default=None)
 
 
 def dask_client(address: str) -> Any:

@@ -146,10 +146,12 @@ class Table(Block):
         pieces = [[_longest(c.split()) for c in self.header]]
         pieces += [[_longest(_breakable(c)) for c in row] for row in self.rows]
         least = [max(column) for column in zip(*pieces, strict=True)]
+        n_blanks = len(least) - 1
+        gap = 2 if sum(least) + 2 * n_blanks <= width else 1
         widths = least.copy()  # a header is broken to the width of what it stands over
         for row in self.rows:
             widths = [max(w, len(c)) for w, c in zip(widths, row, strict=True)]
-        while sum(widths) + 2 * (len(widths) - 1) > width and widths != least:
+        while sum(widths) + gap * n_blanks > width and widths != least:
             wide = [w if w > m else 0 for w, m in zip(widths, least, strict=True)]
             widths[wide.index(max(wide))] -= 1
         lines = []
@@ -157,8 +159,14 @@ class Table(Block):
             parts = [wrap(c, w) for c, w in zip(row, widths, strict=True)]
             for line in zip_longest(*parts, fillvalue=""):
                 cells = (c.ljust(w) for c, w in zip(line, widths, strict=True))
-                lines.append("  ".join(cells).rstrip())
+                lines.append((gap * " ").join(cells).rstrip())
         return "\n".join(lines)
+
+    def without(self, column: str) -> Table:
+        """All columns but one."""
+        kept = [k for k, name in enumerate(self.header) if name != column]
+        rows = [[row[k] for k in kept] for row in self.rows]
+        return Table([self.header[k] for k in kept], rows)
 
     def html(self, folder: Path) -> str:
         """As HTML."""
