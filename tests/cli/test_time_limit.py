@@ -9,7 +9,7 @@ import typer
 
 from tests.cli.conftest import empty, fit_words, refused
 from tests.cli.test_interrupts import deaf_at_work
-from ttus_opt.cli.app import MANY_SOLVES, UNLIMITED, app
+from ttus_opt.cli.app import app
 from ttus_opt.cli.time_limit import time_limited
 from ttus_opt.core.errors import InputError, TtusError
 
@@ -18,14 +18,23 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+MANY_SOLVES = ["refine-poses", "tune", "path", "session", "experiment"]
+UNLIMITED = [
+    *["benchmark", "record", "view", "solvers", "formulations", "warm-up"],
+    *(f"live {part}" for part in ["demo", "page", "follower", "operator", "key"]),
+]
+
+
 def test_every_command_states_its_limit():
     group = typer.main.get_command(app)
     for name, command in group.commands.items():
-        for inner, own in getattr(command, "commands", {name: command}).items():
+        inner = getattr(command, "commands", {})
+        for part, own in inner.items() or [("", command)]:
+            whole = f"{name} {part}".strip()
             limits = [o.default for o in own.params if o.name == "time_limit"]
-            many = name.replace("-", "_") in [f.__name__ for f in MANY_SOLVES]
-            if inner.replace("-", "_") not in [f.__name__ for f in UNLIMITED]:
-                assert limits == [3600.0 if many else 600.0], inner
+            if whole not in UNLIMITED:
+                usual = 3600.0 if whole in MANY_SOLVES else 600.0
+                assert limits == [usual], whole
 
 
 def test_a_command_ends_in_time(run, files, output):

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -54,104 +54,67 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-#: Commands that warn of likely mistakes
-JUDGES = (refine_poses, fit, tune, path, next_press, evaluate, session, render, view)
-
 #: Default time limits: of commands that solve many times, and of others [s]
 LONG, USUAL = 3600.0, 600.0
-MANY_SOLVES = (refine_poses, tune, path, session, experiment)
 
-#: Commands whose output is a folder
-FOLDERS = (demo, session, experiment, benchmark)
-
-#: Files that commands write beside --output and pictures
-WRITTEN = {
-    compensate: ("model",),
-    record: ("poses", "wrenches"),
-    render: ("flat",),
+#: All commands in the order in which help lists them, with what `add_command` is told
+#: of each. Those without a time limit are over in a moment, last as long as is asked
+#: for, or limit every solve.
+COMMANDS: dict[Callable[..., None], dict[str, Any]] = {
+    demo: {"folder": True},
+    example: {},
+    doctor: {},
+    record: {"time_limit": None, "written": ("poses", "wrenches")},
+    hand_eye_of_streams: {},
+    synchronise: {},
+    compensate: {"written": ("model",)},
+    surface: {},
+    refine_poses: {"judges": True, "time_limit": LONG},
+    fit: {"judges": True},
+    tune: {"judges": True, "time_limit": LONG},
+    path: {"judges": True, "time_limit": LONG},
+    next_press: {"judges": True},
+    evaluate: {"judges": True},
+    session: {"judges": True, "time_limit": LONG, "folder": True},
+    experiment: {"time_limit": LONG, "folder": True},
+    render: {"judges": True, "written": ("flat",)},
+    view: {"judges": True, "time_limit": None},
+    encode: {},
+    decode: {},
+    benchmark: {"time_limit": None, "folder": True},
+    solvers: {"time_limit": None},
+    formulations: {"time_limit": None},
+    warm_up: {"time_limit": None},
 }
-
-#: A benchmark limits every solve, a recording or a live session lasts as long as is
-#: asked for, a page is open until it is closed, and the others are over in a moment
-UNLIMITED = (
-    benchmark,
-    record,
-    view,
-    live_commands.demo,
-    live_commands.page,
-    live_commands.follower,
-    live_commands.operator,
-    live_commands.key,
-    solvers,
-    formulations,
-    warm_up,
-)
-
-# in the order in which help lists them
-for function in (
-    *(
-        demo,
-        example,
-        doctor,
-        record,
-        hand_eye_of_streams,
-        synchronise,
-        compensate,
-        surface,
-        refine_poses,
-        fit,
-        tune,
-        path,
-    ),
-    *(
-        next_press,
-        evaluate,
-        session,
-        experiment,
-        render,
-        view,
-        encode,
-        decode,
-        benchmark,
-        solvers,
-        formulations,
-    ),
-    warm_up,
-):
-    usual = LONG if function in MANY_SOLVES else USUAL
-    limit = None if function in UNLIMITED else usual
-    add_command(
-        app,
-        function,
-        judges=function in JUDGES,
-        time_limit=limit,
-        folder=function in FOLDERS,
-        written=WRITTEN.get(function, ()),
-    )
+REGISTER: dict[Callable[..., None], dict[str, Any]] = {
+    board: {},
+    markers: {},
+    hand_eye: {},
+}
+LIVE: dict[Callable[..., None], dict[str, Any]] = {
+    live_commands.demo: {"time_limit": None},
+    live_commands.page: {"time_limit": None},
+    live_commands.report: {},
+    live_commands.replay: {},
+    live_commands.key: {"time_limit": None},
+    live_commands.follower: {"time_limit": None},
+    live_commands.operator: {"time_limit": None},
+}
 cameras = typer.Typer(
     help="Find markers in a photo, or a camera's place from pairs of poses.",
     epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "
     "-o camera_to_base.json",
     rich_markup_mode=None,
 )
-for finder in (board, markers, hand_eye):
-    add_command(cameras, finder, time_limit=USUAL)
-app.add_typer(cameras, name="register")
 live = typer.Typer(
     help="Live sessions over a delayed, lossy link. Not a medical device.",
     epilog="Example: ttus-opt live demo",
     rich_markup_mode=None,
 )
-for part in (
-    live_commands.demo,
-    live_commands.page,
-    live_commands.report,
-    live_commands.replay,
-    live_commands.key,
-    live_commands.follower,
-    live_commands.operator,
-):
-    add_command(live, part, time_limit=None if part in UNLIMITED else USUAL)
+for group, members in ((app, COMMANDS), (cameras, REGISTER), (live, LIVE)):
+    for function, how in members.items():
+        add_command(group, function, **{"time_limit": USUAL, **how})
+app.add_typer(cameras, name="register")
 app.add_typer(live, name="live")
 
 

@@ -10,7 +10,7 @@ import typer
 from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions, sector_of
 
 if TYPE_CHECKING:
@@ -67,7 +67,6 @@ def next_press(
     from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
     from ttus_opt.fitting.weights.weight_choice import choice_of, word_for
     from ttus_opt.report import plots
-    from ttus_opt.scan.surface import Surface
 
     sector = sector_of(angles, "--angles")
     limits = None if box is None else numbers(box, 6, "--box")
@@ -75,16 +74,10 @@ def next_press(
     inputs = [surface, probe.probe, *recordings.files]
     check_outputs([output], inputs, force=force, pictures=[picture])
     with Stages(5) as begin:
-        begin("reading surface and recordings")
-        patient, shell = Surface.load(surface), probe.read()
-        reading = recordings.as_written(), recordings.conventions
-        recorded = recordings.read(reading[0], shell, patient)
-        begin("assembling (first run compiles)")
-        scene = built_scene(grid.plan, (patient, shell, recorded), reading)
-        warn_of_mistake(scene, reading)
+        known = measured(surface, probe, recordings, grid.plan, begin)
         begin("fitting")
         choice = choice_of(
-            *(word, scene, problem.formulation, problem.further),
+            *(word, known.scene, problem.formulation, problem.further),
             sampling=grid.sampling,
             strict=False,
         )
@@ -99,11 +92,13 @@ def next_press(
             stated, count, sector=sector, box=limits, depth=depth, spacing=spacing
         )
         if picture is not None:
-            figure = plots.next_press_picture(found, recorded)
+            figure = plots.next_press_picture(found, known.recorded)
             plots.save_picture(figure, picture)
         if output is not None:
-            place = patient.axis.scan_to_patient
-            reading[1].as_recorded(found.poses, shell.reference, place).save(output)
+            place = known.patient.axis.scan_to_patient
+            written = known.reading[1]
+            reference = known.shell.reference
+            written.as_recorded(found.poses, reference, place).save(output)
     tell({**found.as_dict(), "model": list(choice.lines)}, *_lines(found), json=json)
 
 

@@ -14,7 +14,7 @@ import typer
 from ttus_opt.cli.console import Stages, bars_shown, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.core.errors import InputError
 
@@ -72,10 +72,11 @@ def path(
     """
     from ttus_opt.fitting.path.path_dataset import best_weights, write_solution_path
     from ttus_opt.fitting.path.solution_path import solution_path
-    from ttus_opt.scan.surface import Surface
 
     weights, options, plan = read_weights(weight), problem.further, grid.plan
     others = held_out or []
+    if len({file.name for file in others}) < len(others):
+        raise InputError("two --held-out files have the same name: rename one")
     extras = ["potential"] * fields + ["criteria"] * criteria
     size = math.prod(len(values) for values in weights.values())
     bytes_needed = 8 * size * math.prod(plan.shape) if fields else 0
@@ -88,24 +89,14 @@ def path(
         size=bytes_needed,
     )
     with Stages(2) as begin:
-        begin("reading surface and recordings")
-        patient = Surface.load(surface)
-        shell = probe.read()
-        reading = recordings.as_written(), recordings.conventions
-        recorded = recordings.read(reading[0], shell, patient)
+        known = measured(surface, probe, recordings, plan, begin)
         unseen = {}
         for file in others:
             one = replace(recordings, trajectory=[file])
-            unseen[file.name] = one.read(one.as_written(), shell, patient)
-        if len(unseen) < len(others):
-            raise InputError("two --held-out files have the same name: rename one")
-        begin("assembling (first run compiles)")
-        scene = built_scene(plan, (patient, shell, recorded), reading)
-        if recorded.has_wrench:
-            warn_of_mistake(scene, reading)
+            unseen[file.name] = one.read(one.as_written(), known.shell, known.patient)
     found = solution_path(
         problem.name,
-        scene,
+        known.scene,
         weights=weights,
         held_out=unseen,
         solver=problem.solver,

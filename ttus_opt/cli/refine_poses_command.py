@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import SceneOptions
 
 if TYPE_CHECKING:
@@ -47,19 +47,12 @@ def refine_poses(
     """
     from ttus_opt.fitting.poses import pose_refinement
     from ttus_opt.probe.tracker_noise import TrackerNoise
-    from ttus_opt.scan.surface import Surface
 
     check_outputs([output], [surface, *recordings.files], force=force)
     size = 1e-3 * position_noise, math.radians(rotation_noise)
     noise, plan = TrackerNoise(*size, correlation), grid.plan
     with Stages(2 + pose_refinement.MOST_STEPS) as begin:
-        begin("reading surface and recordings")
-        patient, shell = Surface.load(surface), probe.read()
-        reading = recordings.as_written(), recordings.conventions
-        recorded = recordings.read(reading[0], shell, patient)
-        begin("assembling (first run compiles)")
-        scene = built_scene(plan, (patient, shell, recorded), reading)
-        warn_of_mistake(scene, reading)
+        scene = measured(surface, probe, recordings, plan, begin).scene
         found = pose_refinement.refine_poses(
             scene, noise, progress=lambda: begin("refining")
         )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from ttus_opt.core.errors import (
     InputError,
@@ -15,6 +17,7 @@ from ttus_opt.core.errors import (
 )
 
 if TYPE_CHECKING:
+    from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
     from ttus_opt.contact.scene import Scene, ScenePlan
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
@@ -58,6 +61,56 @@ def built_scene(
         raise InputError(f"{error}; {mistake}") from error
     warn_of_one_spot(built)
     return built
+
+
+class Measured(NamedTuple):
+    """What several commands begin with.
+
+    Attributes:
+        patient: The surface.
+        shell: The probe.
+        recorded: The recordings in the patient's frame.
+        reading: The recordings as written, and how they were read.
+        scene: All of it, assembled.
+    """
+
+    patient: Surface
+    shell: PointShell
+    recorded: Trajectory
+    reading: tuple[Trajectory, Conventions]
+    scene: Scene
+
+
+def measured(
+    surface: Path,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    plan: ScenePlan,
+    begin: Callable[[str], None],
+) -> Measured:
+    """Read a patient, a probe and recordings, assemble their scene, warn of mistakes.
+
+    Args:
+        surface: Surface file.
+        probe: The probe.
+        recordings: The recordings.
+        plan: How the scene is built.
+        begin: Called with each of the two stages.
+
+    Raises:
+        InputError: As `built_scene`, or a file that cannot be used.
+    """
+    from ttus_opt.scan.surface import Surface
+
+    begin("reading surface and recordings")
+    patient, shell = Surface.load(surface), probe.read()
+    reading = recordings.as_written(), recordings.conventions
+    recorded = recordings.read(reading[0], shell, patient)
+    begin("assembling (first run compiles)")
+    scene = built_scene(plan, (patient, shell, recorded), reading)
+    if recorded.has_wrench:
+        warn_of_mistake(scene, reading)
+    return Measured(patient, shell, recorded, reading, scene)
 
 
 def warn_of_mistake(scene: Scene, reading: tuple[Trajectory, Conventions]) -> None:

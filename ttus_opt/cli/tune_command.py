@@ -10,7 +10,7 @@ import typer
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import SceneOptions, further_options
 from ttus_opt.core.errors import warn
 
@@ -50,18 +50,11 @@ def tune(
     from ttus_opt.fitting.weights.tuning import CANDIDATES
     from ttus_opt.fitting.weights.tuning import tune as tune_scene
     from ttus_opt.fitting.weights.weight_choice import too_little
-    from ttus_opt.scan.surface import Surface
 
     options, plan = further_options(option or ()), grid.plan
     candidates = list(formulation or CANDIDATES)
     with Stages(2 + len(candidates)) as begin:
-        begin("reading surface and recordings")
-        patient, shell = Surface.load(surface), probe.read()
-        reading = recordings.as_written(), recordings.conventions
-        recorded = recordings.read(reading[0], shell, patient)
-        begin("assembling (first run compiles)")
-        scene = built_scene(plan, (patient, shell, recorded), reading)
-        warn_of_mistake(scene, reading)
+        scene = measured(surface, probe, recordings, plan, begin).scene
         found = tune_scene(scene, candidates, progress=begin, **options)
     tell(_summary(found), *_lines(found), json=json)
     reason = too_little(scene)
