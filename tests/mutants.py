@@ -88,7 +88,7 @@ class Target:
 CORE = {
     "cli": "command",
     "comparators": "contact_geometry ellipsoid_torso hunt_crossley_two_stage "
-    "kelvin_voigt patch_grid patch_model perceptual_updates proxy_six_dof "
+    "kelvin_voigt patch_model perceptual_updates proxy_six_dof "
     "stiffness_map voxmap_point_shell",
     "contact": "boundary_scale friction point_drag pose_rows row_kernels rows "
     "shell_blocks slip standing",

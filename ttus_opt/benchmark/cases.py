@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ttus_opt import example
-from ttus_opt.benchmark.perturbation import checked_perturbation, perturbed
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.io import existing_file
@@ -44,6 +43,16 @@ SMALL_SHAPE, SMALL_POSES = (12, 32, 16), 6
 
 #: Relative change of the measured values between two solves of the same structure
 CHANGE = 0.05
+
+
+#: Ways to perturb a recording
+PERTURBATIONS = ("noise", "reversed")
+#: Standard deviation per axis of the noise added, force [N] and torque [N·m]
+FORCE_NOISE, TORQUE_NOISE = 2.0, 0.03
+#: Fraction of the frames whose wrench is reversed [–]
+REVERSED_PART = 0.2
+#: Seed of noise and choice of frames, the same for every solver
+SEED = 0
 
 
 @dataclass(frozen=True)
@@ -226,3 +235,47 @@ def existing(case: CaseSpec) -> CaseSpec:
         probe=case.probe if ":" in case.probe else absolute(case.probe, "probe"),
         trajectories=tuple(absolute(path, "trajectory") for path in case.trajectories),
     )
+
+
+def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
+    """A recording with perturbed wrenches, the same at every call.
+
+    The example's recordings are consistent with sign and monotonicity: no bound is
+    active, and solvers have no constraints to handle. Perturbed values make tens to
+    hundreds of limits active, at weights high enough for the field to follow them.
+
+    Args:
+        trajectory: A trajectory with wrenches.
+        how: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
+            changes the sign in a fifth of the frames; "" does nothing.
+
+    Raises:
+        InputError: An unknown perturbation, or no wrenches.
+    """
+    if not checked_perturbation(how):
+        return trajectory
+    force, torque = trajectory.force, trajectory.torque
+    if force is None or torque is None:
+        raise InputError(
+            f"perturbation {how!r} changes measured wrenches, but the trajectory has "
+            "none: add columns fx, fy, fz, tx, ty, tz"
+        )
+    rng = np.random.default_rng(SEED)
+    if how == "noise":
+        return replace(
+            trajectory,
+            force=force + rng.normal(0.0, FORCE_NOISE, force.shape),
+            torque=torque + rng.normal(0.0, TORQUE_NOISE, torque.shape),
+        )
+    count = max(1, round(REVERSED_PART * len(trajectory)))
+    sign = np.ones((len(trajectory), 1))
+    sign[rng.choice(len(trajectory), count, replace=False)] = -1.0
+    return replace(trajectory, force=sign * force, torque=sign * torque)
+
+
+def checked_perturbation(how: str) -> str:
+    """The perturbation's name or ""; `InputError` if it is unknown."""
+    if how and how not in PERTURBATIONS:
+        choices = " or ".join(PERTURBATIONS)
+        raise InputError(f"unknown perturbation {how!r}: choose {choices}")
+    return how

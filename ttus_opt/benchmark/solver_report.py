@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ttus_opt.benchmark.active_limits import NONZERO
 from ttus_opt.benchmark.performance_profile import LEGEND as PROFILE
 from ttus_opt.benchmark.performance_profile import (
     profile_picture,
@@ -13,6 +12,7 @@ from ttus_opt.benchmark.performance_profile import (
 )
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.solver_run import NONZERO
 from ttus_opt.benchmark.summary import (
     SHIFT,
     closed_form_table,

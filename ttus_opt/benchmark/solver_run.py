@@ -11,16 +11,18 @@ from typing import Literal
 import numpy as np
 
 from ttus_opt.benchmark import memory
-from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.own_solver import AUTO, solver_of
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.formulation import Formulation, load
+from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Solution
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import candidates
 
@@ -29,6 +31,11 @@ FIELDS = "fields"
 
 #: Time limit of a solve in the warm-up [s]
 WARM_UP = 20.0
+
+
+#: Threshold of a multiplier relative to the largest one, and of the largest one
+#: relative to the objective's gradient, below which it is rounding [–]
+NONZERO = 1e-6
 
 
 def label(formulation: str) -> str:
@@ -176,3 +183,36 @@ def _again(solves: _Solves) -> Row:
         "seconds_again": statistics.median(solves.again),
         "cpu_again": statistics.median(solves.cpu_again),
     }
+
+
+def active_limits(program: Program, x: Array, duals: Duals) -> int:
+    """Number of bounds and inequality rows with a nonzero multiplier [–].
+
+    Interior-point methods leave a small multiplier at every limit, so that a few more
+    may count.
+
+    Args:
+        program: The declared problem.
+        x: A verified solution, shape (n,).
+        duals: Its multipliers.
+    """
+    multipliers = [
+        np.abs(duals.rows[member.name])[member.lower < member.upper]
+        for member in program.constraints
+        if member.name in duals.rows
+    ]
+    if program.bounds and duals.bounds is not None:
+        lower, upper = program.box
+        multipliers.append(np.abs(duals.bounds)[lower < upper])
+    sizes = np.concatenate([*multipliers, np.zeros(0)])
+    largest = float(sizes.max(initial=0.0))
+    if largest <= NONZERO * _steepest(program, x):
+        return 0
+    return int(np.count_nonzero(sizes > NONZERO * largest))
+
+
+def _steepest(program: Program, x: Array) -> float:
+    """Largest entry among the summands of the objective's gradient."""
+    return max(
+        float(np.abs(part).max(initial=0.0)) for part in program.quadratic_gradient(x)
+    )

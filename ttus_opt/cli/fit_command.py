@@ -6,14 +6,13 @@ import math
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.fit_report import how_read, solved_lines, summary
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
@@ -23,7 +22,9 @@ from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.contact.scene import Scene
+    from ttus_opt.fitting.checks.sanity import SanityReport
     from ttus_opt.fitting.weights.weight_choice import WeightChoice
+    from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
@@ -263,3 +264,76 @@ def _draw_poses(
 
     own = recording_names(names, len(set(recorded.segment.tolist())))
     plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
+
+
+def summary(
+    solution: Solution,
+    output: Path,
+    choice: WeightChoice,
+    report: SanityReport | None,
+) -> dict[str, Any]:
+    """What the fit found, for machines."""
+    solved = solution.verified_field is not None
+    return {
+        "status": solution.status.name.lower(),
+        "advice": "" if solved else solution.status.value,
+        "formulation": solution.formulation,
+        "solver": solution.solver,
+        "detail": solution.detail,
+        "attempts": [
+            {**asdict(a), "status": a.status.name.lower()} for a in solution.attempts
+        ],
+        "voxels": _n_voxels(solution),
+        "objective": solution.objective,
+        "costs": solution.costs,
+        "weights": solution.weights,
+        "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
+        "iterations": solution.iterations,
+        "parameters": solution.parameters,
+        "standard_errors": solution.standard_errors,
+        "not_identified": solution.not_identified,
+        "compressed": solution.compressed,
+        "remarks": solution.remarks,
+        "seconds": solution.timings.as_dict(),
+        "output": str(output) if solved else None,
+        "weights_chosen": choice.as_dict(),
+        "sanity": None if report is None else report.as_dict(),
+    }
+
+
+def _n_voxels(solution: Solution) -> int:
+    p = solution.program.variables["p"]
+    return int(p.stop - p.start)
+
+
+def solved_lines(solution: Solution, output: Path) -> list[str]:
+    """How it was solved, for people."""
+    worst = float("nan") if solution.kkt is None else solution.kkt.worst_relative
+    times = solution.timings
+    after = f" after {', '.join(map(str, solution.attempts))}"
+    costs = ", ".join(f"{name} {cost:.4g}" for name, cost in solution.costs.items())
+    solved = (
+        f"{output}: {solution.formulation} by {solution.solver}"
+        f"{after if solution.attempts else ''}, "
+        f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
+        f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
+        + (f", {times.compile:.1f} s compile" if times.compile > 0.05 else "")
+    )
+    compressed = [
+        f"{name}: {had:,} rows compressed to {has:,}, exactly"
+        for name, (had, has) in solution.compressed.items()
+    ]
+    objective = f"objective {solution.objective:.4g} ({costs})"
+    return [solved, objective, *compressed, *solution.identified]
+
+
+def how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:
+    """What was taken for granted of the recordings, in words."""
+    frame, axes = conventions.frame, conventions.wrench_frame
+    about = conventions.torque_about
+    if not isinstance(about, str):
+        about = ",".join(f"{v:g}" for v in about)
+    torques = f"torques about: {about}"
+    if not recorded.has_torque:
+        torques = "no torques were measured: forces alone were fitted"
+    return [f"poses in the {frame}'s frame, wrenches in the {axes}'s axes", torques]

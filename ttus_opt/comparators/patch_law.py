@@ -13,13 +13,17 @@ from typing import Protocol, Self, Unpack
 import numpy as np
 
 from ttus_opt.comparators.base import Given
-from ttus_opt.comparators.patch_grid import PatchGrid
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.scan.surface import Surface
 
 #: Forgetting factor: after 400 frames the first has two thirds of its weight [–]
 FORGETTING = 0.999
+
+
+#: Patches around the patient, and their height [m]: both about 4 cm
+AROUND, HEIGHT = 24, 0.04
 
 
 class Estimator(Protocol):
@@ -81,3 +85,36 @@ class PatchLaw(PatchModel):
     @abstractmethod
     def _law(self, parameters: Array, contact: Contact) -> float:
         """The normal force [N]."""
+
+
+class PatchGrid:
+    """Nodes around and along the patient.
+
+    A place belongs to the four nodes around it, bilinearly, so that parameters per
+    patch are continuous over the surface.
+    """
+
+    def __init__(self, surface: Surface) -> None:
+        self._low, length = float(surface.z[0]), float(np.ptp(surface.z))
+        self._along = max(round(length / HEIGHT), 1) + 1
+        self._per_metre = (self._along - 1) / length
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches [–]."""
+        return AROUND * self._along
+
+    def shares(self, place: Array) -> list[tuple[int, float]]:
+        """Nodes and weights, which add up to 1, of a place (3,), patient frame [m]."""
+        u = np.arctan2(place[1], place[0]) / (2.0 * np.pi) * AROUND
+        v = (place[2] - self._low) * self._per_metre
+        v = float(min(max(v, 0.0), self._along - 1.0))
+        j, k = int(np.floor(u)), min(int(v), self._along - 2)
+        a, b = float(u - j), v - k
+        corners = (
+            (j, k, (1.0 - a) * (1.0 - b)),
+            (j, k + 1, (1.0 - a) * b),
+            (j + 1, k, a * (1.0 - b)),
+            (j + 1, k + 1, a * b),
+        )
+        return [(j % AROUND * self._along + k, w) for j, k, w in corners if w > 0.0]

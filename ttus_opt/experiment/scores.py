@@ -10,11 +10,12 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.report.metrics import (
     FORCE_THRESHOLD,
+    NOTICEABLE_FORCE,
+    NOTICEABLE_SHARE,
     TORQUE_THRESHOLD,
     Evaluation,
     angles,
 )
-from ttus_opt.report.perception import NOTICEABLE_FORCE, NOTICEABLE_SHARE
 
 #: Largest mean angle of force [°], relative error of torque [–] and its angle [°]
 AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE = 3.0, 0.15, 10.0

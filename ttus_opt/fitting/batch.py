@@ -15,8 +15,10 @@ from ttus_opt.core.compiled import Stopwatch
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.parameters.fitted_parameters import fitted_estimates
-from ttus_opt.fitting.parameters.friction_warning import warn_of_untold_friction
-from ttus_opt.fitting.parameters.identification import with_estimates
+from ttus_opt.fitting.parameters.identification import (
+    warn_of_untold_friction,
+    with_estimates,
+)
 from ttus_opt.fitting.parameters.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import checked_candidate
 from ttus_opt.fitting.verdict import judged as judged

@@ -1,19 +1,22 @@
 """A solver whose arithmetic breaks down has no answer; the fit itself does not fail.
 
 Badly scaled problems make factorisations fail or iterations diverge. ``solver="auto"``
-then continues with the next solver.
+then continues with the next solver. A user's solver cannot write to the program's
+arrays, which are those of the scene and of the verdict after the solve.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import TypeVar
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
+import scipy.sparse as sp
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.plugins import user_errors
-from ttus_opt.problem.locked import locked
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
 
@@ -78,3 +81,37 @@ class Guarded(Prepared):
         except BREAKDOWNS as error:
             self._why = f"{type(error).__name__}: {error}"
             return None
+
+
+@contextlib.contextmanager
+def locked(thing: Any) -> Iterator[None]:
+    """Make all arrays of a dataclass, in members too, read-only within the block."""
+    arrays: dict[int, Array] = {}
+    _collect(thing, arrays, set())
+    written = [array for array in arrays.values() if array.flags.writeable]
+    try:
+        for array in written:
+            array.flags.writeable = False
+        yield
+    finally:
+        for array in reversed(written):
+            array.flags.writeable = True
+
+
+def _collect(thing: Any, arrays: dict[int, Array], seen: set[int]) -> None:
+    """Arrays of a thing, of its fields and of what it has cached."""
+    if isinstance(thing, np.ndarray):
+        arrays[id(thing)] = thing
+    elif sp.issparse(thing):
+        parts: list[Any] = [vars(thing).get(k) for k in ("data", "indices", "indptr")]
+        for part in (*parts, *(vars(thing).get("coords") or ())):
+            _collect(part, arrays, seen)
+    elif id(thing) not in seen:
+        seen.add(id(thing))
+        if dataclasses.is_dataclass(thing):
+            thing = tuple(vars(thing).values())
+        elif isinstance(thing, Mapping):
+            thing = tuple(thing.values())
+        if isinstance(thing, tuple | list | frozenset):
+            for part in thing:
+                _collect(part, arrays, seen)

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.compiled import compiled
@@ -37,6 +39,12 @@ CELLS, GROWTH = 0.5, 1.2
 #: Exposures in this range are measured again with `CAREFUL_RAYS` rays: sixteen do not
 #: distinguish a recess from an inner wall near an opening
 DOUBTFUL, CAREFUL_RAYS = (0.1, 0.5), 64
+
+
+#: Share of the opening that the largest hole has
+MOST_OF_IT = 0.5
+#: Least square of an opening's area that is divided by [m⁴]
+TINY = 1e-30
 
 
 @dataclass(frozen=True)
@@ -218,14 +226,22 @@ class _SharedEdges:
     agree: NDArray[np.bool_]
 
 
-def _shared_edges(mesh: TriangleMesh) -> _SharedEdges:
+def _edges(mesh: TriangleMesh, faces: int) -> tuple[IntArray, IntArray, IntArray]:
+    """First and second vertex of every face's edges, and edges of so many faces.
+
+    Each has its ``faces`` numbers among the 3k in a row, shape (n, faces).
+    """
     start = mesh.faces.reshape(-1)
     end = np.roll(mesh.faces, -1, axis=1).reshape(-1)
     key = np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
     _, begin, count = np.unique(key[order], return_index=True, return_counts=True)
-    pairs = begin[count == 2]
-    a, b = order[pairs], order[pairs + 1]
+    return start, end, order[begin[count == faces][:, None] + np.arange(faces)]
+
+
+def _shared_edges(mesh: TriangleMesh) -> _SharedEdges:
+    start, _, shared = _edges(mesh, 2)
+    a, b = shared.T
     # faces of equal winding traverse their common edge in opposite directions
     return _SharedEdges(a // 3, b // 3, start[a] != start[b])
 
@@ -238,9 +254,6 @@ def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]
         the number of its patch, (k,). Faces of a patch that cannot be wound
         consistently (a Möbius strip) are patches of their own.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     k = len(mesh.faces)
     shared = _shared_edges(mesh)
     # Each face has two copies, original (f) and reversed (f + k); an edge joins the
@@ -257,3 +270,38 @@ def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]
     patch[lone] = 2 * k + np.flatnonzero(lone)
     _, patch = np.unique(patch, return_inverse=True)
     return (straight > turned) & ~lone, patch.reshape(-1).astype(np.int64)
+
+
+def largest_hole(mesh: TriangleMesh) -> Array | None:
+    """Middle of the hole that leaves a mesh open, shape (3,) [m].
+
+    None without holes, or where many small ones add up to it.
+
+    The vector areas of all holes add up to that of the mesh; the hole is the one that
+    contributes most.
+
+    Args:
+        mesh: Consistently wound, welded.
+    """
+    start, end, edges = _edges(mesh, 1)
+    if not len(edges):
+        return None
+    a, b = start[edges[:, 0]], end[edges[:, 0]]
+    shape = len(mesh.vertices), len(mesh.vertices)
+    graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape)
+    _, label = connected_components(graph, directed=False)
+    loop = label[a]
+    first, second = mesh.vertices[a], mesh.vertices[b]
+    # a loop's vector area is that of any surface that closes it
+    vectors = 0.5 * np.cross(first, second)
+    area = np.stack([np.bincount(loop, weights=v) for v in vectors.T], axis=1)
+    share = (
+        area @ area.sum(axis=0) / max(float(area.sum(axis=0) @ area.sum(axis=0)), TINY)
+    )
+    largest = int(np.argmax(share))
+    if share[largest] < MOST_OF_IT:
+        return None
+    own = loop == largest
+    length = np.linalg.norm(second - first, axis=1)[own]
+    middle = 0.5 * (first + second)[own]
+    return np.asarray(length @ middle / length.sum())

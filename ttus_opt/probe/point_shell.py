@@ -20,7 +20,6 @@ from ttus_opt.core.arguments import expect_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, warn
 from ttus_opt.core.html_card import card, sections_svg
-from ttus_opt.probe.boundary_loops import largest_hole
 from ttus_opt.probe.even_sampling import (
     FINE,
     SurfaceSamples,
@@ -34,7 +33,7 @@ from ttus_opt.probe.mesh import (
     read_mesh,
     require_plausible_extent,
 )
-from ttus_opt.probe.orientation import orient_faces
+from ttus_opt.probe.orientation import largest_hole, orient_faces
 
 Seed = int | np.random.Generator
 

@@ -18,7 +18,6 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.field_wrench import FieldWrenches, wrenches_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.perception import noticeable
 from ttus_opt.voxmap.field import PotentialField
 
 #: A frame is in contact above this measured force [N]
@@ -26,6 +25,11 @@ FORCE_THRESHOLD = 0.5
 
 #: A torque's direction is used above this torque (3 σ of a good sensor) [N·m]
 TORQUE_THRESHOLD = 0.01
+
+
+#: Just noticeable differences of a force: 7 % of its magnitude (from 2.5 to 10 N) and
+#: 0.36 N, 18 to 26° of its direction; relative [–], absolute [N], direction [°]
+NOTICEABLE_SHARE, NOTICEABLE_FORCE, NOTICEABLE_ANGLE = 0.07, 0.36, 18.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Errors:
         torque_threshold_Nm: Threshold of the torque.
         share_told_apart: Fraction of the frames with a measured or rendered force above
             ``force_threshold_N`` in which a person could notice the difference
-            (`ttus_opt.report.perception`); NaN without any.
+            (`noticeable`); NaN without any.
     """
 
     force_magnitude_error_N: float
@@ -242,3 +246,25 @@ def _errors(
 
 def _mean(values: Array) -> float:
     return float(values.mean()) if len(values) else float("nan")
+
+
+def noticeable(force: Array, force_hat: Array, angle: Array) -> NDArray[np.bool_]:
+    """Whether a person could notice the difference between two forces.
+
+    Args:
+        force: Measured force, shape (T, 3) [N].
+        force_hat: Rendered force, shape (T, 3) [N].
+        angle: Angle between them, 0 where undefined, shape (T,) [°].
+
+    Returns:
+        True where the magnitudes differ by more than both of their limits, or the
+        directions by more than theirs, shape (T,).
+
+    >>> f, g = np.array([[10.0, 0, 0]]), np.array([[10.5, 0, 0]])
+    >>> noticeable(f, g, np.zeros(1)).item(), noticeable(f, g, np.full(1, 19.0)).item()
+    (False, True)
+    """
+    size = np.linalg.norm(force, axis=1)
+    error = np.abs(np.linalg.norm(force_hat, axis=1) - size)
+    larger = np.maximum(NOTICEABLE_FORCE, NOTICEABLE_SHARE * size)
+    return np.asarray((error > larger) | (angle > NOTICEABLE_ANGLE))

@@ -61,7 +61,7 @@ class PathRecord:
         held_out: Recordings by name, on which every point is evaluated.
         tolerance: KKT tolerance of every point [–].
         keep_fields: Whether potentials are kept.
-        inputs: Checksums of the path's inputs (`path_inputs`); none by default.
+        inputs: Checksums of the path's inputs (`path_file`); none by default.
     """
 
     def __init__(

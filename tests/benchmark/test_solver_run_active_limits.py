@@ -9,8 +9,8 @@ import pytest
 import ttus_opt as tt
 from tests.solvers import taking
 from tests.solvers.problems import INF, bounds, program, rows, term
-from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import reference_cases
+from ttus_opt.benchmark.solver_run import active_limits
 from ttus_opt.problem.verify.kkt import Duals
 
 #: A small case whose limits hold back or not

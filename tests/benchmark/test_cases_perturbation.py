@@ -8,8 +8,7 @@ import pytest
 
 from tests.refusals import refuses
 from ttus_opt import example
-from ttus_opt.benchmark.cases import CaseSpec, reference_cases
-from ttus_opt.benchmark.perturbation import PERTURBATIONS, perturbed
+from ttus_opt.benchmark.cases import PERTURBATIONS, CaseSpec, perturbed, reference_cases
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import read_trajectory
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.report.perception import noticeable
+from ttus_opt.report.metrics import noticeable
 
 
 @pytest.mark.parametrize(

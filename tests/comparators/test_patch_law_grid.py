@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from ttus_opt.comparators.patch_grid import AROUND, HEIGHT, PatchGrid
+from ttus_opt.comparators.patch_law import AROUND, HEIGHT, PatchGrid
 
 
 def test_shares_of_patches_add_up_and_are_continuous_round_the_seam():

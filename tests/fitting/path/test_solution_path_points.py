@@ -5,7 +5,7 @@ import warnings
 import pytest
 
 from ttus_opt.core.errors import TtusWarning
-from ttus_opt.fitting.path.path_points import several_at_a_time
+from ttus_opt.fitting.path.solution_path import several_at_a_time
 
 
 def warned(declared):

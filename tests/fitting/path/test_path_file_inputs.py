@@ -9,11 +9,11 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from ttus_opt.fitting.path.path_inputs import inputs_of
+from ttus_opt.fitting.path.path_file import inputs_of
 from ttus_opt.fitting.path.weight_grid import WeightGrid
 
 SCRIPT = """
-from tests.fitting.path.test_path_inputs import checksums
+from tests.fitting.path.test_path_file_inputs import checksums
 print(checksums("coulomb_global"))
 """
 
