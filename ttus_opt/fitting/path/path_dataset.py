@@ -74,38 +74,61 @@ class PathRecord:
         keep_fields: bool = False,
         inputs: Mapping[str, str] | None = None,
     ) -> None:
+        import xarray as xr
+
         self._declared, self._grid = declared, grid
-        self._inputs = inputs
-        self._tolerance = tolerance
+        self._inputs, self._tolerance = inputs, tolerance
         scene = declared.scene
-        self._terms = [term.name for term in declared.terms]
         self._recordings = _segments(scene.trajectory)
         self._held_out = {
             name: (one, scene.rows_along(one)) for name, one in held_out.items()
         }
-        self._status = np.full(grid.shape, MISSING, dtype=np.int8)
-        self._numbers: dict[str, Array] = {
-            name: self._empty() for name in ("kkt_residual", "objective", "seconds")
-        }
-        self._values = self._empty(len(self._terms))
-        self._residuals = {
-            name: self._empty(len(self._recordings))
-            for name in ("force_residual", "torque_residual")
-        }
-        self._errors = {name: self._empty(len(held_out)) for name in HELD_OUT}
-        self._criteria: dict[str, Array] = {}
-        self._parameters: dict[str, Array] = {}
-        shape = scene.voxmap.grid.shape
-        self._potential = self._empty(*shape) if keep_fields else None
         self._solvers: list[str] = []
+        self._data = xr.Dataset(coords=self._coordinates(keep_fields))
+        square = "N2" if scene.sampling == "voxel-mean" else "N2 cm-4"
+        status = np.full(grid.shape, MISSING, dtype=np.int8)
+        self._data["status"] = (self._dims, status, _status_attributes())
+        self._add(
+            "kkt_residual", "1", "largest relative residual of the KKT conditions"
+        )
+        self._add("objective", square, "weighted sum of all terms")
+        self._add("seconds", "s", "time this point took beyond those before it")
+        meaning = (
+            "penalty of the term's residual without its weight, in the square of the "
+            "unit of its rows where it is a sum of squares"
+        )
+        self._add("term_value", "1", meaning, "term")
+        if scene.trajectory.has_wrench:
+            meaning = "root mean square of the residual's length over the frames"
+            for name, unit in (("force_residual", "N"), ("torque_residual", "mN m")):
+                self._add(name, unit, meaning, "recording")
+        if held_out:
+            for name, (unit, figure, _scale) in HELD_OUT.items():
+                self._add(name, unit, f"{figure} of evaluate", "held_out")
+        if keep_fields:
+            self._add("potential", field_unit(scene.sampling), "", *DIMS)
 
-    def _empty(self, *beyond: int) -> Array:
-        return np.full((*self._grid.shape, *beyond), np.nan)
+    @property
+    def _dims(self) -> tuple[str, ...]:
+        return tuple(axis.dimension for axis in self._grid.axes)
+
+    def _add(self, name: str, unit: str, meaning: str, *beyond: str) -> None:
+        """A variable over the grid and further dimensions, NaN so far."""
+        shape = (*self._grid.shape, *(self._data.sizes[dim] for dim in beyond))
+        about = {"units": unit} | ({"long_name": meaning} if meaning else {})
+        self._data[name] = ((*self._dims, *beyond), np.full(shape, np.nan), about)
+
+    def _values(self, name: str) -> Array:
+        """A variable's numbers; criteria and parameters are added as they come."""
+        if name not in self._data:
+            plain = PARAMETER_UNITS.get(name.removeprefix(PARAMETER), "1")
+            self._add(name, *CRITERIA.get(name, (plain, "")))
+        return self._data[name].values
 
     @property
     def done(self) -> int:
         """Number of points that were reached."""
-        return int((self._status != MISSING).sum())
+        return int((self._values("status") != MISSING).sum())
 
     @property
     def size(self) -> int:
@@ -114,24 +137,13 @@ class PathRecord:
 
     def has(self, at: Index) -> bool:
         """Whether a point was reached."""
-        return bool(self._status[at] != MISSING)
+        return bool(self._values("status")[at] != MISSING)
 
     def take(self, kept: xr.Dataset) -> None:
         """Take the points of a dataset of the same inputs."""
-        self._status[...] = kept["status"]
         self._solvers = [name for name in kept.attrs["solver"].split(", ") if name]
-        for group in (self._numbers, self._residuals, self._errors):
-            for name in set(group) & set(kept):
-                group[name][...] = kept[name]
-        self._values[...] = kept["term_value"]
-        for name in map(str, kept):
-            if name in CRITERIA:
-                self._criteria[name] = kept[name].to_numpy().copy()
-            elif name.startswith(PARAMETER):
-                values = kept[name].to_numpy().copy()
-                self._parameters[name.removeprefix(PARAMETER)] = values
-        if self._potential is not None:
-            self._potential[...] = kept["potential"]
+        for name, values in kept.data_vars.items():
+            self._values(str(name))[...] = values
 
     def add(
         self, at: Index, solution: Solution, criteria: Mapping[str, float] | None = None
@@ -139,7 +151,7 @@ class PathRecord:
         """Record the solution and the criteria of one point."""
         self._note(at, solution, criteria or {})
         # last, so that an interrupt leaves no point done by half
-        self._status[at] = list(Status).index(solution.status)
+        self._values("status")[at] = list(Status).index(solution.status)
 
     def _note(
         self, at: Index, solution: Solution, criteria: Mapping[str, float]
@@ -149,101 +161,60 @@ class PathRecord:
             self._solvers.append(solution.solver)
         times = solution.timings
         taken = times.setup + times.solve if times.again is None else times.again
-        self._numbers["seconds"][at] = taken + (times.search or 0.0)
+        self._values("seconds")[at] = taken + (times.search or 0.0)
         if solution.kkt is not None:
-            self._numbers["kkt_residual"][at] = solution.kkt.worst_relative
+            self._values("kkt_residual")[at] = solution.kkt.worst_relative
         if solution.verified_field is None:
             return
-        self._numbers["objective"][at] = solution.objective
+        self._values("objective")[at] = solution.objective
         weights = {term.name: term.weight for term in solution.program.terms}
-        for k, name in enumerate(self._terms):
+        for k, name in enumerate(self._data["term"].values.tolist()):
             if weights.get(name, 0.0) > 0.0:
-                self._values[(*at, k)] = solution.costs[name] / weights[name]
-        for name, value in criteria.items():
-            self._criteria.setdefault(name, self._empty())[at] = value
-        for name, value in solution.parameters.items():
-            self._parameters.setdefault(name, self._empty())[at] = value
+                own = solution.costs[name] / weights[name]
+                self._values("term_value")[(*at, k)] = own
+        parameters = {f"{PARAMETER}{n}": v for n, v in solution.parameters.items()}
+        for name, value in {**criteria, **parameters}.items():
+            self._values(name)[at] = value
         self._judge(at, solution.verified_field)
 
     def _judge(self, at: Index, field: PotentialField) -> None:
         """Record a field's errors on the recordings."""
         scene = self._declared.scene
-        if self._potential is not None:
-            self._potential[at] = field.values
+        if "potential" in self._data:
+            self._values("potential")[at] = field.values
         measured = scene.trajectory
         if measured.force is not None:
             felt = wrenches_by_rows(scene.rows, field, scene.shell, measured)
-            force, torque = self._residuals.values()
             for k, part in enumerate(self._recordings.values()):
-                force[(*at, k)] = _rms((felt.force - measured.force)[part])
+                off = _rms((felt.force - measured.force)[part])
+                self._values("force_residual")[(*at, k)] = off
                 if measured.torque is not None:
-                    off = felt.torque[part] - measured.torque[part]
-                    torque[(*at, k)] = 1e3 * _rms(off)
+                    off = 1e3 * _rms(felt.torque[part] - measured.torque[part])
+                    self._values("torque_residual")[(*at, k)] = off
         for k, (one, rows) in enumerate(self._held_out.values()):
             felt = wrenches_by_rows(rows, field, scene.shell, one)
             errors: Errors = compare(one, felt).errors
             for name, (_unit, figure, scale) in HELD_OUT.items():
-                self._errors[name][(*at, k)] = scale * getattr(errors, figure)
+                self._values(name)[(*at, k)] = scale * getattr(errors, figure)
 
     def dataset(self) -> xr.Dataset:
         """The recorded points; NaN and status -1 elsewhere."""
-        import xarray as xr
+        return self._data.assign_attrs(self._attributes())
 
-        scene = self._declared.scene
-        dims = tuple(axis.dimension for axis in self._grid.axes)
-        potential_unit = field_unit(scene.sampling)
-        square = "N2" if scene.sampling == "voxel-mean" else "N2 cm-4"
-        numbers = {
-            "kkt_residual": ("1", "largest relative residual of the KKT conditions"),
-            "objective": (square, "weighted sum of all terms"),
-            "seconds": ("s", "time this point took beyond those before it"),
-        }
-        out = xr.Dataset(coords=self._coordinates(), attrs=self._attributes())
-        out["status"] = (dims, self._status, _status_attributes())
-
-        def put(name: str, values: Array, unit: str, meaning: str, *more: str) -> None:
-            about = {"units": unit, "long_name": meaning}
-            out[name] = ((*dims, *more), values, about)
-
-        for name, (unit, meaning) in numbers.items():
-            put(name, self._numbers[name], unit, meaning)
-        meaning = (
-            "penalty of the term's residual without its weight, in the square of the "
-            "unit of its rows where it is a sum of squares"
-        )
-        put("term_value", self._values, "1", meaning, "term")
-        if scene.trajectory.has_wrench:
-            meaning = "root mean square of the residual's length over the frames"
-            for name, unit in (("force_residual", "N"), ("torque_residual", "mN m")):
-                put(name, self._residuals[name], unit, meaning, "recording")
-        if self._held_out:
-            for name, (unit, figure, _scale) in HELD_OUT.items():
-                meaning = f"{figure} of evaluate"
-                put(name, self._errors[name], unit, meaning, "held_out")
-        for name, values in self._criteria.items():
-            put(name, values, *CRITERIA[name])
-        for name, values in self._parameters.items():
-            about = {"units": PARAMETER_UNITS.get(name, "1")}
-            out[f"{PARAMETER}{name}"] = (dims, values, about)
-        if self._potential is not None:
-            about = {"units": potential_unit}
-            out["potential"] = ((*dims, *DIMS), self._potential, about)
-        return out
-
-    def _coordinates(self) -> dict[str, object]:
+    def _coordinates(self, keep_fields: bool) -> dict[str, object]:
         coords: dict[str, object] = {}
         for axis in self._grid.axes:
             for name in axis.terms:
                 about = {"units": "1", "long_name": f"weight of term {name}"}
                 coords[f"{name}_weight"] = (axis.dimension, axis.values, about)
-        names = {"term": self._terms}
+        names = {"term": [term.name for term in self._declared.terms]}
         if self._declared.scene.trajectory.has_wrench:
             names["recording"] = list(self._recordings)
         if self._held_out:
             names["held_out"] = list(self._held_out)
         for name, values in names.items():
             coords[name] = (name, np.array(values, dtype=str), {"units": "1"})
-        if self._potential is not None:
+        if keep_fields:
             grid = self._declared.scene.voxmap.grid
             for name, unit in zip(DIMS, ("m", "rad", "m"), strict=True):
                 coords[name] = (name, getattr(grid, name), {"units": unit})
