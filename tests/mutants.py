@@ -98,7 +98,7 @@ CORE = {
     "fitting/parameters": "parabola",
     "fitting/path": "weight_grid",
     "fitting/poses": "pose_error_step pose_refinement",
-    "fitting/recursion": "dual_recursion field_refinement low_rank_kernel "
+    "fitting/recursion": "dual_recursion low_rank_kernel "
     "measured_rows pivots recursive triangular_factor",
     "fitting/uncertainty": "contact_spread posterior posterior_draws presses "
     "skin_uncertainty wrench_noise",

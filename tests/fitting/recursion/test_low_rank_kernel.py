@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.low_rank_kernel import MORE, LowRankKernel
 from ttus_opt.fitting.recursion.pivots import JITTER
 
@@ -263,33 +262,3 @@ def test_memory_is_that_of_the_columns():
     assert full.memory_bytes < 1.1 * 8 * (2 * 400**2 + 430 * 2 * MORE + 3 * 400)
     full.remove(0, 390, 1e-9)
     assert full.memory_bytes < 8 * (2 * 10**2 + (10 + 2 * MORE) ** 2 + 3 * 10)
-
-
-def test_refusals():
-    """Whatever is one too many or too few, and what was not there."""
-    K = gram(8, 8, np.random.default_rng(0))
-    kernel = grown(K[:6, :6], 3)
-    k = kernel.rank
-    for n in (5, 7):
-        with pytest.raises(InputError, match="a right side"):
-            kernel.solve(np.zeros(n))
-        with pytest.raises(InputError, match="one entry for each pivot"):
-            kernel.coordinates(np.zeros((2, n)))
-    with pytest.raises(InputError, match="one entry for each pivot"):
-        kernel.coordinates(np.zeros((2, k, 1)))
-    for held, own in (((2, k - 1), 2), ((2, k), 3), ((3, k), 2), ((2, k + 1), 2)):
-        with pytest.raises(InputError, match="new rows"):
-            kernel.project(np.zeros(held), np.eye(own), 0.0)
-    with pytest.raises(InputError, match="not pivots can be dropped"):
-        kernel.drop(kernel.pivots[:1])
-    for start, count in ((4, 3), (-1, 2), (2, -1)):
-        with pytest.raises(InputError, match="not within"):
-            kernel.remove(start, count, 0.0)
-    held = kernel.coordinates(K[np.ix_([6, 7], kernel.pivots)])
-    projection = kernel.project(held, K[6:, 6:], TOLERANCE)
-    p, o = len(projection.chosen), len(kernel.others)
-    assert p == 2
-    for shape in ((p, o + 1), (p + 1, o), (p - 1, o), (p * o,)):
-        with pytest.raises(InputError, match="columns must be"):
-            kernel.append(projection, np.zeros(shape))
-    assert len(kernel) == 6

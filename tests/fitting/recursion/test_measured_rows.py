@@ -1,9 +1,7 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.measured_rows import ROOM, Block, MeasuredRows
 
 V = 30
@@ -64,16 +62,3 @@ def test_grows_beyond_its_first_room():
     assert np.allclose(rows.times(x), dense @ x, atol=1e-12)
     entries = len(dense) // 3 * V
     assert rows.memory_bytes <= 2 * entries * (4 + 3 * 8) + 8 * (len(rows) + 1)
-
-
-def test_refusals():
-    rows = MeasuredRows(V, 3)
-    with pytest.raises(InputError, match="block needs values"):
-        rows.append(Block(np.arange(2, dtype=np.int32), np.zeros((2, 6))))
-    with pytest.raises(InputError, match="voxels must lie in 0 to 29"):
-        rows.append(Block(np.array([V], dtype=np.int32), np.zeros((1, 3))))
-    with pytest.raises(InputError, match="x must have shape"):
-        rows.times(np.zeros(V + 1))
-    with pytest.raises(InputError, match="y must have shape"):
-        rows.adjoint(np.zeros(1))
-    assert len(rows) == 0

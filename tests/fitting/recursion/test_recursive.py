@@ -9,7 +9,7 @@ from tests.conftest import presses, small_scene, some, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.recursion.field_refinement import FIELD_RTOL
+from ttus_opt.fitting.recursion.dual_recursion import FIELD_RTOL
 from ttus_opt.fitting.recursion.recursive import RecursiveFit
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion import triangular_factor
 from ttus_opt.fitting.recursion.pivots import incomplete_cholesky, replacements
 
@@ -109,15 +108,7 @@ class LowRankKernel:
 
         Args:
             cross: Their entries of K with the pivots, shape (m, k).
-
-        Raises:
-            InputError: Another number of columns.
         """
-        if cross.ndim != 2 or cross.shape[1] != self.rank:
-            raise InputError(
-                f"new rows must be (m, {self.rank}), one entry for each pivot, got "
-                f"{cross.shape}"
-            )
         return _forward(self._C, cross.T).T
 
     def project(self, held: Array, own: Array, tolerance: float) -> Projection:
@@ -128,20 +119,11 @@ class LowRankKernel:
             own: Their own block of K, shape (m, m).
             tolerance: Residual variance below which a row needs no column of its own;
                 well above the error of K's entries.
-
-        Raises:
-            InputError: Shapes that do not fit.
         """
-        m, k = len(own), self.rank
-        if held.shape != (m, k) or own.shape != (m, m):
-            raise InputError(
-                f"new rows must be ({m}, {k}) with a corner ({m}, {m}), got "
-                f"{held.shape} and {own.shape}"
-            )
         # einsum: too little work to wake a threaded BLAS for
         beyond = own - np.einsum("ik,jk->ij", held, held)
         whitened = _forward(self._E, held.T)
-        schur = np.eye(m) + beyond + np.einsum("ki,kj->ij", whitened, whitened)
+        schur = np.eye(len(own)) + beyond + np.einsum("ki,kj->ij", whitened, whitened)
         new, chosen, left = incomplete_cholesky(beyond, tolerance)
         gain = _backward(self._E, whitened)
         return Projection(held, new, chosen, left, schur, gain)
@@ -156,14 +138,9 @@ class LowRankKernel:
             columns: Entries of K of the rows chosen with the others held, shape
                 (p, n - k).
             numbers: Which rows they are, shape (m,); by default the next.
-
-        Raises:
-            InputError: Shapes that do not fit.
         """
         k, o, chosen = self.rank, len(self.others), projection.chosen
         m, p = projection.new.shape
-        if columns.shape != (p, o):
-            raise InputError(f"columns must be ({p}, {o}), got {columns.shape}")
         if numbers is None:
             numbers = np.arange(len(self), len(self) + m)
         rest = np.setdiff1d(np.arange(m), chosen)
@@ -200,21 +177,7 @@ class LowRankKernel:
         return np.asarray(part + self._C.T @ y[self.pivots])
 
     def solve(self, right_side: Array) -> Array:
-        """Solve (I + R Rᵀ) y = g.
-
-        Args:
-            right_side: g, shape (n,).
-
-        Returns:
-            y, shape (n,).
-
-        Raises:
-            InputError: Another length than n.
-        """
-        if right_side.shape != (len(self),):
-            raise InputError(
-                f"a right side must have shape ({len(self)},), got {right_side.shape}"
-            )
+        """Solve (I + R Rᵀ) y = g, both of shape (n,)."""
         part = _forward(self._E, self.adjoint(right_side))
         return right_side - self.times(_backward(self._E, part))
 
@@ -232,13 +195,7 @@ class LowRankKernel:
             New numbers of the rows that replace the pivots: `drop` them and `append`
             them again with newly solved entries of K, or their residual variance stays
             large.
-
-        Raises:
-            InputError: Rows that do not exist.
         """
-        n = len(self)
-        if start < 0 or count < 0 or start + count > n:
-            raise InputError(f"rows {start} to {start + count} are not within 0 to {n}")
         going = (self.pivots >= start) & (self.pivots < start + count)
         places = np.flatnonzero(going)[::-1]
         self._resize(self.rank, len(self.others) + len(places))
@@ -263,14 +220,8 @@ class LowRankKernel:
 
         Args:
             rows: Their numbers, which stay reserved.
-
-        Raises:
-            InputError: One of them is a pivot or does not exist.
         """
-        mask = np.isin(self.others, rows)
-        if np.count_nonzero(mask) != len(rows):
-            raise InputError("only held rows that are not pivots can be dropped")
-        self._drop(self._inner(), mask)
+        self._drop(self._inner(), np.isin(self.others, rows))
 
     def scale(self, factor: float) -> None:
         """Multiply R by a number; O(n k²)."""

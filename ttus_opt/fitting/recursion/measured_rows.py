@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.core.errors import InputError
 
 Voxels = NDArray[np.int32]
 
@@ -60,19 +59,8 @@ class MeasuredRows:
         return self._starts.nbytes + self._voxels.nbytes + self._values.nbytes
 
     def append(self, block: Block) -> None:
-        """Add a block.
-
-        Raises:
-            InputError: Shapes that do not match, or a voxel that does not exist.
-        """
+        """Add a block."""
         voxels, values = block.voxels, block.values
-        if values.shape != (len(voxels), self._height):
-            raise InputError(
-                f"a block needs values of shape ({len(voxels)}, {self._height}), got "
-                f"{values.shape}"
-            )
-        if len(voxels) and not 0 <= voxels.min() <= voxels.max() < self._n_voxels:
-            raise InputError(f"voxels must lie in 0 to {self._n_voxels - 1}")
         used = int(self._starts[-1])
         end = used + len(voxels)
         if end > len(self._voxels):
@@ -116,20 +104,7 @@ class MeasuredRows:
         self._voxels[:used], self._values[:used] = voxels[:used], values[:used]
 
     def times(self, x: Array, rows: NDArray[np.int64] | None = None) -> Array:
-        """D x, or some of its rows.
-
-        Args:
-            x: One number per voxel, shape (V,).
-            rows: Their numbers, shape (n,); None for all.
-
-        Returns:
-            D x, shape (k·m,) or (n,).
-
-        Raises:
-            InputError: Another number of voxels.
-        """
-        if x.shape != (self._n_voxels,):
-            raise InputError(f"x must have shape ({self._n_voxels},), got {x.shape}")
+        """D x for x of shape (V,), or those of its rows that are given by number."""
         if rows is not None:
             some = np.empty(len(rows))
             _some_times(self._starts, self._voxels, self._values, x, rows, some)
@@ -139,21 +114,7 @@ class MeasuredRows:
         return out
 
     def adjoint(self, y: Array) -> Array:
-        """Dᵀ y.
-
-        Args:
-            y: One number per row, shape (k·m,).
-
-        Returns:
-            Dᵀ y, shape (V,).
-
-        Raises:
-            InputError: Another number of rows.
-        """
-        if y.shape != (len(self) * self._height,):
-            raise InputError(
-                f"y must have shape ({len(self) * self._height},), got {y.shape}"
-            )
+        """Dᵀ y for y of shape (k·m,), shape (V,)."""
         out = np.zeros(self._n_voxels)
         _adjoint(self._starts, self._voxels, self._values, y, out)
         return out
