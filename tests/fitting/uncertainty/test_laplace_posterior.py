@@ -105,7 +105,7 @@ def test_the_mean_given_measurements_is_the_minimiser():
 def test_draws_have_the_covariance(scale):
     """400 draws: √ of a mean of squares is off by 1/√800."""
     posterior, _, exact = made(scale)
-    draws = posterior.draw(400).values.astype(float)
+    draws = posterior.draw(400)[0].astype(float)
     assert draws.shape == (400, V)
     std = np.sqrt(np.diag(exact))
     ratio = np.sqrt((draws**2).mean(axis=0)) / std
@@ -120,14 +120,14 @@ def test_draws_have_the_covariance(scale):
 def test_where_the_basis_is_kept_draws_are_the_same():
     posterior, _, _ = made()
     voxels = np.arange(0, V, 7)
-    here = posterior.draw(3, voxels).values
-    np.testing.assert_allclose(here, posterior.draw(3).values[:, voxels], rtol=1e-6)
+    here = posterior.draw(3, voxels)[0]
+    np.testing.assert_allclose(here, posterior.draw(3)[0][:, voxels], rtol=1e-6)
     few = replace(posterior, fields=posterior.fields[:, voxels], voxels=voxels)
-    np.testing.assert_allclose(few.draw(3, voxels).values, here, atol=1e-6)
+    np.testing.assert_allclose(few.draw(3, voxels)[0], here, atol=1e-6)
     # elsewhere by two solves more
     others = np.arange(1, V, 7)
-    size = np.abs(posterior.draw(3).values).max()
-    found, expected = few.draw(3, others).values, posterior.draw(3).values[:, others]
+    size = np.abs(posterior.draw(3)[0]).max()
+    found, expected = few.draw(3, others)[0], posterior.draw(3)[0][:, others]
     np.testing.assert_allclose(found, expected, atol=1e-4 * size)
 
 

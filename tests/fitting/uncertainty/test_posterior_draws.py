@@ -34,7 +34,7 @@ def test_covariance_is_that_of_what_is_measured_of_the_draws(count):
     rng = np.random.default_rng(0)
     values, voxels = rng.normal(size=(count, 3)), np.array([1, 4, 5])
     sizes, sized = rng.normal(size=count), rng.normal(size=6)
-    draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01, sizes)
+    draws = PosteriorDraws(values.astype(np.float32), sizes, voxels, 0.01)
     rows = np.zeros((6, 8))
     rows[0, 1], rows[1, [4, 5]], rows[4, 5], rows[5, 6] = 2.0, (1.0, -3.0), 1.0, 1.0
     found = draws.covariance(sp.csr_array(rows), 2)

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.fitting.uncertainty.posterior import Draws, Posterior
+from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm
@@ -126,11 +126,13 @@ class CovariancePosterior(Posterior):
         few = (rows[i : i + AT_ONCE] for i in range(0, rows.shape[0], AT_ONCE))
         return np.concatenate([self.columns.of_rows(r) @ self.touching.T for r in few])
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Draws:
+    def draw(
+        self, count: int, voxels: IntArray | None = None
+    ) -> tuple[Float32Array, Array]:
         """As of `Posterior`."""
-        draws = super().draw(count, voxels)
-        draws.values[:] *= self.factor if voxels is None else self.factor[voxels]
-        return draws
+        draws, sizes = super().draw(count, voxels)
+        draws *= self.factor if voxels is None else self.factor[voxels]
+        return draws, sizes
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
         errors = self._known_errors

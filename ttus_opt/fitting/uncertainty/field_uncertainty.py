@@ -134,7 +134,7 @@ class Uncertainty:
 
         Always from draws.
         """
-        draws = self._posterior.draw(DRAWS).values
+        draws, _ = self._posterior.draw(DRAWS)
         std = np.sqrt(np.mean(draws.astype(np.float64) ** 2, axis=0))
         return np.asarray(self.scene.voxmap.grid.unflatten(std))
 
@@ -151,14 +151,14 @@ class Uncertainty:
         """
         kept = self._draws
         if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
-            few = kept.values[:count], kept.voxels, depth, kept.sizes[:count]
-            return PosteriorDraws(*few)
+            few = kept.values[:count], kept.sizes[:count]
+            return PosteriorDraws(*few, kept.voxels, depth)
         if not (isinstance(count, int | np.integer) and count > 1):
             raise InputError(
                 f"the number of draws must be a whole number above 1, got {count}"
             )
         voxels = skin_voxels(self.scene.voxmap, depth)
-        return PosteriorDraws.of(self._posterior, count, voxels, depth)
+        return PosteriorDraws(*self._posterior.draw(count, voxels), voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Uncertainty:
         """The same by the method "samples"; arguments as for `draws`."""
@@ -230,7 +230,7 @@ def uncertainty(
     posterior = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
-        draws = PosteriorDraws.of(posterior, DRAWS, voxels, depth)
+        draws = PosteriorDraws(*posterior.draw(DRAWS, voxels), voxels, depth)
     return Uncertainty(scene, potential, method, variance, noise, posterior, draws)
 
 

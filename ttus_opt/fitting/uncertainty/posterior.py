@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,18 +31,6 @@ Float32Array = NDArray[np.float32]
 #: Rows, and draws, that are corrected by all measurements at once: a pass over what
 #: these are stored as costs more than the sums
 ROWS_AT_ONCE, DRAWS_AT_ONCE = 192, 32
-
-
-class Draws(NamedTuple):
-    """Draws of a fit's error.
-
-    Attributes:
-        values: Of the field, shape (count, n).
-        sizes: Of ln ℓ₀ of `contact-size`, shape (count,) [–].
-    """
-
-    values: Float32Array
-    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -109,8 +97,10 @@ class Posterior(abc.ABC):
     def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
         """Blocks of Q Σ Qᵀ − v (Q Xᵀ + Q Qᵀ), shape (k, height, height)."""
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Draws:
-        """Draws of the fit's error.
+    def draw(
+        self, count: int, voxels: IntArray | None = None
+    ) -> tuple[Float32Array, Array]:
+        """Draws of the error, (count, n), and of ln ℓ₀ of `contact-size`, (count,).
 
         Args:
             count: Number of draws [–].
@@ -126,7 +116,7 @@ class Posterior(abc.ABC):
         for first in range(0, count, DRAWS_AT_ONCE):
             some = slice(first, first + DRAWS_AT_ONCE)
             out[some] -= self._estimate(samples[some], voxels)
-        return Draws(out, sizes)
+        return out, sizes
 
     @abc.abstractmethod
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:

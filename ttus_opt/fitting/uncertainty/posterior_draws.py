@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior, kept_rows
+from ttus_opt.fitting.uncertainty.posterior import Float32Array, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -31,23 +31,15 @@ class PosteriorDraws:
 
     Attributes:
         values: The draws, shape (count, n) [unit of the field].
-        voxels: Their voxels, shape (n,), ascending.
-        depth: Depth below the skin down to which they are kept [m].
         sizes: Draws of ln ℓ₀ of `contact-size`, shape (count,) [–].
+        voxels: Voxels of the field's, shape (n,), ascending.
+        depth: Depth below the skin down to which they are kept [m].
     """
 
     values: Float32Array = field(repr=False)
+    sizes: Array = field(repr=False)
     voxels: IntArray = field(repr=False)
     depth: float
-    sizes: Array = field(repr=False)
-
-    @classmethod
-    def of(
-        cls, posterior: Posterior, count: int, voxels: IntArray, depth: float
-    ) -> PosteriorDraws:
-        """New draws; arguments as of `Posterior.draw`, and the depth of the voxels."""
-        values, sizes = posterior.draw(count, voxels)
-        return cls(values, voxels, depth, sizes)
 
     def covariance(
         self, rows: sp.csr_array, height: int, sized: Array | None = None

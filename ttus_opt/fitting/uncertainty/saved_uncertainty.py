@@ -141,7 +141,7 @@ def read_uncertainty(
         if sizes.shape != whole.shape[:1] or not np.isfinite(sizes).all():
             raise InputError(f"sizes of {sizes.shape} draws, not {len(whole)}")
         values = whole.astype(np.float32) * factor
-        draws = PosteriorDraws(values, voxels, depth, sizes)
+        draws = PosteriorDraws(values, sizes, voxels, depth)
         return SavedUncertainty(fitted, shell, draws, noise)
     except (KeyError, InputError, TypeError, ValueError) as error:
         raise FileError(f"{path}: damaged uncertainty: {error}") from error
