@@ -12,7 +12,8 @@ from tests.cli.conftest import empty, refused
 from tests.conftest import some
 from tests.session.recordings import changed, copied
 from tests.session.test_mistakes import jumped
-from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session.results import STEPS
 
@@ -64,7 +65,6 @@ def test_a_recording_of_openigtlink(run, output):
     pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
     from tests.sensors.test_open_igt_link import sensor, serving, transform
     from ttus_opt.probe.trajectory import read_trajectory
-    from ttus_opt.sensors.streams import read_wrench_stream
 
     poses, forces = output / "poses.csv", output / "forces.csv"
     sent = [m for i in range(5) for m in (transform(i), sensor(i))]
@@ -73,7 +73,7 @@ def test_a_recording_of_openigtlink(run, output):
         told = json.loads(run(f"record 127.0.0.1:{port} {words}").out)
     assert told["pose_frames"] == told["wrench_frames"] == 5
     assert len(read_trajectory(poses)) == 5
-    assert read_wrench_stream(forces).force[0].tolist() == [1, 2, 3]
+    assert read_wrenches(forces).force[0].tolist() == [1, 2, 3]
     for file in (poses, forces):
         file.unlink()
     with serving([transform(i) for i in range(5)]) as port:
@@ -112,7 +112,7 @@ def test_a_killed_recording_is_readable(output):
 
 def thousandfold(recording):
     """Torques in N·mm under the unit N·m."""
-    read = read_netcdf_wrenches(recording / "force.nc")
+    read = read_wrenches(recording / "force.nc")
     torque = 1e3 * read.torque
     wrenches = WrenchStream(read.time, read.force, torque)
     write_netcdf_wrenches(wrenches, recording / "force.nc")

@@ -11,7 +11,8 @@ from ttus_opt.core.checksum import DIGITS, SEAL, check_seal, seal
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.io import kind_of
 from ttus_opt.scan.surface import Surface
-from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 
 
@@ -40,7 +41,7 @@ def test_a_file_without_a_seal_passes(tmp_path):
     assert file.read_bytes().startswith(content + SEAL)
 
 
-@pytest.mark.parametrize("read", [Surface.load, read_netcdf_wrenches, kind])
+@pytest.mark.parametrize("read", [Surface.load, read_wrenches, kind])
 def test_every_reader_compares_the_bytes(read, tmp_path):
     file = tmp_path / "surface.nc"
     content = bytearray(Path(example.path("surface.nc")).read_bytes())
@@ -53,8 +54,8 @@ def test_wrenches_are_written_with_a_seal(tmp_path):
     file = tmp_path / "wrenches.nc"
     time = np.arange(4.0)
     write_netcdf_wrenches(WrenchStream(time, np.ones((4, 3)), None), file)
-    np.testing.assert_array_equal(read_netcdf_wrenches(file).time, time)
+    np.testing.assert_array_equal(read_wrenches(file).time, time)
     content = file.read_bytes()
     at = content.index(np.float64(1.0).tobytes())
     file.write_bytes(content[:at] + b"\1" + content[at + 1 :])
-    refuses(FileError, "its bytes are not what was written", read_netcdf_wrenches, file)
+    refuses(FileError, "its bytes are not what was written", read_wrenches, file)

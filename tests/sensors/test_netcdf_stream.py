@@ -19,8 +19,6 @@ from ttus_opt.core.errors import FileError, TtusWarning
 from ttus_opt.sensors import netcdf_child, netcdf_stream
 from ttus_opt.sensors.netcdf_child import unpacked
 from ttus_opt.sensors.netcdf_stream import (
-    read_netcdf_poses,
-    read_netcdf_wrenches,
     write_netcdf_wrenches,
 )
 from ttus_opt.sensors.stream_files import read_poses, read_wrenches
@@ -152,19 +150,19 @@ def test_other_units_and_names(tmp_path):
     stamp = ("stamp", 1e3 * TIME, {"units": "milliseconds since 1970-01-01"})
     data = data.assign_coords(stamp=stamp)
     file = written(data, tmp_path / "p.nc")
-    found = read_netcdf_poses(file, {"t": "stamp", "position": "tip"})
+    found = read_poses(file, columns={"t": "stamp", "position": "tip"})
     np.testing.assert_allclose(found.time, TIME)
     np.testing.assert_allclose(found.position, PLACE)
     for origin, first in (("1970-01-01 00:00:02", 2.0), ("1970-01-01T00:01:00Z", 60.0)):
         data.stamp.attrs["units"] = f"milliseconds since {origin}"
         since = written(data, tmp_path / f"{first:g}.nc")
-        later = read_netcdf_poses(since, {"t": "stamp", "position": "tip"})
+        later = read_poses(since, columns={"t": "stamp", "position": "tip"})
         np.testing.assert_allclose(later.time, first + TIME)
     data.stamp.attrs["units"] = "milliseconds since the start"
     since = written(data, tmp_path / "start.nc")
     with pytest.raises(FileError, match="since 'the start'"):
-        read_netcdf_poses(since, {"t": "stamp", "position": "tip"})
-    refuses(FileError, r"no variable time, but.*t=…", read_netcdf_poses, file)
+        read_poses(since, columns={"t": "stamp", "position": "tip"})
+    refuses(FileError, r"no variable time, but.*t=…", read_poses, file)
 
 
 def test_wrenches_there_and_back(tmp_path):
@@ -175,7 +173,7 @@ def test_wrenches_there_and_back(tmp_path):
     np.testing.assert_array_equal(found.torque, stream.torque)
     alone = WrenchStream(TIME, PLACE)
     write_netcdf_wrenches(alone, tmp_path / "f.nc")
-    assert read_netcdf_wrenches(tmp_path / "f.nc").torque is None
+    assert read_wrenches(tmp_path / "f.nc").torque is None
 
 
 def late(data):
@@ -222,14 +220,14 @@ SPOILT: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
 )
 def test_what_is_refused(tmp_path, name, words):
     file = written(SPOILT[name](poses()), tmp_path / "p.nc")
-    refuses(FileError, words, read_netcdf_poses, file)
+    refuses(FileError, words, read_poses, file)
 
 
 def test_files_that_are_none(tmp_path):
     (tmp_path / "p.nc").write_text("t,px,py,pz")
-    refuses(FileError, "not a readable netCDF", read_netcdf_poses, tmp_path / "p.nc")
+    refuses(FileError, "not a readable netCDF", read_poses, tmp_path / "p.nc")
     with pytest.raises(FileError, match="whole vectors"):
-        read_netcdf_poses(tmp_path / "p.nc", {"px": "x"})
+        read_poses(tmp_path / "p.nc", columns={"px": "x"})
 
 
 @pytest.mark.parametrize(
@@ -249,8 +247,8 @@ def test_mutations(tmp_path, n, server):
     )
     sources = [tmp_path / "c.nc", written(poses(), tmp_path / "p.nc")]
     for source in sources:
-        read_netcdf_poses(source)  # or nothing is tested
-    only_our_errors(sources, read_netcdf_poses, n)
+        read_poses(source)  # or nothing is tested
+    only_our_errors(sources, read_poses, n)
     print(f"{server.crashes} crashes")
 
 
@@ -258,7 +256,7 @@ def test_a_reader_that_crashes(tmp_path, monkeypatch):
     (tmp_path / "crash.py").write_text("import os\nos.abort()\n")
     monkeypatch.setattr(netcdf_child, "__file__", str(tmp_path / "crash.py"))
     file = written(poses(), tmp_path / "p.nc")
-    refuses(FileError, "not a readable netCDF", read_netcdf_poses, file)
+    refuses(FileError, "not a readable netCDF", read_poses, file)
 
 
 @pytest.mark.parametrize("suffix", ["nc", "csv"])

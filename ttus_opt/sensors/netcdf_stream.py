@@ -21,53 +21,23 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.core.io import shortened
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.probe.trajectory import Trajectory, trajectory_of
 from ttus_opt.probe.units import UNITS
 from ttus_opt.probe.units import factor as factor_to_si
 from ttus_opt.sensors.column_map import ORDER, ORDERS
 from ttus_opt.sensors.netcdf_child import read_apart
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
-from ttus_opt.sensors.streams import WrenchStream, wrenches_of
+from ttus_opt.sensors.streams import WrenchStream
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def read_netcdf_poses(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
-) -> Trajectory:
-    """Poses of a netCDF file.
-
-    Args:
-        path: The file.
-        columns: Its names for ``t``, ``position`` and ``quaternion``, and the
-            ``quaternion_order`` where the file does not state it.
+def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
+    """The file's one stream.
 
     Raises:
         FileError: Missing, damaged, or without such variables, units or order.
     """
-    (raw,) = _read(Path(path), Wanted(columns=columns or {}, kind="poses"))
-    return trajectory_of(raw)
-
-
-def read_netcdf_wrenches(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
-) -> WrenchStream:
-    """Wrenches of a netCDF file, with torques if it has any.
-
-    Args:
-        path: The file.
-        columns: Its names for ``t``, ``force`` and ``torque``.
-
-    Raises:
-        FileError: Missing, damaged, or without such variables or units.
-    """
-    (raw,) = _read(Path(path), Wanted(columns=columns or {}, kind="wrenches"))
-    return wrenches_of(raw)
-
-
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The file's one stream; errors as `read_netcdf_poses`."""
     file, data, names = _opened(path, wanted.columns)
     there = {k for k in UNITS if names.get(k, k) in data.variables}
     poses = wanted.kind in ("poses", "recording") or (
@@ -93,7 +63,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
 
 
 def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) -> None:
-    """Write wrenches as `read_netcdf_wrenches` reads them.
+    """Write wrenches as a netCDF stream.
 
     Raises:
         FileError: The file cannot be written.

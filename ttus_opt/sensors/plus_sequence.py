@@ -23,8 +23,7 @@ from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.pose import nearest_rotations, to_quaternions
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.probe.trajectory import Trajectory, trajectory_of
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, chosen
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
 
 SUFFIXES = (".mha", ".mhd", ".nrrd")
 
@@ -45,30 +44,12 @@ MILLIMETRE = 1e-3
 TRANSFORM = "Transform"
 
 
-def read_plus_sequence(
-    path: str | os.PathLike[str], transform: str | None = None
-) -> Trajectory:
-    """Poses of a PLUS sequence file.
-
-    Args:
-        path: The file.
-        transform: Such as ``ProbeToTracker``; may be left out where there is only one.
-
-    Returns:
-        Frames whose status is OK; a new segment begins after each gap.
+def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
+    """The file's transforms, or the one wanted.
 
     Raises:
-        FileError: Missing, damaged, not a PLUS sequence, no such transform, or several
-            to choose from.
+        FileError: Missing, damaged, or not such a sequence.
     """
-    wanted = Wanted(transform and transform.removesuffix(TRANSFORM), kind="poses")
-    file = Path(path)
-    found = _read(file, wanted)
-    return trajectory_of(chosen(file, found, wanted, PLUS.word))
-
-
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The file's transforms, or the one wanted; errors as `read_plus_sequence`."""
     file = io.existing_file(path, "PLUS sequence")
     frames, rate = _frames(file)
     names = {name for frame in frames.values() for name in frame}
@@ -80,7 +61,9 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     for each in known:
         try:
             if name in (None, each):
-                out.append(_poses(file, frames, each, rate))
+                # by the name that was given, with or without its last word
+                poses = _poses(file, frames, each, rate)
+                out.append(poses.replaced(name=wanted.name or each))
             else:
                 out.append(RawRecording(str(file), *_NOTHING, name=each))
         except (InputError, ValueError) as error:

@@ -9,7 +9,6 @@ definitions in the file. Times are those of the headers. Needs the extra ``senso
 from __future__ import annotations
 
 import contextlib
-import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,10 +19,8 @@ import numpy as np
 from ttus_opt.core.errors import FileError, InputError, TtusError, warn
 from ttus_opt.core.optional import load
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.probe.trajectory import Trajectory, trajectory_of
 from ttus_opt.sensors.frame_tree import FrameTree
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, chosen
-from ttus_opt.sensors.streams import WrenchStream, wrenches_of
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -43,40 +40,6 @@ class _Message(NamedTuple):
     topic: str
     kind: str
     content: Any
-
-
-def read_bag_poses(
-    path: str | os.PathLike[str], topic: str | None = None
-) -> Trajectory:
-    """Poses of a topic, or of one frame in another.
-
-    Args:
-        path: A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2
-            recording.
-        topic: May be left out where there is only one; of ``/tf`` two frames, the pose
-            of the second in the first: ``base_link:tool0``.
-
-    Raises:
-        FileError: Missing, damaged, no such topic, or several to choose from.
-        MissingPackageError: rosbags is not installed.
-    """
-    wanted = Wanted(topic, kind="poses")
-    file = Path(path)
-    return trajectory_of(chosen(file, _read(file, wanted), wanted, ROS.word))
-
-
-def read_bag_wrenches(
-    path: str | os.PathLike[str], topic: str | None = None
-) -> WrenchStream:
-    """Wrenches of a topic of WrenchStamped; arguments and errors as `read_bag_poses`.
-
-    Raises:
-        FileError: As `read_bag_poses`.
-        MissingPackageError: rosbags is not installed.
-    """
-    wanted = Wanted(topic, kind="wrenches")
-    file = Path(path)
-    return wrenches_of(chosen(file, _read(file, wanted), wanted, ROS.word))
 
 
 def _xyz(vector: Any) -> list[float]:
@@ -121,7 +84,8 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
     """All streams of the wanted kind, those of ``/tf`` last.
 
     Raises:
-        FileError: As `read_bag_poses`.
+        FileError: Missing or damaged.
+        MissingPackageError: rosbags is not installed.
     """
     if not place.exists():
         raise FileError(f"recording not found: {place}: check the path")

@@ -20,7 +20,6 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.recording_faults import checked
-from ttus_opt.probe.repair import repaired_aloud
 from ttus_opt.probe.text_table import read_text_table
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.probe.trajectory_csv import recording_of
@@ -69,7 +68,7 @@ class WrenchStream:
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the table that `read_wrench_stream` reads.
+        """Write the table that `ttus_opt.sensors.stream_files.read_wrenches` reads.
 
         Raises:
             FileError: The file cannot be written.
@@ -83,29 +82,12 @@ class WrenchStream:
         io.write_text(path, "\n".join([",".join(names), *lines, ""]))
 
 
-def read_wrench_stream(
-    path: str | os.PathLike[str],
-    columns: Mapping[str, str] | None = None,
-    *,
-    repair: bool = False,
-) -> WrenchStream:
-    """Wrenches without poses, from a table ``t,fx,fy,fz[,tx,ty,tz]``.
-
-    Args:
-        path: The file; separators, comments and names as in a trajectory.
-        columns: The file's names, by these.
-        repair: As in `ttus_opt.probe.trajectory.read_trajectory`.
+def raw_wrenches(file: Path, columns: Mapping[str, str] | None = None) -> RawRecording:
+    """Wrenches without poses, of a table ``t,fx,fy,fz[,tx,ty,tz]``, as it has them.
 
     Raises:
-        FileError: Missing, damaged, or without such columns.
+        FileError: Damaged, or without such columns.
     """
-    file = io.existing_file(path, "wrench")
-    raw = raw_wrenches(file, columns)
-    return wrenches_of(repaired_aloud(raw) if repair else raw)
-
-
-def raw_wrenches(file: Path, columns: Mapping[str, str] | None = None) -> RawRecording:
-    """The same as the file has it; errors as `read_wrench_stream`."""
     return recording_of(read_text_table(file, ("t", *FORCE), columns), "", FORCE)
 
 
