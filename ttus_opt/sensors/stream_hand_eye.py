@@ -19,33 +19,20 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors import hand_eye
 from ttus_opt.sensors.angular_offset import angular_offset
 from ttus_opt.sensors.clock import LARGEST_OFFSET, Offset
-from ttus_opt.sensors.streams import poses_at
+from ttus_opt.sensors.stream_pairs import agreeing, aligned, far_apart, without_spikes
+from ttus_opt.sensors.streams import interpolated
 
 #: Most pairs, and fewest
 MOST_PAIRS, LEAST_PAIRS = 200, 20
-
-#: A pose is a spike if it turned from half of so many poses on either side by so many
-#: times the usual speed, and faster than this [rad/s]
-NEIGHBOURS, SPIKE, BRISK = 4, 6.0, 2.0
-
-#: Longest time between poses that is interpolated over [s]
-LONGEST_GAP = 0.2
-
-#: Instants with which each frame's turns are compared
-REFERENCES = 60
-
-#: A frame disagrees if its turns differ by so many times the usual difference, and
-#: more than this [rad]
-DISAGREES, LEAST_DISAGREEMENT = 4.0, np.deg2rad(0.5)
 
 #: Random sets of pairs for the start, and pairs in each
 STARTS, START_PAIRS = 24, 8
@@ -138,34 +125,34 @@ def stream_hand_eye(
         raise InputError(f"camera must be fixed or moving, got {camera!r}")
     rng = np.random.default_rng(0) if rng is None else rng
     n_seen = len(seen)
-    seen, carried = _without_spikes(seen), _without_spikes(carried)
+    seen, carried = without_spikes(seen), without_spikes(carried)
     clock = (
         Offset(offset, correlation=np.nan, rival=np.nan, std=0.0)
         if offset is not None
         else angular_offset(seen, carried, around=around, largest=largest)
     )
-    time, A, B = _aligned(seen, carried, clock.seconds)
-    agree = _agreeing(A, B, rng)
+    time, A, B = aligned(seen, carried, clock.seconds)
+    agree = agreeing(A, B, rng)
     pairs = np.flatnonzero(agree)
     if len(pairs) < LEAST_PAIRS:
         raise InputError(
             f"only {len(pairs)} of {len(time)} common frames turn alike in both "
             "streams: are they of one body, and is the offset right?"
         )
-    pairs = pairs[_spread(A[pairs, :3, :3], MOST_PAIRS)]
+    pairs = pairs[far_apart(A[pairs, :3, :3], MOST_PAIRS)]
     if len(pairs) < LEAST_PAIRS:
         raise GeometryError(
             f"the marker takes only {len(pairs)} orientations: turn the hand about two "
             "or more axes"
         )
-    _require_turns(A[pairs], B[pairs])
+    hand_eye.check_motions(A[pairs], B[pairs])
     problem = _Problem(
         A[pairs], _Path(carried, time[pairs] - clock.seconds), camera == "fixed"
     )
     start = _start(problem, rng)
     fit = _fitted(problem, start, free_offset=offset is None)
     used = fit.used
-    _require_turns(A[pairs][used], B[pairs][used])
+    hand_eye.check_motions(A[pairs][used], B[pairs][used])
     left_out = n_seen - len(seen) + len(time) - int(agree.sum())
     answer = _answer(problem, fit, clock, left_out)
     if not answer.shift_std.max() < LARGEST_STD:
@@ -175,109 +162,6 @@ def stream_hand_eye(
             "or more axes, by 30° and more"
         )
     return answer
-
-
-def _without_spikes(poses: Trajectory) -> Trajectory:
-    """The poses without single ones that turned much faster than those around them.
-
-    They would be heard in the angular speed, by which the clocks are aligned.
-    """
-    if len(poses) < 2 * NEIGHBOURS + 1:
-        return poses
-    turn = Rotation.from_matrix(poses.rotation)
-    index = np.arange(len(poses))
-    speeds = []
-    for step in range(1, NEIGHBOURS + 1):
-        for j in (index - step, index + step):
-            j = np.where((j < 0) | (j >= len(poses)), 2 * index - j, j)
-            span = np.abs(poses.time[j] - poses.time)
-            angle = (turn[j] * turn.inv()).magnitude()
-            speeds.append(angle / np.maximum(span, 1e-9))
-    speed = np.median(speeds, axis=0)
-    limit = max(BRISK, SPIKE * float(np.median(speed)))
-    return poses.select(np.asarray(speed <= limit))
-
-
-def _aligned(
-    seen: Trajectory, carried: Trajectory, offset: float
-) -> tuple[Array, Array, Array]:
-    """Times [s], A and B (n, 4, 4) at the frames of the first stream that both have.
-
-    Raises:
-        InputError: They do not overlap.
-    """
-    times, own, other = [], [], []
-    for part in np.unique(carried.segment):
-        stretch = carried.select(carried.segment == part)
-        if len(stretch) < 2:
-            continue
-        at = seen.time - offset
-        inside = (at > stretch.time[0]) & (at < stretch.time[-1])
-        if not inside.any():
-            continue
-        order = np.argsort(at[inside], kind="stable")
-        rows = np.flatnonzero(inside)[order]
-        rows = rows[np.r_[True, np.diff(at[rows]) > 0]]
-        try:
-            moved = poses_at(stretch, at[rows], largest_gap=LONGEST_GAP)
-        except InputError:  # every common time lies in a gap
-            continue
-        rows = rows[np.isin(at[rows], moved.time)]
-        times.append(seen.time[rows])
-        own.append(homogeneous(seen.rotation[rows], seen.position[rows]))
-        other.append(homogeneous(moved.rotation, moved.position))
-    if not times:
-        raise InputError(
-            f"the streams do not overlap at an offset of {offset:.4g} s: check the "
-            "clocks"
-        )
-    return np.concatenate(times), np.concatenate(own), np.concatenate(other)
-
-
-def _agreeing(A: Array, B: Array, rng: np.random.Generator) -> Mask:
-    """Mask of the frames that turn from most others by the same angle in both, (n,)."""
-    first, second = (
-        Rotation.from_matrix(A[:, :3, :3]),
-        Rotation.from_matrix(B[:, :3, :3]),
-    )
-    chosen = rng.choice(len(A), min(REFERENCES, len(A)), replace=False)
-    apart = np.stack(
-        [
-            np.abs(
-                (first * first[int(j)].inv()).magnitude()
-                - (second * second[int(j)].inv()).magnitude()
-            )
-            for j in chosen
-        ],
-        axis=1,
-    )
-    typical = np.median(apart, axis=1)
-    limit = max(DISAGREES * float(np.median(typical)), LEAST_DISAGREEMENT)
-    return np.asarray(typical <= limit)
-
-
-def _spread(rotation: Array, most: int) -> IntArray:
-    """Indices of rotations far from each other, most of them, in order."""
-    if len(rotation) <= most:
-        return np.arange(len(rotation))
-    quaternion = Rotation.from_matrix(rotation).as_quat()
-    chosen = [0]
-    near = np.abs(quaternion @ quaternion[0])
-    while len(chosen) < most:
-        farthest = int(np.argmin(near))
-        chosen.append(farthest)
-        near = np.maximum(near, np.abs(quaternion @ quaternion[farthest]))
-    return np.unique(chosen)
-
-
-def _require_turns(A: Array, B: Array) -> None:
-    """Refuse motions that turn about one axis only.
-
-    Raises:
-        GeometryError: They do.
-        InputError: Marker and hand turn by different angles.
-    """
-    hand_eye.check_motions(A, B)
 
 
 class _Path:
@@ -299,19 +183,11 @@ class _Path:
 
     def _pose(self, carried: Trajectory, at: Array) -> Array:
         """Poses at times, held at the ends, shape (n, 4, 4)."""
-        time = carried.time
-        order = np.argsort(time, kind="stable")
-        time = time[order]
-        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        share = np.clip((at - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)
-        first, second = order[after - 1], order[after]
-        low = Rotation.from_matrix(carried.rotation[first])
-        step = (Rotation.from_matrix(carried.rotation[second]) * low.inv()).as_rotvec()
-        turn = Rotation.from_rotvec(share[:, None] * step) * low
-        place = carried.position[first] + share[:, None] * (
-            carried.position[second] - carried.position[first]
-        )
-        return homogeneous(turn.as_matrix(), place)
+        time, first = np.unique(carried.time, return_index=True)
+        held = np.clip(at, time[0], time[-1])
+        turns = Slerp(time, Rotation.from_matrix(carried.rotation[first]))(held)
+        place = interpolated(held, time, carried.position[first])
+        return homogeneous(turns.as_matrix(), place)
 
     def poses(self, later: float) -> Array:
         """Poses at a small shift of the clock [s], shape (n, 4, 4)."""

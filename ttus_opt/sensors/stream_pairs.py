@@ -1,0 +1,124 @@
+"""Pairs of poses from two streams: one motion, seen by two devices at common instants.
+
+Single poses that no motion explains are left out, the rest are joined at the frames of
+the first stream, frames whose turns contradict the other stream are found (rotation
+angles between two instants are the same in both), and pairs are spread over rotations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.errors import InputError
+from ttus_opt.probe.rigid_motion import homogeneous
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.streams import poses_at
+
+#: A pose is a spike if it turned from half of so many poses on either side by so many
+#: times the usual speed, and faster than this [rad/s]
+NEIGHBOURS, SPIKE, BRISK = 4, 6.0, 2.0
+
+#: Longest time between poses that is interpolated over [s]
+LONGEST_GAP = 0.2
+
+#: Instants with which each frame's turns are compared
+REFERENCES = 60
+
+#: A frame disagrees if its turns differ by so many times the usual difference, and
+#: more than this [rad]
+DISAGREES, LEAST_DISAGREEMENT = 4.0, np.deg2rad(0.5)
+
+
+def without_spikes(poses: Trajectory) -> Trajectory:
+    """The poses without single ones that turned much faster than those around them.
+
+    They would be heard in the angular speed, by which the clocks are aligned.
+    """
+    if len(poses) < 2 * NEIGHBOURS + 1:
+        return poses
+    turn = Rotation.from_matrix(poses.rotation)
+    index = np.arange(len(poses))
+    speeds = []
+    for step in range(1, NEIGHBOURS + 1):
+        for j in (index - step, index + step):
+            j = np.where((j < 0) | (j >= len(poses)), 2 * index - j, j)
+            span = np.abs(poses.time[j] - poses.time)
+            angle = (turn[j] * turn.inv()).magnitude()
+            speeds.append(angle / np.maximum(span, 1e-9))
+    speed = np.median(speeds, axis=0)
+    limit = max(BRISK, SPIKE * float(np.median(speed)))
+    return poses.select(np.asarray(speed <= limit))
+
+
+def aligned(
+    seen: Trajectory, carried: Trajectory, offset: float
+) -> tuple[Array, Array, Array]:
+    """Times [s], A and B (n, 4, 4) at the frames of the first stream that both have.
+
+    Raises:
+        InputError: They do not overlap.
+    """
+    times, own, other = [], [], []
+    for part in np.unique(carried.segment):
+        stretch = carried.select(carried.segment == part)
+        if len(stretch) < 2:
+            continue
+        at = seen.time - offset
+        inside = (at > stretch.time[0]) & (at < stretch.time[-1])
+        if not inside.any():
+            continue
+        order = np.argsort(at[inside], kind="stable")
+        rows = np.flatnonzero(inside)[order]
+        rows = rows[np.r_[True, np.diff(at[rows]) > 0]]
+        try:
+            moved = poses_at(stretch, at[rows], largest_gap=LONGEST_GAP)
+        except InputError:  # every common time lies in a gap
+            continue
+        rows = rows[np.isin(at[rows], moved.time)]
+        times.append(seen.time[rows])
+        own.append(homogeneous(seen.rotation[rows], seen.position[rows]))
+        other.append(homogeneous(moved.rotation, moved.position))
+    if not times:
+        raise InputError(
+            f"the streams do not overlap at an offset of {offset:.4g} s: check the "
+            "clocks"
+        )
+    return np.concatenate(times), np.concatenate(own), np.concatenate(other)
+
+
+def agreeing(A: Array, B: Array, rng: np.random.Generator) -> Mask:
+    """Mask of the frames that turn from most others by the same angle in both, (n,)."""
+    first, second = (
+        Rotation.from_matrix(A[:, :3, :3]),
+        Rotation.from_matrix(B[:, :3, :3]),
+    )
+    chosen = rng.choice(len(A), min(REFERENCES, len(A)), replace=False)
+    apart = np.stack(
+        [
+            np.abs(
+                (first * first[int(j)].inv()).magnitude()
+                - (second * second[int(j)].inv()).magnitude()
+            )
+            for j in chosen
+        ],
+        axis=1,
+    )
+    typical = np.median(apart, axis=1)
+    limit = max(DISAGREES * float(np.median(typical)), LEAST_DISAGREEMENT)
+    return np.asarray(typical <= limit)
+
+
+def far_apart(rotation: Array, most: int) -> IntArray:
+    """Indices of rotations far from each other, most of them, in order."""
+    if len(rotation) <= most:
+        return np.arange(len(rotation))
+    quaternion = Rotation.from_matrix(rotation).as_quat()
+    chosen = [0]
+    near = np.abs(quaternion @ quaternion[0])
+    while len(chosen) < most:
+        farthest = int(np.argmin(near))
+        chosen.append(farthest)
+        near = np.maximum(near, np.abs(quaternion @ quaternion[farthest]))
+    return np.unique(chosen)
