@@ -11,13 +11,22 @@ from tests.live.springy import BALL, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.hand import Hand
-from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
+from ttus_opt.live.haptic_process import (
+    SHOWN,
+    TAKEN,
+    TIME,
+    WHOLE,
+    HapticProcess,
+    LoopPlan,
+)
 from ttus_opt.live.messages import ModelMessage
 from ttus_opt.live.model_codec import decode_model
 from ttus_opt.live.operator import Operator
-from ttus_opt.live.real_time import run_operator_apart
+from ttus_opt.live.real_time import run_operator
+from ttus_opt.live.recording import Description, Recorder
+from ttus_opt.live.replay import replay
 from ttus_opt.live.safety import State
-from ttus_opt.message import decode
+from ttus_opt.message import decode, encode
 
 
 class Still:
@@ -114,7 +123,7 @@ class Loopback:
         surface, _, content = parts()
         self.follower, self.patient = Follower(3, surface, content), Spring()
         self._target = np.eye(3), path().position[0]
-        self._there, self._back = [], []
+        self._there, self.late = [], ()
 
     def send(self, now, packets):
         self._there += [packet.data for packet in packets]
@@ -123,7 +132,36 @@ class Loopback:
         sensed = self.patient.sense(now, *self._target)
         step = self.follower.step(now, self._there, sensed)
         self._target, self._there = (step.rotation, step.position), []
-        return [packet.data for packet in step.send]
+        more, self.late = self.late, ()
+        return [packet.data for packet in (*step.send, *more)]
+
+
+def test_a_recorded_session_is_rendered_again_bit_by_bit(tmp_path):
+    """Every frame of the loop, with fields of another surface in between."""
+    pytest.importorskip("mcap.reader", reason="needs mcap")
+    shell, link = parts()[1], Loopback()
+    file = tmp_path / "session.mcap"
+    described = Description(f"sphere:{BALL}", 200, epoch=2, apart=True)
+    plan = LoopPlan(shell, partial(Hand, path(lifted=0.2, period=1.0)))
+    start, frames = (np.eye(3), path().position[0]), []
+
+    def record(frame):
+        if len(frames) == 300:
+            lower = dataclasses.replace(parts()[0], radius=parts()[0].radius - 0.002)
+            link.late = link.follower.renew(frame.time, encode(lower), parts()[2][1])
+        frames.append(frame)
+        recorder.operated(frame)
+
+    with Recorder(file, described) as recorder, HapticProcess(plan) as loop:
+        side = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
+        run_operator(side, link, start, seconds=4.0, record=record)
+    felt = np.concatenate([f.felt for f in frames if f.felt is not None])
+    assert felt[:, SHOWN].max() > 1.0
+    assert felt[-1, TAKEN] > 5
+    assert felt[-1, WHOLE] >= 1
+    assert (np.diff(felt[:, TIME]) > 0.0).all()
+    found = replay(file)
+    assert (found.frames, found.identical) == (len(felt), len(felt))
 
 
 def test_a_session_with_the_loop_in_its_own_process_and_its_death():
@@ -145,7 +183,7 @@ def test_a_session_with_the_loop_in_its_own_process_and_its_death():
         operator = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
         start = np.eye(3), path().position[0]
         with pytest.raises(StopError, match="the haptic loop has died"):
-            run_operator_apart(operator, Loopback(), start, seconds=30.0, show=show)
+            run_operator(operator, Loopback(), start, seconds=30.0, show=show)
     assert loop.lateness is None
     assert killed[0].state == "NORMAL"
 

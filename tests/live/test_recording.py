@@ -8,7 +8,8 @@ from tests.live.springy import BALL, session
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError
 from ttus_opt.live.impairment import Impairment
-from ttus_opt.live.recording import Description, Recorder, frames_of, replay
+from ttus_opt.live.recording import Description, Frame, Recorder, frames_of
+from ttus_opt.live.replay import replay
 
 mcap = pytest.importorskip("mcap.reader", reason="needs mcap")
 
@@ -33,16 +34,16 @@ def test_a_replay_renders_the_same_forces_bit_by_bit(recorded):
 
 
 def test_a_changed_frame_is_noticed(recorded, monkeypatch):
-    from ttus_opt.live import recording
-
     path, _ = recorded
     description, frames = frames_of(path)
     changed = list(frames)
     k = next(k for k, f in enumerate(changed) if any(np.frombuffer(f.felt)))
     other = np.nextafter(np.frombuffer(changed[k].felt), np.inf).tobytes()
     old = changed[k]
-    changed[k] = recording.Frame(old.time, old.pose, old.packets, other)
-    monkeypatch.setattr(recording, "frames_of", lambda _: (description, iter(changed)))
+    changed[k] = Frame(old.time, old.pose, old.packets, other)
+    monkeypatch.setattr(
+        "ttus_opt.live.replay.frames_of", lambda _: (description, iter(changed))
+    )
     assert replay(path).identical == 2999
 
 

@@ -28,6 +28,19 @@ def test_a_torn_copy_is_refused():
         np.testing.assert_array_equal(one.read()[0], 1.0)
 
 
+def test_what_was_written_meanwhile_is_read_unless_it_is_gone():
+    with SharedArray(2, depth=4) as one:
+        for k in range(1, 4):
+            one.write(np.full(2, float(k)))
+        np.testing.assert_array_equal(one.since(0)[:, 0], [1, 2, 3])
+        np.testing.assert_array_equal(one.since(2)[:, 1], [3])
+        assert one.since(3).shape == (0, 2)
+        for k in range(4, 8):
+            one.write(np.full(2, float(k)))
+        np.testing.assert_array_equal(one.since(3)[:, 0], [4, 5, 6, 7])
+        refuses(NumericalError, "read too late: 5 were written", one.since, 2)
+
+
 def _writes(name, size, seconds):
     with SharedArray(size, name) as shared:
         end, k = time.monotonic() + seconds, 0

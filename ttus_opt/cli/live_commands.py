@@ -186,7 +186,7 @@ def replay(recording: Path, json: bool = False) -> None:
     Example:
         ttus-opt live replay --recording live/session.mcap
     """
-    from ttus_opt.live.recording import replay as rendered
+    from ttus_opt.live.replay import replay as rendered
 
     found = rendered(recording)
     line = f"{found.identical} of {found.frames} frames are identical bit by bit"
@@ -310,8 +310,7 @@ def operator(
             the example's.
         probe: The follower's probe, ellipsoid:a,b,c [m] or a mesh [mm].
         probe_axes: Its axes that point into the patient and to the head.
-        recording: Record the session here (.mcap); the haptic loop then shares a
-            process with the rest, so that every frame is in the file.
+        recording: Record the session here (.mcap), with every frame that was felt.
 
     Example:
         ttus-opt live operator --key session.key --host 192.0.2.7
@@ -327,55 +326,43 @@ def operator(
     warm_up()
     link = SocketLink(opened, host, port, calls=True)
     try:
-        if recording is None:
-            side, ended = _operate(link, who, seconds)
-        else:
-            side, ended = _record(link, who, seconds, probe, recording)
+        side, ended = _operate(link, who, seconds, probe, recording)
     finally:
         link.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
 
 
-def _operate(link: Any, who: Subject, seconds: float) -> tuple[Any, Any]:
+def _operate(
+    link: Any, who: Subject, seconds: float, probe: str, recording: Path | None
+) -> tuple[Any, Any]:
     """The haptic loop in a process of its own; the operator, and how it ended."""
+    from contextlib import ExitStack
     from dataclasses import replace
     from functools import partial
 
     from ttus_opt.live.hand import Hand
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.operator import Operator
-    from ttus_opt.live.real_time import promptly, run_operator_apart
-    from ttus_opt.live.subject import MEETING
-
-    path, shell = who.examination(), who.shell
-    start = path.rotation[0], path.position[0]
-    with HapticProcess(LoopPlan(shell, partial(Hand, path, again=MEETING))) as loop:
-        side = Operator(_epoch(), shell, feedback=lambda model: loop.begin(model.field))
-        promptly()
-        ended = run_operator_apart(
-            *(side, link, start), seconds=seconds, tell=_say("operator")
-        )
-    return side, replace(ended, lateness=loop.lateness or ended.lateness)
-
-
-def _record(
-    link: Any, who: Subject, seconds: float, probe: str, file: Path
-) -> tuple[Any, Any]:
-    """All in one process, so that every frame is recorded."""
-    from ttus_opt.live.hand import Hand
     from ttus_opt.live.real_time import promptly, run_operator
-    from ttus_opt.live.recording import Description, Recorder
     from ttus_opt.live.subject import MEETING
 
-    described = Description(probe=probe, points=len(who.shell), epoch=_epoch())
-    side, hand = described.operator(), Hand(who.examination(), again=MEETING)
-    with Recorder(file, described) as recorder:
-        watch = recorder.watch
+    path, shell, epoch = who.examination(), who.shell, _epoch()
+    start = path.rotation[0], path.position[0]
+    plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
+    with ExitStack() as opened:
+        record = None
+        if recording is not None:
+            from ttus_opt.live.recording import Description, Recorder
+
+            told = Description(probe, len(shell), epoch=epoch, apart=True)
+            record = opened.enter_context(Recorder(recording, told)).operated
+        loop = opened.enter_context(HapticProcess(plan))
+        side = Operator(epoch, shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         ended = run_operator(
-            *(side, link, hand), seconds=seconds, watch=watch, tell=_say("operator")
+            side, link, start, seconds=seconds, record=record, tell=_say("operator")
         )
-    return side, ended
+    return side, replace(ended, lateness=loop.lateness or ended.lateness)
 
 
 def _say(name: str) -> Callable[[str, str], None]:

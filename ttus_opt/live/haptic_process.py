@@ -1,9 +1,9 @@
 """The haptic loop in its own process: hand, model, force, a thousand times a second.
 
 The operator's process talks to the network and learns; it publishes every new field in
-shared memory, and reads hand and force from there (`shared_arrays`). A field is blended
-in within the loop. If the operator's process falls silent, the loop stops by itself, as
-at a STOP, and ends.
+shared memory, and reads hand and force from there (`shared_arrays`), of every frame if
+it records. A field is blended in within the loop. If the operator's process falls
+silent, the loop stops by itself, as at a STOP, and ends.
 """
 
 from __future__ import annotations
@@ -33,10 +33,18 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Numbers of the state that the loop publishes: rotation, position, the wrench that was
-#: rendered, what reached the hand of it, number of fields taken, and share of the last
-#: one that is felt
-HAND = 9 + 3 + 6 + 6 + 2
+#: Numbers of a frame that the loop publishes: rotation, position, the wrench that was
+#: rendered, what reached the hand of it; then those of `TAKEN` to `WHOLE`
+HAND = 9 + 3 + 6 + 6 + 6
+SHOWN = slice(18, 24)
+
+#: Where they are: number of the field in shared memory that was taken last, share of
+#: the last field that is felt, time [s], whether the side has stopped, friction, number
+#: of fields that came whole
+TAKEN, SHARE, TIME, STOPPED, RUBS, WHOLE = range(24, 30)
+
+#: Frames that the operator's process may be behind before one is lost [–]: 4 s
+BEHIND = 4096
 
 #: Numbers that the operator publishes: heartbeat [s], state, friction
 CONTROL = 3
@@ -81,7 +89,8 @@ class HapticProcess:
             NumericalError: It died at once, for instance because its main module starts
                 processes without ``if __name__ == "__main__"``.
         """
-        self._hand, self._control = SharedArray(HAND), SharedArray(CONTROL)
+        self._hand = SharedArray(HAND, depth=BEHIND)
+        self._control, self._known = SharedArray(CONTROL), 0
         self._values: SharedArray | None = None
         self._voxmap: Voxmap | None = None
         self.lateness: Lateness | None = None
@@ -125,6 +134,16 @@ class HapticProcess:
         """Frames of the loop so far [–]."""
         return self._hand.count
 
+    def new_frames(self) -> Array:
+        """Frames since the last call, shape (k, HAND).
+
+        Raises:
+            NumericalError: Some are lost: the last call was over 4 s ago.
+        """
+        frames = self._hand.since(self._known)
+        self._known += len(frames)
+        return frames
+
     @property
     def pose(self) -> tuple[Array, Array]:
         """The hand's rotation (3, 3) and position (3,) [m]; zeros before it runs."""
@@ -157,7 +176,7 @@ class HapticProcess:
     @property
     def shown(self) -> Array:
         """What reached the hand of it, shape (6,) [N, N·m]."""
-        return self._hand.read()[0][18:24]
+        return self._hand.read()[0][SHOWN]
 
     @property
     def published(self) -> int:
@@ -167,8 +186,8 @@ class HapticProcess:
     @property
     def swap(self) -> tuple[int, float]:
         """Fields that the loop has taken, and share of the last that is felt [–]."""
-        taken, share = self._hand.read()[0][24:]
-        return int(taken), float(share)
+        newest, _ = self._hand.read()
+        return int(newest[TAKEN]), float(newest[SHARE])
 
     def close(self) -> None:
         """End the loop; `lateness` tells then how late its frames were."""
@@ -194,7 +213,8 @@ class HapticProcess:
 
 def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
     """The loop, in its process."""
-    hand, control = SharedArray(HAND, names[0]), SharedArray(CONTROL, names[1])
+    hand = SharedArray(HAND, names[0], depth=BEHIND)
+    control = SharedArray(CONTROL, names[1])
     _warm_up(plan.shell)
     end.send("ready")
     try:
@@ -205,7 +225,7 @@ def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
         begun, name = first
         with SharedArray(begun.voxmap.grid.n_voxels, name) as values:
             promptly(plan.core, HAPTIC)
-            late = _beat(_Loop(plan, begun), hand, control, values, end)
+            late = _beat(Loop(plan, begun), hand, control, values, end)
         with contextlib.suppress(OSError):
             end.send(late)
     hand.close()
@@ -224,7 +244,7 @@ def _warm_up(shell: PointShell) -> None:
 
 
 def _beat(
-    loop: _Loop,
+    loop: Loop,
     hand: SharedArray,
     control: SharedArray,
     values: SharedArray,
@@ -232,6 +252,7 @@ def _beat(
 ) -> Lateness:
     """Frames until the end is told, or nobody is there any more."""
     beat, seen, gone = Metronome(1000.0, loop.plan.seconds), 0, False
+    whole = 0
     for now in beat:
         if not gone and end.poll():
             try:
@@ -240,6 +261,7 @@ def _beat(
                     break
                 patient, seen = message  # values before it are of another surface
                 loop.replace(patient)
+                whole += 1
             except (EOFError, OSError):  # the operator's process is gone
                 gone = True
         told, _ = control.read()
@@ -247,15 +269,17 @@ def _beat(
             new, seen = values.read()
             loop.renew(new, float(told[2]))
         silent = gone or now - told[0] >= loop.plan.limits.stop_seconds
-        frame = loop.frame(now, silent or told[1] == State.STOP)
-        hand.write(np.append(frame, [seen, loop.share]))
+        stopped = silent or told[1] == State.STOP
+        frame = loop.frame(now, stopped)
+        more = seen, loop.share, now, stopped, told[2], whole
+        hand.write(np.concatenate([frame, more]))
         if silent and loop.gate.gain == 0.0:
             break
     return beat.lateness
 
 
-class _Loop:
-    """Device, model and gate of the loop."""
+class Loop:
+    """Device, model and gate of the loop; a replay's device has the poses of then."""
 
     def __init__(self, plan: LoopPlan, start: PotentialField) -> None:
         self.plan = plan

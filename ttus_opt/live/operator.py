@@ -222,6 +222,11 @@ class Operator:
         )
 
     @property
+    def newest(self) -> Sample | None:
+        """The newest measurement; None before the first."""
+        return self._newest
+
+    @property
     def clock(self) -> float:
         """Time of the last step [s]."""
         return self._clock

@@ -18,20 +18,16 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
 from ttus_opt.live.peer import Outgoing, Peer
 from ttus_opt.live.safety import State
-from ttus_opt.live.simulation import Moment
 
-#: Frames a second of the operator's and the follower's loops [Hz]
-OPERATOR_RATE, FOLLOWER_RATE = 1000.0, 100.0
-
-#: Frames a second of the operator's loop beside a haptic loop in its own process [Hz]
-APART_RATE = 200.0
+#: Frames a second of the operator's loop, beside the haptic one, and of the follower's
+#: [Hz]
+OPERATOR_RATE, FOLLOWER_RATE = 200.0, 100.0
 
 #: Real-time priorities: of the haptic loop, and of the loops beside it
 HAPTIC, BESIDE = 50, 30
@@ -81,6 +77,9 @@ class HapticLoop(Protocol):
     @property
     def pose(self) -> tuple[Array, Array]:
         """The hand's rotation (3, 3) and position (3,) [m]."""
+
+    def new_frames(self) -> Array:
+        """Its frames since the last call, (k, numbers of a frame)."""
 
     def tell(self, friction: float, state: State) -> None:
         """Publish a sign of life and the operator's state."""
@@ -211,6 +210,25 @@ class Ended:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class OperatorFrame:
+    """One frame of the operator's loop, before its step.
+
+    Attributes:
+        time: That side's clock [s].
+        pose: Of the hand, as the step is given it: (3, 3), (3,) [m].
+        packets: What arrived.
+        felt: Frames of the haptic loop since the last one; None before it runs.
+        measured: The newest measurement; None before the first.
+    """
+
+    time: float
+    pose: tuple[Array, Array]
+    packets: Sequence[bytes]
+    felt: Array | None
+    measured: Sample | None
+
+
 class _Seen:
     """States of a side, told when they change."""
 
@@ -236,51 +254,15 @@ class _Seen:
 def run_operator(
     operator: Operator,
     link: Link,
-    hand: HandDevice | Hand,
-    *,
-    seconds: float = math.inf,
-    rate: float = OPERATOR_RATE,
-    watch: Callable[[Moment], None] | None = None,
-    tell: Callable[[str, str], None] | None = None,
-) -> Ended:
-    """The operator's loop: hand, link, force.
-
-    Args:
-        operator: The state machine.
-        link: To the follower.
-        hand: The device.
-        seconds: Length [s].
-        rate: Frames a second [Hz].
-        watch: Called with every frame, such as `Recorder.watch`.
-        tell: Called with every new state, and why it is not NORMAL.
-    """
-    beat, seen, start = Metronome(rate, seconds), _Seen(operator.peer, tell), math.nan
-    for now in beat:
-        start = now if math.isnan(start) else start
-        packets = link.receive(now)
-        pose = hand.rotation, hand.position.copy()
-        step = operator.step(now, packets, *pose)
-        link.send(now, step.send)
-        felt = operator.feel(now, *pose).copy()
-        hand.step(now - start, felt[:3], 1.0 / rate)
-        seen.look()
-        if watch is not None:
-            state, nothing = step.state, Sample(now, *pose, felt)
-            watch(Moment(now, *pose, tuple(packets), felt, state, state, nothing))
-    return seen.ended(beat)
-
-
-def run_operator_apart(
-    operator: Operator,
-    link: Link,
     start: tuple[Array, Array],
     *,
     seconds: float = math.inf,
-    rate: float = APART_RATE,
+    rate: float = OPERATOR_RATE,
     show: Callable[[LiveState], None] | None = None,
+    record: Callable[[OperatorFrame], None] | None = None,
     tell: Callable[[str, str], None] | None = None,
 ) -> Ended:
-    """The operator's loop where hand and force are in a process of their own.
+    """The operator's loop: link and model; hand and force are in their own process.
 
     Args:
         operator: Its feedback is a `haptic_process.HapticProcess`, once a model came.
@@ -289,6 +271,7 @@ def run_operator_apart(
         seconds: Length [s].
         rate: Frames a second of this loop, not of the haptic one [Hz].
         show: Called ten times a second with what a page shows.
+        record: Called with every frame, such as `Recorder.operated`.
         tell: Called with every new state, and why it is not NORMAL.
     """
     beat, seen = Metronome(rate, seconds), _Seen(operator.peer, tell)
@@ -299,7 +282,11 @@ def run_operator_apart(
             pose = loop.pose if loop.frames else start
             if not loop.alive:
                 operator.stop("the haptic loop has died")
-        step = operator.step(now, link.receive(now), *pose)
+        packets = link.receive(now)
+        if record is not None:
+            felt = loop.new_frames() if isinstance(loop, HapticLoop) else None
+            record(OperatorFrame(now, pose, packets, felt, operator.newest))
+        step = operator.step(now, packets, *pose)
         link.send(now, step.send)
         if isinstance(loop, HapticLoop):
             model = operator.model

@@ -1,9 +1,9 @@
-"""A session as MCAP: standard messages for viewers, and frames for a replay.
+"""A session as MCAP: standard messages for viewers, and frames to replay.
 
 Hand, probe, felt and measured wrench are ROS 2 messages (`PoseStamped`,
 `WrenchStamped`), which Foxglove, Rerun and ROS open, at `SHOWN` a second. All that the
 operator's side was given, and what it let the hand feel, are in the channel `FRAMES`,
-from which `replay` renders the same forces again.
+from which `ttus_opt.live.replay` renders the same forces again.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from __future__ import annotations
 import json
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -25,14 +25,16 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.core.optional import load
-from ttus_opt.live.operator import Operator
+from ttus_opt.live.haptic_process import HAND
+from ttus_opt.live.haptic_process import SHOWN as REACHED
+from ttus_opt.live.messages import Sample
+from ttus_opt.live.real_time import OperatorFrame
 from ttus_opt.live.simulation import Moment
 from ttus_opt.live.subject import N_POINTS
-from ttus_opt.live.trial import made_operator
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import to_quaternions
 
-#: Channel of the frames for a replay; of the session's description
+#: Channel of the frames to replay; of the session's description
 FRAMES, DESCRIPTION = "/live/frames", "ttus_opt live session"
 
 #: Standard messages a second [1/s]; frame of reference they name
@@ -100,6 +102,7 @@ class Description:
         points: Points of its shell [–].
         comparator: What the hand felt, see `trial.COMPARATORS`.
         epoch: Of that side.
+        apart: Whether hand and force were in a process of their own.
         note: Free text.
     """
 
@@ -107,12 +110,13 @@ class Description:
     points: int = N_POINTS
     comparator: str = "model"
     epoch: int = 2
+    apart: bool = False
     note: str = ""
 
-    def operator(self) -> Operator:
-        """The operator before its first packet."""
-        shell = PointShell.from_spec(self.probe, n_points=self.points)
-        return made_operator(self.comparator, shell, self.epoch)
+    @property
+    def shell(self) -> PointShell:
+        """The probe."""
+        return PointShell.from_spec(self.probe, n_points=self.points)
 
 
 class Frame(msgspec.Struct, array_like=True, frozen=True):
@@ -122,7 +126,8 @@ class Frame(msgspec.Struct, array_like=True, frozen=True):
         time: Operator's clock [s].
         pose: Rotation (3, 3), then position (3,): 12 float64.
         packets: What had arrived.
-        felt: Force, then torque: 6 float64.
+        felt: Force, then torque: 6 float64. Of hand and force in a process of their
+            own: `haptic_process.HAND` float64 a frame of theirs before the step.
     """
 
     time: float
@@ -199,21 +204,36 @@ class Recorder:
         self._target.__exit__(kind, error, trace)
 
     def watch(self, moment: Moment) -> None:
-        """Write a frame."""
-        pose = np.concatenate([moment.rotation.ravel(), moment.position])
-        self._block.append(
-            Frame(
-                moment.time,
-                pose.tobytes(),
-                list(moment.packets),
-                moment.felt.tobytes(),
-            )
-        )
+        """Write a frame of a simulated session."""
+        pose = moment.rotation, moment.position
+        self._write(moment.time, pose, moment.packets, moment.felt)
+        if self._is_due(moment.time):
+            self._show(moment.time, pose, moment.felt, moment.sensed)
+
+    def operated(self, frame: OperatorFrame) -> None:
+        """Write a frame of an operator whose hand is in a process of its own."""
+        felt = np.zeros((0, HAND)) if frame.felt is None else frame.felt
+        self._write(frame.time, frame.pose, frame.packets, felt)
+        if len(felt) and self._is_due(frame.time):
+            self._show(frame.time, frame.pose, felt[-1][REACHED], frame.measured)
+
+    def _write(
+        self,
+        now: float,
+        pose: tuple[Array, Array],
+        packets: Sequence[bytes],
+        felt: Array,
+    ) -> None:
+        numbers = np.concatenate([pose[0].ravel(), pose[1]]).tobytes()
+        self._block.append(Frame(now, numbers, list(packets), felt.tobytes()))
         if len(self._block) == BLOCK:
             self._flush()
-        if moment.time - self._shown >= 1.0 / SHOWN - 1e-9:
-            self._shown = moment.time
-            self._show(moment)
+
+    def _is_due(self, now: float) -> bool:
+        due = now - self._shown >= 1.0 / SHOWN - 1e-9
+        if due:
+            self._shown = now
+        return due
 
     def _flush(self) -> None:
         if self._block:
@@ -221,14 +241,14 @@ class Recorder:
             self._add(self._frames, self._block[-1].time, content)
             self._block = []
 
-    def _show(self, moment: Moment) -> None:
-        sensed, now = moment.sensed, moment.time
-        for name, numbers in (
-            ("/hand/pose", _pose(moment.rotation, moment.position)),
-            ("/hand/felt", moment.felt),
-            ("/probe/pose", _pose(sensed.rotation, sensed.position)),
-            ("/probe/measured", sensed.wrench),
-        ):
+    def _show(
+        self, now: float, pose: tuple[Array, Array], felt: Array, sensed: Sample | None
+    ) -> None:
+        shown = {"/hand/pose": _pose(*pose), "/hand/felt": felt}
+        if sensed is not None:
+            shown["/probe/pose"] = _pose(sensed.rotation, sensed.position)
+            shown["/probe/measured"] = sensed.wrench
+        for name, numbers in shown.items():
             self._add(self._channels[name], now, _cdr(now, numbers))
 
     def _add(self, channel: int, now: float, content: bytes) -> None:
@@ -252,27 +272,6 @@ def _cdr(now: float, numbers: Array) -> bytes:
     )
     head += bytes(-len(head) % 8)
     return b"\0\1\0\0" + head + numbers.astype("<f8").tobytes()
-
-
-@dataclass(frozen=True)
-class Replay:
-    """A session rendered again.
-
-    Attributes:
-        frames: Frames rendered [–].
-        identical: Those whose six numbers are the same bit by bit [–].
-        largest_difference: Of a component [N, N·m].
-        description: What made the operator.
-    """
-
-    frames: int
-    identical: int
-    largest_difference: float
-    description: Description
-
-    def as_dict(self) -> dict[str, Any]:
-        """All figures by name, for JSON."""
-        return asdict(self)
 
 
 def frames_of(path: str | os.PathLike[str]) -> tuple[Description, Iterator[Frame]]:
@@ -305,27 +304,3 @@ def _frames(file: Path) -> Iterator[Frame]:
         found = reading.make_reader(stream).iter_messages(topics=[FRAMES])
         for _, _, message in found:
             yield from decoder.decode(message.data)
-
-
-def replay(path: str | os.PathLike[str]) -> Replay:
-    """Render a recorded session again, from all that the operator was given.
-
-    Raises:
-        FileError: Not such a file, or a damaged one.
-    """
-    description, frames = frames_of(path)
-    operator = description.operator()
-    count = identical = 0
-    largest = 0.0
-    for frame in frames:
-        pose = np.frombuffer(frame.pose).copy()
-        rotation, position = pose[:9].reshape(3, 3), pose[9:]
-        operator.step(frame.time, frame.packets, rotation, position)
-        felt = operator.feel(frame.time, rotation, position)
-        count += 1
-        if felt.tobytes() == frame.felt:
-            identical += 1
-        else:
-            difference = np.abs(felt - np.frombuffer(frame.felt)).max()
-            largest = max(largest, float(difference))
-    return Replay(count, identical, largest, description)

@@ -22,7 +22,7 @@ from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import MOST_TICKS, TICKS, Sample
 from ttus_opt.live.operator import Operator
-from ttus_opt.live.real_time import promptly, run_follower, run_operator_apart
+from ttus_opt.live.real_time import promptly, run_follower, run_operator
 from ttus_opt.live.safety import State
 from ttus_opt.live.sealing import new_key
 from ttus_opt.live.socket_link import SocketLink
@@ -168,6 +168,6 @@ def _operate(
         side = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         start = path.rotation[0], path.position[0]
-        ended = run_operator_apart(side, worse, start, seconds=seconds)
+        ended = run_operator(side, worse, start, seconds=seconds)
     link.close()
     end.send(SwapTimes(loop.begun, loop.felt_after, ended.state))
