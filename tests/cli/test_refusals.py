@@ -289,8 +289,8 @@ def test_two_outputs_are_two_files(run, files, tmp_path):
 
 def test_a_package_of_an_extra_is_named(run, output, monkeypatch):
     """Also where a module of ours imports it at its top."""
-    monkeypatch.delitem(sys.modules, "ttus_opt.live.messages", raising=False)
-    monkeypatch.delitem(sys.modules, "ttus_opt.live.recording", raising=False)
+    for name in ("messages", "recording", "replay"):
+        monkeypatch.delitem(sys.modules, f"ttus_opt.live.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "msgspec", None)
     told = run(f"live replay --recording {output / 'x.mcap'}")
     install = 'error: msgspec is not installed: pip install "ttus-opt[live]"'
