@@ -1,6 +1,7 @@
 import base64
 
 import matplotlib.image
+import pytest
 
 from ttus_opt.report.document import (
     Heading,
@@ -41,6 +42,14 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
 
 def test_markdown_of_a_list():
     assert str(Items(["a", "b"])) == "- a\n- b"
+
+
+@pytest.mark.parametrize("width", [24, 20, 17])
+def test_a_table_of_many_columns_fits_where_its_words_do(width):
+    """Two blanks between columns, one, and short cells broken."""
+    told = Table(["a", "b", "c"], [["0, 0, 0", "seven 7", "eight 8"]]).fitted(width)
+    assert max(map(len, told.splitlines())) <= width
+    assert told.count("0") == 3 and told.count("eight") == 1
 
 
 def test_a_terminal_gets_what_fits():

@@ -143,10 +143,16 @@ class Table(Block):
         whole = str(self)
         if len(whole.partition("\n")[0]) <= width:
             return whole
-        pieces = [[_longest(c.split()) for c in self.header]]
-        pieces += [[_longest(_breakable(c)) for c in row] for row in self.rows]
-        least = [max(column) for column in zip(*pieces, strict=True)]
-        n_blanks = len(least) - 1
+        n_blanks = len(self.header) - 1
+        for parts_of in (
+            _breakable,
+            str.split,
+        ):  # short cells, where nothing else helps
+            pieces = [[_longest(c.split()) for c in self.header]]
+            pieces += [[_longest(parts_of(c)) for c in row] for row in self.rows]
+            least = [max(column) for column in zip(*pieces, strict=True)]
+            if sum(least) + n_blanks <= width:
+                break
         gap = 2 if sum(least) + 2 * n_blanks <= width else 1
         widths = least.copy()  # a header is broken to the width of what it stands over
         for row in self.rows:
