@@ -13,7 +13,7 @@ from ttus_opt.session.description import read_description
 def test_the_example_is_understood(recording):
     found = read_description(recording)
     assert found.title == "Synthetic recording"
-    assert [part.name for part in found.recordings if part.fitted] == [
+    assert found.fitted == [
         "press_fit",
         "sweep_fit",
     ]

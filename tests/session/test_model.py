@@ -38,8 +38,7 @@ def session(**changed):
         "solver": "auto",
     }
     plan = FitPlan(shape=SHAPE, r_inner=R_INNER, **(told | changed))
-    parts = [SimpleNamespace(name=name, fitted=use) for name, use in USE.items()]
-    return SimpleNamespace(fit=plan, recordings=parts)
+    return SimpleNamespace(fit=plan, fitted=[name for name, use in USE.items() if use])
 
 
 def scene():
@@ -63,9 +62,11 @@ def test_the_field_is_that_of_the_stretches_that_are_fitted():
 
 
 def test_every_stretch_is_judged_with_both_fields():
-    """In the order of the description, with whether it was fitted."""
+    """In their order, with whether each was fitted."""
     both = fit_model(session(), SURFACE, SHELL, RECORDINGS)
-    found = judge(session(), both, SHELL, RECORDINGS)
+    fields = both.before.field, both.after.field
+    ordered = {name: RECORDINGS[name] for name in USE}
+    found = judge(fields, SHELL, ordered, session().fitted)
     assert [(c.recording, c.seen) for c in found] == list(USE.items())
     for each in found:
         own = RECORDINGS[each.recording]
@@ -131,8 +132,7 @@ def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     """Before anything is solved, with a warning that --strict makes an error."""
     press = spoilt(read_trajectory(example.path("press_fit.csv")), cause)
     plan = replace(session().fit, shape=(16, 36, 16), r_inner=0.03)
-    parts = [SimpleNamespace(name="press", fitted=True)]
-    told = SimpleNamespace(fit=plan, recordings=parts)
+    told = SimpleNamespace(fit=plan, fitted=["press"])
     surface = Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE, n_points=120)
     monkeypatch.setattr(model, "fit", no_solve)

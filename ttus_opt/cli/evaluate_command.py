@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
 from ttus_opt.cli.sources import seen, warn_of_another_probe
-from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
+from ttus_opt.core.errors import InputError, MistakeWarning, warn
 
 if TYPE_CHECKING:
     import numpy as np
@@ -214,24 +213,19 @@ def warn_of_poses(
     """Say when poses lie off the field's grid, or reach beyond it."""
     off = int(in_grid.size - in_grid.sum())
     if off:
-        warnings.warn(
+        warn(
             f"{off} of {in_grid.size} poses lie outside the field's grid and give "
             "zero force: check the trajectory's frame and unit",
-            MistakeWarning,
-            stacklevel=2,
+            kind=MistakeWarning,
         )
     if cut.any():
-        warnings.warn(
+        warn(
             f"{cut.sum()} of {cut.size} poses touch the patient beyond the field's "
-            "sector or ends too, where nothing pushes back: fit with a wider --sector",
-            TtusWarning,
-            stacklevel=2,
+            "sector or ends too, where nothing pushes back: fit with a wider --sector"
         )
     deep = int((beyond > 0).sum())
     if deep:
-        warnings.warn(
+        warn(
             f"{deep} of {beyond.size} poses reach below the field's innermost layer, "
-            "where that layer's values continue: fit with a smaller --r-inner",
-            TtusWarning,
-            stacklevel=2,
+            "where that layer's values continue: fit with a smaller --r-inner"
         )

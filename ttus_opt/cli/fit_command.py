@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +17,10 @@ from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import fitted_contacts, sources
-from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
+from ttus_opt.core.errors import InputError, MistakeWarning, warn
 
 if TYPE_CHECKING:
     from ttus_opt.contact.scene import Scene
-    from ttus_opt.fitting.checks.sanity import SanityReport
     from ttus_opt.fitting.weights.weight_choice import WeightChoice
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
@@ -199,7 +197,16 @@ def fit(
     if report is not None:
         lines = [*solved_lines(solution, output), *solution.chosen, *report.lines]
         lines += how_read(recorded, conventions)
-    tell(summary(solution, output, choice, report), *lines, json=json)
+    tell(
+        {
+            **solution.as_dict(),
+            "output": None if solution.verified_field is None else str(output),
+            "weights_chosen": choice.as_dict(),
+            "sanity": None if report is None else report.as_dict(),
+        },
+        *lines,
+        json=json,
+    )
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
 
 
@@ -239,11 +246,7 @@ def _write(
         saved = save_with_uncertainty(found, uncertainty(solution, scene), output)
     except InputError as error:
         found.save(output)
-        warnings.warn(
-            f"{output} was written without uncertainty: {error}",
-            TtusWarning,
-            stacklevel=2,
-        )
+        warn(f"{output} was written without uncertainty: {error}")
         return
     if picture is not None:
         assert saved.uncertainty is not None
@@ -266,46 +269,6 @@ def _draw_poses(
     plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
 
 
-def summary(
-    solution: Solution,
-    output: Path,
-    choice: WeightChoice,
-    report: SanityReport | None,
-) -> dict[str, Any]:
-    """What the fit found, for machines."""
-    solved = solution.verified_field is not None
-    return {
-        "status": solution.status.name.lower(),
-        "advice": "" if solved else solution.status.value,
-        "formulation": solution.formulation,
-        "solver": solution.solver,
-        "detail": solution.detail,
-        "attempts": [
-            {**asdict(a), "status": a.status.name.lower()} for a in solution.attempts
-        ],
-        "voxels": _n_voxels(solution),
-        "objective": solution.objective,
-        "costs": solution.costs,
-        "weights": solution.weights,
-        "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
-        "iterations": solution.iterations,
-        "parameters": solution.parameters,
-        "standard_errors": solution.standard_errors,
-        "not_identified": solution.not_identified,
-        "compressed": solution.compressed,
-        "remarks": solution.remarks,
-        "seconds": solution.timings.as_dict(),
-        "output": str(output) if solved else None,
-        "weights_chosen": choice.as_dict(),
-        "sanity": None if report is None else report.as_dict(),
-    }
-
-
-def _n_voxels(solution: Solution) -> int:
-    p = solution.program.variables["p"]
-    return int(p.stop - p.start)
-
-
 def solved_lines(solution: Solution, output: Path) -> list[str]:
     """How it was solved, for people."""
     worst = float("nan") if solution.kkt is None else solution.kkt.worst_relative
@@ -315,7 +278,7 @@ def solved_lines(solution: Solution, output: Path) -> list[str]:
     solved = (
         f"{output}: {solution.formulation} by {solution.solver}"
         f"{after if solution.attempts else ''}, "
-        f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
+        f"{solution.n_voxels:,} voxels, KKT {worst:.1e}, "
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
         + (f", {times.compile:.1f} s compile" if times.compile > 0.05 else "")
     )

@@ -7,7 +7,6 @@ that matches the forces best is one number by least squares
 
 from __future__ import annotations
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.place_errors import place_errors
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 from ttus_opt.laplace.system import LaplaceSystem
 
 #: Name of the parameter in a scene and a solution
@@ -121,10 +120,10 @@ def _report_scale(scale: float, error: float) -> str:
         reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
         advice = "give the force ON the probe in patient axes"
         kind = MistakeWarning
-    warnings.warn(
+    warn(
         f"the recordings cannot determine the boundary scale ({reason}), so 1 is "
         f"used: {advice}",
-        kind,
-        stacklevel=4,
+        3,
+        kind=kind,
     )
     return reason

@@ -13,7 +13,6 @@ from __future__ import annotations
 import functools
 import math
 import threading
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from numpy.typing import ArrayLike
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.core.errors import InputError, warn
 from ttus_opt.haptic.blend import (
     PROGRESS,
     BlendLaw,
@@ -344,12 +343,11 @@ class Renderer:
     def _warn(self, drag: str) -> None:
         """Warn, once, that drag is left out."""
         self._warned = True
-        warnings.warn(
+        warn(
             f"the field has drag ({drag}), but the probe's motion is unknown, so "
             "frames are rendered without drag; give render a twist, or the time of "
             "each pose",
-            TtusWarning,
-            stacklevel=4,
+            3,
         )
 
     def update(self, field: PotentialField) -> None:

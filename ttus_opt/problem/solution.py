@@ -6,6 +6,7 @@ import enum
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -208,9 +209,42 @@ class Solution:
         return {term.name: term.weight for term in self.program.terms}
 
     @property
+    def n_voxels(self) -> int:
+        """Number of values of the potential V [–]."""
+        p = self.program.variables["p"]
+        return int(p.stop - p.start)
+
+    @property
     def variables(self) -> Mapping[str, Array]:
         """The candidate's variables by name, verified or not; empty without one."""
         return {} if self.candidate is None else self.program.split(self.candidate)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What the fit found, by name, for JSON."""
+        attempts = [
+            {**asdict(each), "status": each.status.name.lower()}
+            for each in self.attempts
+        ]
+        return {
+            "status": self.status.name.lower(),
+            "advice": "" if self.verified_field is not None else self.status.value,
+            "formulation": self.formulation,
+            "solver": self.solver,
+            "detail": self.detail,
+            "attempts": attempts,
+            "voxels": self.n_voxels,
+            "objective": self.objective,
+            "costs": dict(self.costs),
+            "weights": dict(self.weights),
+            "kkt": None if self.kkt is None else self.kkt.as_dict(),
+            "iterations": self.iterations,
+            "parameters": dict(self.parameters),
+            "standard_errors": dict(self.standard_errors),
+            "not_identified": dict(self.not_identified),
+            "compressed": dict(self.compressed),
+            "remarks": dict(self.remarks),
+            "seconds": self.timings.as_dict(),
+        }
 
     def summary(self) -> str:
         """Outcome, costs and active limits as plain text."""

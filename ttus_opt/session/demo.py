@@ -26,11 +26,11 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report.document import Heading, Items, Picture, write_report
-from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison, error_section
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.surface import Surface
+from ttus_opt.session.model import judge
 from ttus_opt.voxmap.field import PotentialField
 
 #: Number of stages that `run` reports
@@ -83,14 +83,8 @@ class DemoResult:
 
     def as_dict(self) -> dict[str, Any]:
         """All figures by name, for JSON."""
-        kkt = self.after.kkt
         return {
-            "status": self.after.status.name.lower(),
-            "kkt": None if kkt is None else kkt.as_dict(),
-            "weights": dict(self.after.weights),
-            "parameters": dict(self.after.parameters),
-            "standard_errors": dict(self.after.standard_errors),
-            "not_identified": dict(self.after.not_identified),
+            **self.after.as_dict(),
             "surface_error_mean_m": self.surface_error.mean,
             "surface_error_p95_m": self.surface_error.p95,
             "surface_observed": self.surface_error.observed,
@@ -147,10 +141,7 @@ def run(
     after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
     begin("evaluating")
     fields = before.field, after.field
-    comparisons = tuple(
-        Comparison(name, name in FITTED, *(evaluate(p, shell, case) for p in fields))
-        for name, case in recordings.items()
-    )
+    comparisons = judge(fields, shell, recordings, FITTED)
     begin("pictures and report")
     after.field.save(out / "field.nc")
     pictures = _pictures(cloud, *fields, comparisons)

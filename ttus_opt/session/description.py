@@ -188,6 +188,11 @@ class Description:
     recordings: tuple[Part, ...]
     fit: FitPlan
 
+    @property
+    def fitted(self) -> list[str]:
+        """Names of the stretches that the field is fitted to."""
+        return [part.name for part in self.recordings if part.fitted]
+
 
 def read_description(
     path: str | os.PathLike[str], *, trust: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from ttus_opt.contact.scene import Scene, ScenePlan
@@ -21,6 +21,7 @@ from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison
 from ttus_opt.scan.surface import Surface
 from ttus_opt.session.description import Description
+from ttus_opt.voxmap.field import PotentialField
 
 #: Keys of the description that a mistake is made in, by its cause
 KEYS = {
@@ -69,7 +70,7 @@ def fit_model(
         NoSolutionError: The answer failed its verification.
     """
     plan = ScenePlan(session.fit.shape, session.fit.r_inner)
-    fitted = [recordings[part.name] for part in session.recordings if part.fitted]
+    fitted = [recordings[name] for name in session.fitted]
     scene = scene_in_contact(plan, surface, shell, fitted)
     _judge_recordings(scene)
     before = fit(scene, "laplace_only")
@@ -95,18 +96,13 @@ def _judge_recordings(scene: Scene) -> None:
 
 
 def judge(
-    session: Description,
-    model: Model,
+    fields: tuple[PotentialField, PotentialField],
     shell: PointShell,
     recordings: Mapping[str, Trajectory],
+    fitted: Collection[str],
 ) -> tuple[Comparison, ...]:
-    """Errors of both fields along every stretch, by name in ``recordings``."""
-    fields = model.before.field, model.after.field
+    """Errors of the fields before and after fitting, along every recording."""
     return tuple(
-        Comparison(
-            part.name,
-            part.fitted,
-            *(evaluate(each, shell, recordings[part.name]) for each in fields),
-        )
-        for part in session.recordings
+        Comparison(name, name in fitted, *(evaluate(p, shell, case) for p in fields))
+        for name, case in recordings.items()
     )

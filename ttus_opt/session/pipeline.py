@@ -127,9 +127,11 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
     with results.step("fit"):
         model = fit_model(session, skin.surface, shell, recordings)
         model.after.field.save(results.path("field.nc"))
-        results.tell("fit", _fit_facts(model))
+        weights = model.choice.as_dict()
+        results.tell("fit", {**model.after.as_dict(), "weights": weights})
     with results.step("evaluation"):
-        comparisons = judge(session, model, shell, recordings)
+        fields = model.before.field, model.after.field
+        comparisons = judge(fields, shell, recordings, session.fitted)
         errors = [case.as_dict() for case in comparisons]
         results.tell("evaluation", {"errors": errors})
     with results.step("report"):
@@ -172,18 +174,4 @@ def _clock_facts(
         "correlation": timing.correlation,
         "frames": n_joined,
         "left_out": n_poses - n_joined,
-    }
-
-
-def _fit_facts(model: Model) -> dict[str, Any]:
-    after = model.after
-    return {
-        "formulation": after.formulation,
-        "weights": model.choice.as_dict(),
-        "status": after.status.name.lower(),
-        "solver": after.solver,
-        "kkt": None if after.kkt is None else after.kkt.as_dict(),
-        "parameters": dict(after.parameters),
-        "standard_errors": dict(after.standard_errors),
-        "not_identified": dict(after.not_identified),
     }

@@ -21,7 +21,6 @@ among the variables (`fitted_parameters`).
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
@@ -30,7 +29,7 @@ import numpy as np
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import TtusWarning
+from ttus_opt.core.errors import warn
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Solution, Status
@@ -196,10 +195,9 @@ def warn_of_untold_friction(declared: Formulation, done: str, depth: int = 1) ->
     reasons = declared.not_identifiable().items()
     named = ", ".join(name for name, why in reasons if why == ONE_SENSE)
     if named:
-        warnings.warn(
+        warn(
             f"{declared.name}: {named} cannot be told from an elastic force "
             f"({ONE_SENSE}): {done}; record the release of every press too, or slide "
             "the probe along the skin",
-            TtusWarning,
-            stacklevel=depth + 2,
+            depth + 1,
         )

@@ -10,7 +10,6 @@ formulation's own weights are used.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.blas_threads import one_blas_thread
-from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.core.errors import InputError, warn
 from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights.tuning import tune
@@ -336,11 +335,10 @@ def described(model: Formulation) -> tuple[str, ...]:
 def _own(scene: Scene, declared: Formulation, reason: str) -> WeightChoice:
     """A formulation with its own weights, and a warning with the reason."""
     weights = (f"{t.name} {t.weight:g}" for t in declared.terms if t.measures)
-    warnings.warn(
+    warn(
         f"weights were not chosen from the recordings: {reason}; the weights of "
         f"{declared.name} are used ({', '.join(weights)})",
-        TtusWarning,
-        stacklevel=3,
+        2,
     )
     return WeightChoice(scene, declared, reason=reason)
 
