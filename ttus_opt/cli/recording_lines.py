@@ -119,8 +119,6 @@ def recording_lines(
         names: Names of the files.
         uncertainty: Uncertainty of the field; None if not requested.
     """
-    import numpy as np
-
     from ttus_opt.fitting.checks.sanity import recording_names
     from ttus_opt.fitting.uncertainty.uncertainty_check import (
         calibration_curve,
@@ -128,11 +126,10 @@ def recording_lines(
     )
     from ttus_opt.report.hysteresis import hysteresis_share
 
-    numbers = np.unique(recorded.segment)
-    names = recording_names(names, len(numbers))
+    parts = recorded.parts
+    names = recording_names(names, len(parts))
     out = []
-    for name, number in zip(names, numbers, strict=True):
-        frames = recorded.segment == number
+    for name, frames in zip(names, parts, strict=True):
         own, part = recorded.select(frames), judged.over(frames)
         lost = hysteresis_share(own, shell, judged.errors.force_threshold_N)
         found, refused, curve = None, "", None

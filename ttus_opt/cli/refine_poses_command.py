@@ -13,7 +13,7 @@ from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import SceneOptions
 
 if TYPE_CHECKING:
-    from ttus_opt.core.arrays import Array, Mask
+    from ttus_opt.core.arrays import Array
     from ttus_opt.fitting.poses.pose_refinement import RefinedPoses
 
 
@@ -64,20 +64,14 @@ def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:
     return {
         "output": str(output),
         "frames": len(found.trajectory),
-        "recordings": [_figures(found, own) for own in _each(found)],
+        "recordings": [_figures(found, own) for own in found.trajectory.parts],
         "log_evidence_gain": found.gain,
         "steps": found.steps,
         "held_out": None if found.check is None else found.check._asdict(),
     }
 
 
-def _each(found: RefinedPoses) -> list[Mask]:
-    """Masks of the recordings."""
-    segment = found.trajectory.segment
-    return [segment == number for number in dict.fromkeys(segment.tolist())]
-
-
-def _figures(found: RefinedPoses, own: Mask) -> dict[str, float]:
+def _figures(found: RefinedPoses, own: slice) -> dict[str, float]:
     """Root mean squares of a recording, of a component."""
     errors, std = found.errors[own], found.std[own]
     return {
@@ -94,7 +88,7 @@ def _rms(values: Array) -> float:
 
 def _lines(found: RefinedPoses, output: Path) -> list[str]:
     lines = []
-    for number, own in enumerate(_each(found), start=1):
+    for number, own in enumerate(found.trajectory.parts, start=1):
         f = _figures(found, own)
         lines.append(
             f"recording {number}: poses moved by {f['position_mm']:.2f} mm and "

@@ -224,8 +224,7 @@ def _reordered(recorded: Trajectory) -> Array:
 def _advanced(recorded: Trajectory, values: Array, delay: float) -> Array:
     """Values at later times, linear between frames, within each segment."""
     out = np.empty_like(values)
-    for number in np.unique(recorded.segment):
-        own = recorded.segment == number
+    for own in recorded.parts:
         time = recorded.time[own]
         for c in range(3):
             out[own, c] = np.interp(time + delay, time, values[own, c])

@@ -26,9 +26,16 @@ def jumps(position: Array, time: Array) -> tuple[Mask, Array]:
     if len(time) < 4:
         return off > 0.0, off
     steps = np.diff(time)
-    velocity = np.diff(position, axis=0) / steps[:, None]
-    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    change = np.pad(change, 1, mode="edge")
-    off[1:] = np.minimum(change[:-1], change[1:]) * steps
+    off[1:] = unlike_neighbours(position, steps)
     plausible = np.maximum(JUMP, BRISK * np.r_[0.0, steps] ** 2)
     return off > np.maximum(plausible, JUMPS * np.median(off[1:])), off
+
+
+def unlike_neighbours(path: Array, steps: Array) -> Array:
+    """By how much every step of a path (T, 3) differs from those before and after it.
+
+    The lesser of both, over steps of the time, shape (T - 1,).
+    """
+    change = np.diff(np.diff(path, axis=0) / steps[:, None], axis=0)
+    size = np.pad(np.linalg.norm(change, axis=1), 1, mode="edge")
+    return np.asarray(np.minimum(size[:-1], size[1:]) * steps)

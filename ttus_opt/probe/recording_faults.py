@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.arrays import Mask
 from ttus_opt.core.errors import FileError, MistakeWarning, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording, complete
@@ -178,12 +178,8 @@ def _listed(raw: RawRecording, found: list[Fault]) -> str:
     """One line: a single fault with its remedy, or all of them."""
     if len(found) == 1:
         (one,) = found
-        more = int(one.rows.sum()) - 1
-        others = f" (and {more} more)" if more else ""
-        return (
-            f"{raw.title}, {raw.place(one.first)}: {one.what}{others}: {one.remedy}"
-            + _advice(found)
-        )
+        told = f"{one.what}{_more(one)}: {one.remedy}{_advice(found)}"
+        return f"{raw.title}, {raw.place(one.first)}: {told}"
     listed = "; ".join(
         f"{raw.place(f.first)}: {f.what}" + _more(f) for f in found[:MOST_LISTED]
     )
@@ -204,14 +200,11 @@ def _advice(found: list[Fault]) -> str:
 
 def _warn_of_milliseconds(raw: RawRecording) -> None:
     steps = np.diff(raw.time)[np.diff(raw.segment) == 0]
-    if raw.has_poses and not raw.units_stated and len(steps) and _slow(steps):
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if raw.has_poses and not raw.units_stated and usual > SLOW:
         warn(
-            f"{raw.title}: frames are {np.median(steps):.3g} s apart: are the times "
+            f"{raw.title}: frames are {usual:.3g} s apart: are the times "
             "in milliseconds? divide t by 1000",
             3,
             MistakeWarning,
         )
-
-
-def _slow(steps: Array) -> bool:
-    return float(np.median(steps)) > SLOW

@@ -23,6 +23,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.compiled import compiled
+from ttus_opt.probe.jumps import unlike_neighbours
 
 #: Fewest frames from which the noise can be estimated
 LEAST_FRAMES = 20
@@ -143,11 +144,11 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
     def cost(place: Array) -> float:
         """Minus log likelihood, at the best scale of all three."""
         ratios = _ratios(place)
-        square, spread, count = _filtered(path, steps, starts, ratios, _none())
+        square, spread, count = _filtered(path, steps, starts, ratios, NONE)
         scale = max(square / count, EXACT**2)
         return float(0.5 * (spread + count * math.log(scale)))
 
-    if _filtered(path, steps, starts, _ratios(np.zeros(2)), _none())[2] == 0:
+    if _filtered(path, steps, starts, _ratios(np.zeros(2)), NONE)[2] == 0:
         return None  # no piece is long enough
     grid = [(share, ratio) for share in (-3.0, 3.0) for ratio in STARTS]
     best = min(grid, key=lambda place: cost(np.array(place)))
@@ -156,7 +157,11 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
         np.array(best),
         method="Nelder-Mead",
         bounds=[(-12.0, 12.0), (STARTS[0], STARTS[-1])],
-        options={"xatol": 0.02, "fatol": 0.01, "initial_simplex": _simplex(best)},
+        options={
+            "xatol": 0.02,
+            "fatol": 0.01,
+            "initial_simplex": np.add(best, [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]),
+        },
     )
     ratios = _ratios(found.x)
     velocity, variance, scale = _estimated(path, steps, starts, ratios)
@@ -223,20 +228,9 @@ def _most_noise(path: Array) -> float:
 
 
 def _starts(path: Array, steps: Array) -> Mask:
-    """Frames at which a path restarts: the first, and after a jump, shape (T,).
-
-    A jump is a step that differs from the steps before and after it.
-    """
-    change = np.diff(np.diff(path, axis=0) / steps[:, None], axis=0)
-    size = np.pad(np.linalg.norm(change, axis=1), 1, mode="edge")
-    off = np.minimum(size[:-1], size[1:]) * steps
-    jumps = off > np.maximum(JUMP, JUMPS * np.median(off))
-    return np.concatenate([[True], jumps])
-
-
-def _simplex(best: tuple[float, float]) -> Array:
-    """Three places around the best one so far, shape (3, 2)."""
-    return np.add(best, [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    """Frames at which a path restarts: the first, and after a jump, shape (T,)."""
+    off = unlike_neighbours(path, steps)
+    return np.concatenate([[True], off > np.maximum(JUMP, JUMPS * np.median(off))])
 
 
 def _ratios(place: Array) -> tuple[float, float, float]:
@@ -245,13 +239,10 @@ def _ratios(place: Array) -> tuple[float, float, float]:
     return math.exp(float(place[1])), 1.0 - white, white
 
 
-def _none() -> Array:
-    return np.empty((0, KEPT))
-
-
 #: What the filter keeps of a frame: innovations of three axes and their variance; gain;
 #: predicted velocities; the velocity's row of the predicted covariance, symmetric
 INNOVATION, VARIANCE, GAIN, PREDICTED, COVARIANCE, KEPT = 0, 3, 4, 7, 10, 13
+NONE = np.empty((0, KEPT))
 
 
 @compiled(error_model="numpy", nogil=True)

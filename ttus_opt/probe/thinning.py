@@ -39,8 +39,8 @@ def thinned(
             f"rate must be positive and at most {HIGHEST:g} Hz, got {rate}"
         )
     kept = []
-    for segment in dict.fromkeys(trajectory.segment.tolist()):
-        frames = np.flatnonzero(trajectory.segment == segment)
+    for part in trajectory.parts:
+        frames = np.arange(part.start, part.stop)
         if rate is not None:
             passed = trajectory.time[frames] - trajectory.time[frames[0]]
             # rounding of the times must not move a frame to the previous interval

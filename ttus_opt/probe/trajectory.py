@@ -8,7 +8,6 @@ maps a recording from another frame to the patient's.
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -31,7 +30,7 @@ from ttus_opt.probe.pose import (
     rotations,
     to_quaternions,
 )
-from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.repair import repaired_aloud
 from ttus_opt.probe.rigid_motion import composed
@@ -140,7 +139,7 @@ class Trajectory:
         return f"Trajectory({', '.join(self._facts().values())})"
 
     def _repr_html_(self) -> str:
-        own = self._segments()[0]  # times of others may begin anew
+        own = self.parts[0]  # times of others may begin anew
         shown = slice(own.start, own.stop, max(1, (own.stop - own.start) // 200))
         moved = self.position - self.position[own.start]
         values = moved if self.force is None else self.force
@@ -153,11 +152,11 @@ class Trajectory:
 
     def _facts(self) -> dict[str, str]:
         """A short description, by name."""
-        parts = len(self._segments())
-        recordings = f" in {parts} recordings" if parts > 1 else ""
+        n = len(self.parts)
+        recordings = f" in {n} recordings" if n > 1 else ""
         measured = "with wrenches" if self.has_torque else "with forces"
         wrench = measured if self.has_wrench else "without wrenches"
-        spans = [self.time[p.stop - 1] - self.time[p.start] for p in self._segments()]
+        spans = [self.time[p.stop - 1] - self.time[p.start] for p in self.parts]
         seconds = float(np.sum(spans))
         return {
             "frames": f"{len(self)} frames{recordings}",
@@ -257,7 +256,7 @@ class Trajectory:
         of a segment; zero in a segment of one frame, whose motion is not known.
         """
         out = np.zeros_like(self.position)
-        for part in self._segments():
+        for part in self.parts:
             if part.stop - part.start > 1:
                 out[part] = np.gradient(self.position[part], self.time[part], axis=0)
         return out
@@ -271,7 +270,7 @@ class Trajectory:
         from scipy.spatial.transform import Rotation
 
         out = np.zeros_like(self.position)
-        for part in self._segments():
+        for part in self.parts:
             n = part.stop - part.start
             if n < 2:
                 continue
@@ -298,7 +297,7 @@ class Trajectory:
         from ttus_opt.probe.smooth_motion import smooth_twist
 
         out = np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
-        for part in self._segments():
+        for part in self.parts:
             poses = self.rotation[part], self.position[part]
             out[part] = smooth_twist(*poses, self.time[part], out[part])
         return out
@@ -308,10 +307,15 @@ class Trajectory:
         found = {own.name: getattr(self, own.name) for own in fields(self)}
         return {name: values for name, values in found.items() if values is not None}
 
-    def _segments(self) -> list[slice]:
-        cuts = np.flatnonzero(np.diff(self.segment)) + 1
-        edges = [0, *cuts.tolist(), len(self)]
-        return [slice(a, b) for a, b in itertools.pairwise(edges)]
+    @property
+    def parts(self) -> list[slice]:
+        """Frames of every recording, in the order in which they stand."""
+        return parts(self.segment)
+
+    @property
+    def recordings(self) -> list[Trajectory]:
+        """Every recording by itself."""
+        return [self.select(part) for part in self.parts]
 
     def select(self, frames: slice | NDArray[np.bool_] | IntArray) -> Trajectory:
         """Some of the frames, in order; velocities follow from these frames alone.
@@ -382,7 +386,7 @@ class Trajectory:
                 columns.append(values)
         written = repr if digits >= 17 else f"{{:.{digits}g}}".format
         lines = [",".join(map(written, row)) for row in np.hstack(columns).tolist()]
-        if len(self._segments()) > 1:
+        if len(self.parts) > 1:
             names.append(SEGMENT)
             lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
         io.write_text(path, "\n".join([",".join(names), *lines, ""]))

@@ -12,15 +12,11 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import ROTATION_VECTOR
 from ttus_opt.probe.pose import rotation_vectors_to_quaternions
-from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.text_table import TextTable, read_text_table, seconds
 
-TIME = ("t",)
-POSITION = ("px", "py", "pz")
-QUATERNION = ("qw", "qx", "qy", "qz")
-FORCE = ("fx", "fy", "fz")
-TORQUE = ("tx", "ty", "tz")
+TIME, POSITION, QUATERNION, FORCE, TORQUE = COMPONENTS.values()
 SEGMENT = "segment"
 
 

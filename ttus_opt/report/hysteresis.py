@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -40,26 +40,23 @@ def hysteresis_share(
     """
     if trajectory.force is None:
         raise InputError("hysteresis needs measured forces: add fx,fy,fz")
-    size = np.linalg.norm(trajectory.force, axis=1)
     dissipated, done = 0.0, 0.0
-    for number in np.unique(trajectory.segment):
-        frames = np.flatnonzero(trajectory.segment == number)
-        work = np.concatenate([[0.0], np.cumsum(_work(trajectory, shell, frames))])
-        for start, stop in _presses(size[frames] > force_threshold):
+    for own in trajectory.recordings:
+        work = np.concatenate([[0.0], np.cumsum(_work(own, shell))])
+        size = np.linalg.norm(np.asarray(own.force), axis=1)
+        for start, stop in _presses(size > force_threshold):
             during = work[start : stop + 1] - work[start]
             dissipated, done = dissipated + during[-1], done + during.max()
     return dissipated / done if done > 0.0 else float("nan")
 
 
-def _work(trajectory: Trajectory, shell: PointShell, frames: IntArray) -> Array:
+def _work(trajectory: Trajectory, shell: PointShell) -> Array:
     """Work done on the patient between frames, shape (T - 1,) [J]."""
-    assert trajectory.force is not None
-    rotation = trajectory.rotation[frames]
-    at = trajectory.position[frames] + rotation @ np.asarray(shell.reference)
-    force = trajectory.force[frames]
+    rotation, force, torque = trajectory.rotation, trajectory.force, trajectory.torque
+    at = trajectory.position + rotation @ np.asarray(shell.reference)
+    assert force is not None
     work = -np.einsum("ti,ti->t", force[1:] + force[:-1], np.diff(at, axis=0)) / 2
-    if trajectory.torque is not None:
-        torque = trajectory.torque[frames]
+    if torque is not None:
         turn = Rotation.from_matrix(rotation[1:] @ rotation[:-1].transpose(0, 2, 1))
         mean = (torque[1:] + torque[:-1]) / 2
         work -= np.einsum("ti,ti->t", mean, turn.as_rotvec())

@@ -107,8 +107,8 @@ class Evaluation:
     in_grid: NDArray[np.bool_] = field(repr=False)
     beyond_inner: NDArray[np.int64] = field(repr=False)
 
-    def over(self, frames: NDArray[np.bool_]) -> Evaluation:
-        """The same of some of the frames, at least one, shape (T,)."""
+    def over(self, frames: slice | NDArray[np.bool_]) -> Evaluation:
+        """The same of some of the frames, at least one."""
         force, torque = self.measured_force[frames], self.measured_torque[frames]
         rendered = self.rendered_force[frames], self.rendered_torque[frames]
         thresholds = self.errors.force_threshold_N, self.errors.torque_threshold_Nm

@@ -97,8 +97,7 @@ def warn_of_jumps(recorded: Trajectory) -> None:
         recorded: Poses, in any frame.
     """
     steps = []
-    for number in np.unique(recorded.segment):
-        recording = recorded.select(recorded.segment == number)
+    for recording in recorded.recordings:
         at, size = jumps(recording.position, recording.time)
         steps += list(zip(recording.time[at], size[at], strict=True))
     if steps:

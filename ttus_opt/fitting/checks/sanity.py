@@ -191,11 +191,11 @@ def check_recordings(
     trajectory = scene.trajectory
     if not trajectory.has_wrench:
         raise InputError("the recordings have no wrenches to check")
-    numbers = np.unique(trajectory.segment)
-    names = recording_names(names, len(numbers))
+    recordings = trajectory.recordings
+    names = recording_names(names, len(recordings))
     checks = [
-        _recording(scene, field, name, trajectory.select(trajectory.segment == number))
-        for name, number in zip(names, numbers, strict=True)
+        _recording(scene, field, name, own)
+        for name, own in zip(names, recordings, strict=True)
     ]
     shell = scene.shell
     disagreement, mistake = _likely_mistake(

@@ -93,9 +93,7 @@ class RefinedPoses:
     @property
     def recordings(self) -> list[Trajectory]:
         """The recordings one by one."""
-        segment = self.trajectory.segment
-        numbers = segment[np.sort(np.unique(segment, return_index=True)[1])]
-        return [self.trajectory.select(segment == number) for number in numbers]
+        return self.trajectory.recordings
 
 
 @one_blas_thread()

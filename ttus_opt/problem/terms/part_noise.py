@@ -149,8 +149,7 @@ def contact_directions(scene: Scene) -> Array:
 def crowding(trajectory: Trajectory) -> Array:
     """Frames of a recording within `ALIKE`, at least one, shape (T,) [–]."""
     out = np.ones(len(trajectory))
-    for each in np.unique(trajectory.segment):
-        there = trajectory.segment == each
+    for there in trajectory.parts:
         time = trajectory.time[there]
         steps = max(time[-1] - time[0], ALIKE) / ALIKE
         out[there] = max((len(time) - 1) / steps, 1.0)

@@ -69,13 +69,13 @@ def pose_picture(
     Raises:
         InputError: The number of names is not the number of recordings.
     """
-    segments = np.unique(trajectory.segment)
-    names = names or [f"recording {number}" for number in segments]
-    if len(names) != len(segments):
+    recordings = trajectory.recordings
+    names = names or [f"recording {own.segment[0]}" for own in recordings]
+    if len(names) != len(recordings):
         raise InputError(
-            f"{len(segments)} recordings need as many names, got {len(names)}"
+            f"{len(recordings)} recordings need as many names, got {len(names)}"
         )
-    shown = segments[:RECORDINGS]
+    shown = recordings[:RECORDINGS]
     views = _views(surface)
     longest = _largest_force(trajectory)
     with look():
@@ -83,10 +83,8 @@ def pose_picture(
         axes = figure.subplots(
             len(shown), 3, squeeze=False, width_ratios=(1.2, 1.2, 1.0)
         )
-        for row, number, name in zip(axes, shown, names, strict=False):
-            frames = _Frames.of(
-                surface, shell, trajectory.select(trajectory.segment == number)
-            )
+        for row, own, name in zip(axes, shown, names, strict=False):
+            frames = _Frames.of(surface, shell, own)
             for axis, view in zip(row, views, strict=True):
                 _draw_skin(axis, surface, view, float(np.median(frames.at[:, 2])))
                 _draw(axis, frames, view, longest)
@@ -98,7 +96,9 @@ def pose_picture(
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
         }
         figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=6)
-        left = f", first {len(shown)} of {len(segments)}" * (len(segments) > len(shown))
+        left = f", first {len(shown)} of {len(recordings)}" * (
+            len(recordings) > len(shown)
+        )
         figure.suptitle(
             "Probe and measured force in the patient frame, patient on the back, z "
             f"along the body{left}; {LONGEST:.0f} cm of arrow = {longest:g} N",
