@@ -13,9 +13,12 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.drag_limit import DragLimit, check_coefficient
+from ttus_opt.problem.constraints.drag_limit import (
+    DragLimit,
+    MeanFriction,
+    check_coefficient,
+)
 from ttus_opt.problem.constraints.drag_sign import DragSign
-from ttus_opt.problem.constraints.mean_friction import MeanFriction
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import CoulombField
 from ttus_opt.problem.terms.drag_estimate import estimate_drag

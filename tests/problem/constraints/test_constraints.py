@@ -10,9 +10,8 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.drag_limit import DragLimit
+from ttus_opt.problem.constraints.drag_limit import DragLimit, MeanFriction
 from ttus_opt.problem.constraints.drag_sign import DragSign
-from ttus_opt.problem.constraints.mean_friction import MeanFriction
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.nonnegative import NonNegative
 from ttus_opt.problem.constraints.sign import Sign

@@ -1,4 +1,7 @@
-"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign.
+"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign, and of its mean.
+
+The drag field lies between 0 and μ_max p, and m p with the mean coefficient m must do
+so too: 0 ≤ m ≤ μ_max.
 
 See docs/method/contact.md, Friction.
 """
@@ -10,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.constraints.base import Constraint, LinearRows
+from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.terms.declared_rows import unit_rows
 
 #: Least and largest μ_max: gel has some 0.05, rubber on skin 2 [–]
@@ -56,3 +59,25 @@ class DragLimit(Constraint):
         inside = region[at] > 0
         lower = np.where(inside, 0.0, -np.inf)
         return LinearRows(blocks, lower, np.where(inside, np.inf, 0.0))
+
+
+@dataclass(frozen=True)
+class MeanFriction(Constraint):
+    """The mean friction coefficient lies in the range of the drag field's.
+
+    Attributes:
+        largest: μ_max [–].
+    """
+
+    largest: float = 1.0
+
+    name = "mean_friction"
+    formula = "0 ≤ m ≤ μ_max"
+
+    def __post_init__(self) -> None:
+        """Refuse a μ_max that is not positive."""
+        check_coefficient(self.largest)
+
+    def rows(self) -> Bounds:
+        """Bounds on m."""
+        return Bounds("m", np.zeros(1), np.full(1, self.largest))
