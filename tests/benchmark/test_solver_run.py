@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.benchmark.tiny import TINY
+from tests.solvers.dense import minimiser
 from ttus_opt.benchmark import solver_run
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.progress import KEPT, Progress
@@ -26,15 +27,6 @@ def spec_of(time_limit=60.0, **options):
         "repeat": 1,
     }
     return RunSpec("solvers", CASE, asked | options, time_limit)
-
-
-def minimiser(program):
-    """By dense algebra."""
-    roots = [np.sqrt(term.weight) for term in program.terms]
-    pairs = list(zip(roots, program.terms, strict=True))
-    M = np.vstack([w * term.matrix.toarray() for w, term in pairs])
-    t = np.concatenate([w * term.target for w, term in pairs])
-    return np.linalg.lstsq(M, t)[0]
 
 
 def measured(folder, spec):

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from ttus_opt.gaussian.conditioned import (
-    ByCovariance,
-    ByImages,
-    conditioned,
-)
+from ttus_opt.gaussian.conditioned import ByCovariance, ByImages, conditioned
 
 RNG = np.random.default_rng(1)
 M = 24

@@ -261,8 +261,7 @@ def test_a_session_goes_on_when_the_32_bits_of_its_clocks_are_full():
 
 
 @pytest.mark.parametrize(
-    ("hello", "said"),
-    [(Hello(2), "version 2"), (Hello(1, units="mm"), "units mm")],
+    ("hello", "said"), [(Hello(2), "version 2"), (Hello(1, units="mm"), "units mm")]
 )
 def test_another_version_or_unit_is_refused(hello, said):
     surface, _, content = parts()

@@ -39,14 +39,7 @@ def noisy(motion, time, turn, shift, seed):
 
 
 def streams(
-    seed=0,
-    *,
-    fixed=True,
-    turn=0.003,
-    shift=5e-4,
-    outliers=0.0,
-    axes=3,
-    seconds=15.0,
+    seed=0, *, fixed=True, turn=0.003, shift=5e-4, outliers=0.0, axes=3, seconds=15.0
 ):
     """A marker in a camera at 30 Hz, the hand at 50 Hz on a clock that is behind."""
     time = np.arange(0.0, seconds, 1 / 30)

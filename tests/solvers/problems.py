@@ -23,11 +23,7 @@ SQUARES = Squares()
 
 
 def term(
-    M: Any,
-    t: Any,
-    weight: float = 1.0,
-    penalty: Penalty = SQUARES,
-    name: str = "fit",
+    M: Any, t: Any, weight: float = 1.0, penalty: Penalty = SQUARES, name: str = "fit"
 ) -> ProgramTerm:
     """A term over all variables."""
     rows = sp.csr_array(np.asarray(M, dtype=float))
@@ -175,10 +171,7 @@ def references() -> list[Reference]:
         Reference(
             "linear_term",
             program(
-                [
-                    term(eye2, [0, 0]),
-                    term(eye2, [0, 0], 3.0, Linear(), name="slope"),
-                ],
+                [term(eye2, [0, 0]), term(eye2, [0, 0], 3.0, Linear(), name="slope")],
                 (),
                 [bounds("box", [-1, -INF], [INF, INF])],
             ),
@@ -209,24 +202,14 @@ def bending_references() -> list[Reference]:
         # ‖x‖² + huber(x - 9; 2): slope -4 until x = 2
         Reference(
             "huber",
-            program(
-                [
-                    term(eye1, [0]),
-                    term(eye1, [9], 1.0, Huber(2.0), name="bent"),
-                ]
-            ),
+            program([term(eye1, [0]), term(eye1, [9], 1.0, Huber(2.0), name="bent")]),
             [2],
             terms={"bent": [-4]},
         ),
         # ‖x - (3, 4)‖² + 2 ‖x‖: shrinks the length from 5 to 4
         Reference(
             "groups",
-            program(
-                [
-                    term(eye2, [3, 4]),
-                    term(eye2, [0, 0], 2.0, Groups(2), "bent"),
-                ]
-            ),
+            program([term(eye2, [3, 4]), term(eye2, [0, 0], 2.0, Groups(2), "bent")]),
             [2.4, 3.2],
             terms={"bent": [0.6, 0.8]},
         ),

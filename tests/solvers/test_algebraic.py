@@ -134,9 +134,7 @@ def test_what_no_square_determines_stays_where_it_is():
     assert untouched.any() and (found.x[untouched] == 0.0).all()
 
 
-def test_a_missing_package_is_told_and_another_solver_goes_on(
-    monkeypatch,
-):
+def test_a_missing_package_is_told_and_another_solver_goes_on(monkeypatch):
     def missing(module, extra):
         raise MissingPackageError(f'{module}: pip install "ttus-opt[{extra}]"')
 

@@ -1,7 +1,6 @@
 """Solvers against enumeration of all active sets and against dense linear algebra."""
 
 import functools
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
 from tests.solvers import taking
+from tests.solvers.dense import enumerated, minimiser, stacked
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.sign import Sign
@@ -18,25 +18,6 @@ from ttus_opt.solvers.base import Request
 
 #: Asked of every solver
 TOLERANCE = 1e-9
-
-
-def enumerated(M, t, A, b):
-    """The minimiser of ‖M x - t‖² over A x ≤ b: the best of all active sets."""
-    n = M.shape[1]
-    Q, d = M.T @ M, M.T @ t
-    best, least = np.zeros(n), np.inf
-    for count in range(n + 1):
-        for active in itertools.combinations(range(len(b)), count):
-            picked = list(active)
-            zero = np.zeros((count, count))
-            system = np.block([[2.0 * Q, A[picked].T], [A[picked], zero]])
-            if np.linalg.matrix_rank(system) < n + count:
-                continue
-            x = np.linalg.solve(system, np.concatenate([2.0 * d, b[picked]]))[:n]
-            cost = float(np.sum((M @ x - t) ** 2))
-            if (A @ x <= b + 1e-10).all() and cost < least:
-                best, least = x, cost
-    return best
 
 
 @functools.cache
@@ -78,20 +59,11 @@ def tiny():
     return load("eq10", scene, force_weight=1.0, torque_weight=1.0)
 
 
-def stacked(problem):
-    """All weighted rows, dense."""
-    root = [np.sqrt(t.weight) for t in problem.terms]
-    M = [r * t.matrix.toarray() for r, t in zip(root, problem.terms, strict=True)]
-    target = [r * t.target for r, t in zip(root, problem.terms, strict=True)]
-    return np.vstack(M), np.concatenate(target)
-
-
 @functools.cache
 def least_squares():
     """Eq. 10 and its answer by dense algebra."""
     problem = tiny().compile()
-    M, t = stacked(problem)
-    return problem, np.linalg.lstsq(M, t, rcond=None)[0]
+    return problem, minimiser(problem)
 
 
 @taking.over(taking.FORMULATIONS["eq10"])
@@ -106,7 +78,7 @@ def bounded():
     """Eq. 10 with signs, and its answer by a dense active set."""
     problem = tiny().with_constraints(Sign(tiny().scene)).compile()
     M, t = stacked(problem)
-    return problem, lsq_linear(M, t, problem.box, method="bvls", tol=1e-14).x
+    return problem, lsq_linear(M.toarray(), t, problem.box, method="bvls", tol=1e-14).x
 
 
 @taking.over(taking.FORMULATIONS["eq10_sign"])
@@ -121,10 +93,8 @@ def test_sign_is_dense_bounded_least_squares(solver):
 @taking.over(taking.FORMULATIONS["eq10_hard_boundary"])
 def test_hard_boundary_is_dense_elimination(solver):
     problem = tiny().with_constraints(HardBoundary(tiny().scene)).compile()
-    M, t = stacked(problem)
+    (M, t), answer = stacked(problem), minimiser(problem)
     fixed = ~tiny().scene.laplace.free
-    answer = np.where(fixed, tiny().scene.b, 0.0)
-    answer[~fixed] = np.linalg.lstsq(M[:, ~fixed], t - M @ answer, rcond=None)[0]
     candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
     assert np.linalg.norm(candidate.x - answer) <= 1e-6 * np.linalg.norm(answer)
     # the multiplier is minus the gradient of the objective on the fixed voxels

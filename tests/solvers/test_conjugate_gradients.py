@@ -36,12 +36,7 @@ def everything(columns=None):
     return Complement(np.zeros((M, 0)) if columns is None else columns, lambda r: r)
 
 
-def solved(
-    subspace,
-    t,
-    space=None,
-    most=200,
-):
+def solved(subspace, t, space=None, most=200):
     goal = 1e-10 * float(np.linalg.norm(t))
     run = (space or everything()).solve(subspace, t, lambda y: goal, most)
     return run.y, run.steps

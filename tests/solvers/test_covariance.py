@@ -125,9 +125,7 @@ def test_it_says_what_it_does_not_take():
         fit(scene(), "eq10", solver="covariance")
 
 
-def test_it_refuses_what_would_not_fit_in_memory(
-    monkeypatch,
-):
+def test_it_refuses_what_would_not_fit_in_memory(monkeypatch):
     monkeypatch.setattr(covariance, "LARGEST", 10)
     with pytest.raises(InputError, match="touch 10 voxels at most"):
         fit(scene(), declared(), solver="covariance")

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 from tests.conftest import small_scene
+from tests.solvers.dense import minimiser
 from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
@@ -37,30 +36,12 @@ def solved(program, tolerance=1e-8):
     return SOLVER.prepare(program, Request(tolerance)).solve()
 
 
-def direct_answer(program):
-    """The minimiser from the augmented system, no code shared with the solver."""
-    root = [np.sqrt(t.weight) for t in program.terms]
-    rows = [w * t.matrix for w, t in zip(root, program.terms, strict=True)]
-    target = [w * t.target for w, t in zip(root, program.terms, strict=True)]
-    M, t = sp.csc_array(sp.vstack(rows)), np.concatenate(target)
-    free = np.ones(M.shape[1], dtype=bool)
-    x = np.zeros(M.shape[1])
-    if program.dirichlet is not None:
-        free = program.laplace.free
-        x[~free] = program.dirichlet.lower
-    M, t = M[:, free], t - M @ x
-    augmented = sp.block_array([[sp.eye_array(len(t)), M], [M.T, None]])
-    side = np.concatenate([t, np.zeros(M.shape[1])])
-    x[free] = spsolve(sp.csc_array(augmented), side)[len(t) :]
-    return x
-
-
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("own", TERMS, ids=lambda term: term.name)
 def test_equals_a_factorisation(own, hard):
     for weight in (1e-4, 1.0):
         program = (declared(SCENE, 1e-2, hard) + own(SCENE, weight)).compile()
-        expected = direct_answer(program)
+        expected = minimiser(program)
         found = solved(program, 1e-10)
         assert found.claim is Claim.DONE
         apart = np.linalg.norm(found.x - expected) / np.linalg.norm(expected)
@@ -74,7 +55,7 @@ def test_takes_another_operator_with_a_wide_term(name):
     weights = {"force_weight": 0.1, "torque_weight": 0.1}
     program = (load(name, SCENE, **weights) + AlongZ(SCENE, 0.01)).compile()
     found = solved(program, 1e-10)
-    np.testing.assert_allclose(found.x, direct_answer(program), atol=1e-6)
+    np.testing.assert_allclose(found.x, minimiser(program), atol=1e-6)
 
 
 @pytest.mark.slow
@@ -130,7 +111,7 @@ def test_other_values_and_weights_are_taken():
     other = with_new_values(SCENE, 3)
     second = (declared(other, 0.3) + TikhonovTerm(other, 0.1)).compile()
     loaded.update(second)
-    np.testing.assert_allclose(loaded.solve().x, direct_answer(second), atol=1e-6)
+    np.testing.assert_allclose(loaded.solve().x, minimiser(second), atol=1e-6)
 
 
 @pytest.mark.slow

@@ -11,12 +11,7 @@ from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.solution import Status
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import (
-    Candidate,
-    Capabilities,
-    Prepared,
-    Solver,
-)
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 
 SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
 
@@ -135,9 +130,7 @@ def test_what_is_no_solver_is_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("fresh")
-def test_another_package_offers_solvers_and_formulations(
-    monkeypatch,
-):
+def test_another_package_offers_solvers_and_formulations(monkeypatch):
     """By entry points; a name of ours stays ours."""
     from formulations.laplace_only import build
     from ttus_opt.problem.formulation import ENTRY_POINTS, available

@@ -106,10 +106,7 @@ def test_contradiction_is_never_called_done(solver):
 @taking.over(taking.BOUNDED)
 def test_no_minimum_is_never_called_done(solver):
     downhill = program(
-        [
-            term([[1, 0]], [0]),
-            term([[0, 1]], [0], 1.0, Linear(), name="downhill"),
-        ],
+        [term([[1, 0]], [0]), term([[0, 1]], [0], 1.0, Linear(), name="downhill")],
         (),
         [bounds("half", [-1, -np.inf], [1, 3])],
     )

@@ -53,9 +53,7 @@ class Costing(Solver):
         raise AssertionError
 
 
-def test_auto_takes_the_cheapest_and_keeps_the_others(
-    monkeypatch,
-):
+def test_auto_takes_the_cheapest_and_keeps_the_others(monkeypatch):
     offered = [Costing("slow", 3.0), Costing("fast", 1.0), Costing("never", math.inf)]
     monkeypatch.setattr(registry, "solvers", lambda: {s.name: s for s in offered})
     order = [s.name for s in registry.candidates("auto", bounded(3))]
@@ -108,9 +106,7 @@ def test_unknown_name_gets_the_nearest():
     refuses(InputError, "did you mean clarabel", registry.choose, "clarabell", plain)
 
 
-def test_solver_that_is_not_installed_gives_its_pip_name(
-    monkeypatch,
-):
+def test_solver_that_is_not_installed_gives_its_pip_name(monkeypatch):
     plain = program([term(np.eye(1), [1])])
     solver = registry.solvers()["osqp"]
     monkeypatch.setattr(solver, "module", "osqp_that_is_not_here")

@@ -63,9 +63,7 @@ def test_splitting_starts_from_its_last_answer(solver):
     assert prepared.solve().iterations < cold
 
 
-def test_closed_form_factorises_once_per_matrix(
-    monkeypatch,
-):
+def test_closed_form_factorises_once_per_matrix(monkeypatch):
     made = []
     original = closed_form.ClosedForm.factorise
 
@@ -84,9 +82,7 @@ def test_closed_form_factorises_once_per_matrix(
     assert len(made) == 2
 
 
-def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(
-    monkeypatch,
-):
+def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(monkeypatch):
     solver = solvers()["amg_pcg"]
     import pyamg
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
+from tests.solvers.dense import minimiser
 from tests.solvers.dual.user_limits import Rows, contested, louder
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.contact.scene import Scene
@@ -38,22 +38,6 @@ def program(scene, weight, hard=False):
     return declared.compile()
 
 
-def direct_answer(scene, weight, hard):
-    """The minimiser from the augmented system, no code shared with the solver."""
-    scale = 1.0 / scene.torque_length
-    root_force, root_torque = np.sqrt(weight), np.sqrt(0.5 * weight) * scale
-    M = sp.vstack([scene.L, root_force * scene.N, root_torque * scene.W])
-    t = np.concatenate([scene.b, root_force * scene.f, root_torque * scene.tau])
-    M = sp.csc_array(M)
-    free = scene.laplace.free if hard else np.ones(scene.n_voxels, dtype=bool)
-    p = np.where(free, 0.0, scene.b)
-    M, t = M[:, free], t - M @ p
-    augmented = sp.block_array([[sp.eye_array(len(t)), M], [M.T, None]])
-    side = np.concatenate([t, np.zeros(M.shape[1])])
-    p[free] = spsolve(sp.csc_array(augmented), side)[len(t) :]
-    return p
-
-
 def relative(a, b):
     return float(np.linalg.norm(a - b) / np.linalg.norm(b))
 
@@ -65,8 +49,8 @@ def solved(loaded):
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("weight", [1e-6, 1e-2, 1e2])
 def test_equals_direct_least_squares(scene, weight, hard):
-    x = solved(program(scene, weight, hard)).x
-    assert relative(x, direct_answer(scene, weight, hard)) < 1e-8
+    loaded = program(scene, weight, hard)
+    assert relative(solved(loaded).x, minimiser(loaded)) < 1e-8
 
 
 def test_hard_boundary_is_kept_and_its_dual_closes_the_kkt(scene):
@@ -118,9 +102,7 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one():
     assert prepared.solve().iterations < first / 2
 
 
-def test_a_dual_is_solved_more_exactly_until_the_kkt_residuals_hold(
-    scene,
-):
+def test_a_dual_is_solved_more_exactly_until_the_kkt_residuals_hold(scene):
     """An answer that is off by what is asked of it, times 1e4."""
     prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
     exact, asked = prepared.solve(), []
@@ -146,7 +128,8 @@ def test_another_trajectory_is_taken(scene):
         sampling=scene.sampling,
     )
     prepared.update(program(longer, 1e-2))
-    assert relative(prepared.solve().x, direct_answer(longer, 1e-2, False)) < 1e-8
+    expected = minimiser(program(longer, 1e-2))
+    assert relative(prepared.solve().x, expected) < 1e-8
 
 
 def test_directions_grow_slowly_with_the_weight():
@@ -181,8 +164,8 @@ def test_geometry_that_breaks_careless_solvers(surface, shape, r_outer):
     trajectory = presses(surface, 10, np.random.default_rng(2), depth=0.015)
     scene = Scene.assemble(voxmap, shell, trajectory, sampling="trilinear")
     for hard in (False, True):
-        x = solved(program(scene, 1e-1, hard)).x
-        assert relative(x, direct_answer(scene, 1e-1, hard)) < 1e-8
+        loaded = program(scene, 1e-1, hard)
+        assert relative(solved(loaded).x, minimiser(loaded)) < 1e-8
 
 
 @pytest.mark.parametrize("name", ["total_variation", "robust"])

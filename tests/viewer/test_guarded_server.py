@@ -79,9 +79,7 @@ def test_a_port_in_use_gives_the_next_and_links_differ(link):
         server.stop()
 
 
-def test_a_viser_that_cannot_be_guarded_is_not_started(
-    monkeypatch,
-):
+def test_a_viser_that_cannot_be_guarded_is_not_started(monkeypatch):
     import websockets.asyncio.server as sockets
 
     own = sockets.serve

@@ -332,9 +332,7 @@ def test_a_page_whose_viewer_has_ended_says_so(browser):
     left.page.close()
 
 
-def test_a_live_session_is_stopped_armed_again_and_delayed(
-    browser,
-):
+def test_a_live_session_is_stopped_armed_again_and_delayed(browser):
     pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
     from ttus_opt.live.trial import Trial
     from ttus_opt.viewer.live_page import LivePage

@@ -87,9 +87,7 @@ def test_a_millimetre_is_a_millimetre(state):
     assert state.depth == pytest.approx(0.006, abs=1e-6)
 
 
-def test_the_force_does_not_step_while_drags_come_20_times_a_second(
-    state,
-):
+def test_the_force_does_not_step_while_drags_come_20_times_a_second(state):
     theta, z = state.place
     forces = [np.linalg.norm(felt(state)[:3])]
     raw = []
@@ -114,9 +112,7 @@ def test_depths_stay_within_reason(state):
     assert state.touches[0].contact_length == 0.0
 
 
-def test_a_recorded_frame_is_felt_as_the_recording_is_rendered(
-    state,
-):
+def test_a_recorded_frame_is_felt_as_the_recording_is_rendered(state):
     for frame in (0, 5, 11):
         state.show_frame(frame)
         np.testing.assert_array_equal(state.pose[1], recorded().position[frame])

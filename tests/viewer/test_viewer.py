@@ -126,9 +126,7 @@ def test_what_a_colouring_needs_is_said(viewer):
     until(lambda: "filled in" in viewer.page.skin._legend.content)
 
 
-def test_where_to_press_next_is_computed_when_it_is_looked_at(
-    monkeypatch,
-):
+def test_where_to_press_next_is_computed_when_it_is_looked_at(monkeypatch):
     asked = []
 
     def found(stated, skin):
@@ -152,9 +150,7 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(
         assert asked == ["once"]
 
 
-def test_the_running_plots_are_level_while_nothing_moves(
-    monkeypatch,
-):
+def test_the_running_plots_are_level_while_nothing_moves(monkeypatch):
     monkeypatch.setattr(Viewer, "_run", lambda _: None)  # this test's clock alone
     with tt.view(field(), probe(), port=0) as one:
         tab, points = one.page.probe, one.page.probe._points

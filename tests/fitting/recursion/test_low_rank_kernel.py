@@ -21,14 +21,7 @@ def dense(kernel):
     return np.array(columns).reshape(kernel.rank, len(kernel)).T
 
 
-def extend(
-    kernel,
-    K,
-    held,
-    new,
-    tolerance=TOLERANCE,
-    numbers=None,
-):
+def extend(kernel, K, held, new, tolerance=TOLERANCE, numbers=None):
     """Take rows `new` of K in, beside those that rows of the kernel are."""
     o = kernel.project(
         kernel.coordinates(K[np.ix_(new, held[kernel.pivots])]),
@@ -39,14 +32,7 @@ def extend(
     kernel.append(o, others, numbers)
 
 
-def shrink(
-    kernel,
-    K,
-    kept,
-    start,
-    count,
-    tolerance=TOLERANCE,
-):
+def shrink(kernel, K, kept, start, count, tolerance=TOLERANCE):
     """Take rows out, and compare anew what stands for them; `kept` are the others."""
     rows = kernel.remove(start, count, tolerance)
     if len(rows):

@@ -177,11 +177,7 @@ def test_innovation_is_predicted_by_the_dense_posterior(which):
     Q = L.T @ L + WEIGHTS["force_weight"] * N.T @ N
     Q += WEIGHTS["torque_weight"] / length**2 * W.T @ W
     rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        pose.rotation,
-        pose.position,
-        sampling=scene.sampling,
+        scene.voxmap, scene.shell, pose.rotation, pose.position, sampling=scene.sampling
     )
     h = np.vstack([rows.N.toarray(), rows.W.toarray()])
     covariance = np.diag(noise) + variance * h @ np.linalg.solve(Q, h.T)

@@ -274,9 +274,7 @@ def test_a_window_slides_on_and_on(weight, fading):
 
 
 @pytest.mark.slow
-def test_a_window_slides_with_the_solves_of_the_multigrid(
-    monkeypatch,
-):
+def test_a_window_slides_with_the_solves_of_the_multigrid(monkeypatch):
     # R is sound by itself: making it anew is for what cannot be foreseen
     monkeypatch.setattr(DualRecursion, "_rebuild", None)
     held = Held(1e-2, scene())

@@ -11,11 +11,7 @@ import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import KEPT_SHARE, three_presses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
-from ttus_opt.fitting.uncertainty.next_press import (
-    greedy,
-    next_press,
-    normal_forces,
-)
+from ttus_opt.fitting.uncertainty.next_press import greedy, next_press, normal_forces
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 
 

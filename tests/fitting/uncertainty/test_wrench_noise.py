@@ -93,18 +93,11 @@ def test_a_frame_states_the_diagonal_blocks():
     np.testing.assert_allclose(NOISE.covariance(given.wrench), blocks, atol=1e-15)
 
 
-def test_a_share_just_below_its_limit_is_at_the_limit(
-    monkeypatch,
-):
+def test_a_share_just_below_its_limit_is_at_the_limit(monkeypatch):
     """The search ends on either side of the corner: 0.247 for the patient `lean`."""
     asked = []
 
-    def likeliest(
-        given,
-        variance,
-        held,
-        place_share,
-    ):
+    def likeliest(given, variance, held, place_share):
         asked.append(held)
         return variance, replace(NOISE, **({"place_share": found} | held))
 

@@ -12,9 +12,7 @@ from ttus_opt.fitting.weights import coarse_scene
 from ttus_opt.fitting.weights.coarse_scene import coarse_shape, coarser
 
 
-def test_a_coarse_scene_keeps_shape_and_boundary(
-    monkeypatch,
-):
+def test_a_coarse_scene_keeps_shape_and_boundary(monkeypatch):
     scene = small_scene("trilinear", shape=(12, 24, 16), n_poses=4)
     assert coarser(scene) is scene
     most = scene.n_voxels // 4
@@ -30,9 +28,7 @@ def test_a_coarse_scene_keeps_shape_and_boundary(
     assert coarse.trajectory is scene.trajectory
 
 
-def test_a_boundary_that_was_fitted_is_fitted_again(
-    monkeypatch,
-):
+def test_a_boundary_that_was_fitted_is_fitted_again(monkeypatch):
     given = dragged_scene("contact", mu=0.0)
     scene = Scene.assemble(
         given.voxmap,

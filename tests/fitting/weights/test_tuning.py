@@ -210,9 +210,7 @@ def prior_variance(scene):
     return float(np.square(np.linalg.solve(scene.L.toarray().T, N.T)).sum() / len(N))
 
 
-def test_what_another_grid_finds_is_rescaled_by_its_prior(
-    monkeypatch,
-):
+def test_what_another_grid_finds_is_rescaled_by_its_prior(monkeypatch):
     """Half of the layers: the same rows have several times the prior variance."""
     scene, own = drawn(), {"force_weight": 3.0, "torque_weight": 1.0}
     voxmap = Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)

@@ -60,9 +60,7 @@ def test_rows_and_targets_are_those_of_weight_one_in_contact():
     np.testing.assert_array_equal(rows.every, 1.0)
 
 
-def test_of_many_frames_each_stands_for_several(
-    monkeypatch,
-):
+def test_of_many_frames_each_stands_for_several(monkeypatch):
     monkeypatch.setattr(tuning_rows, "MOST_FRAMES", 5)
     rows = rows_of("eq10")
     step = -(-contact().sum() // 5)
@@ -97,9 +95,7 @@ def test_rows_that_bend_in_the_coefficient_are_refused():
         )
 
 
-def test_the_variance_is_that_of_rows_in_contact(
-    monkeypatch,
-):
+def test_the_variance_is_that_of_rows_in_contact(monkeypatch):
     """Hutchinson's estimate, within four of its standard deviations."""
     probes = 400
     monkeypatch.setattr(tuning_rows, "PROBES", probes)

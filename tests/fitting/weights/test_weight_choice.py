@@ -164,9 +164,7 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
     assert dragged.formulation.name == "depth_map_coulomb"
 
 
-def test_where_drag_acts_is_found_and_given_options_come_first(
-    monkeypatch,
-):
+def test_where_drag_acts_is_found_and_given_options_come_first(monkeypatch):
     """It is looked for in the sampling that is likely with it."""
     looked, asked = [], []
     estimate, load = weight_choice.estimate_drag, weight_choice.load
@@ -273,12 +271,7 @@ def test_the_word_where_none_is_given(formulation, options, word):
 @pytest.mark.parametrize(
     ("word", "formulation", "options", "told"),
     [
-        (
-            "recipe",
-            None,
-            {},
-            "weights='recipe' is not known: take auto or own",
-        ),
+        ("recipe", None, {}, "weights='recipe' is not known: take auto or own"),
         ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
     ],
 )

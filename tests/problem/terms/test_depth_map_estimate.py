@@ -101,9 +101,7 @@ def dense(scene, chosen):
     return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
 
 
-def test_evidence_is_the_log_density_of_the_normal_forces(
-    monkeypatch,
-):
+def test_evidence_is_the_log_density_of_the_normal_forces(monkeypatch):
     scene = drawn(0, 40)
     exact = dense(scene, CHOSEN)
     assert _Problem.of(scene, scene.N).evidence(CHOSEN) == pytest.approx(exact, abs=0.2)
@@ -138,9 +136,7 @@ def test_fewer_nodes_tell_nearly_the_same(monkeypatch):
 
 
 @pytest.mark.parametrize("power", [1.0, 1.5, 2.0, 3.0])
-def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
-    power,
-):
+def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(power):
     """A stiff layer, a round tip on a half-space, tissue that stiffens."""
     scene = drawn(0, 40)
     p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
@@ -154,9 +150,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
     np.testing.assert_allclose(mean, _Problem.of(grown, grown.N).force, rtol=1e-9)
 
 
-def test_the_posterior_has_the_priors_of_the_method(
-    monkeypatch,
-):
+def test_the_posterior_has_the_priors_of_the_method(monkeypatch):
     """Medians and factors as in docs/method/formulations.md, (8.15)."""
     asked = []
 
@@ -412,9 +406,7 @@ def test_forces_that_pull_and_none_at_all_are_refused():
         estimate_depth_map(apart)
 
 
-def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(
-    monkeypatch,
-):
+def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(monkeypatch):
     scene = drawn(0, 40)
     problem = _Problem.of(scene, scene.N)
     lengths, formed = [], depth_map_estimate.matern

@@ -46,9 +46,7 @@ def test_the_empty_set_violates_limits_and_pivots_mend_them():
     assert (at.multipliers.bounds[held] <= 0.0).all()
 
 
-def test_it_is_over_when_time_or_working_sets_are(
-    monkeypatch,
-):
+def test_it_is_over_when_time_or_working_sets_are(monkeypatch):
     late = iteration(Accuracy(1e-8, deadline=time.perf_counter() - 1.0))
     late.solve(late.active, 1e-3)
     assert late.late and late.over and not late.settled
@@ -80,9 +78,7 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets():
     assert settled == [False, False, True, True]
 
 
-def test_what_may_remain_is_a_part_of_the_tolerance(
-    monkeypatch,
-):
+def test_what_may_remain_is_a_part_of_the_tolerance(monkeypatch):
     """A tenth, and of one field all of it."""
     monkeypatch.setattr(active_set, "ACCEPTABLE_SETS", 0)
     first = iteration(Accuracy(1e-8))
@@ -95,9 +91,7 @@ def test_what_may_remain_is_a_part_of_the_tolerance(
     assert settled == [False, True]
 
 
-def test_a_model_is_asked_where_bounds_alone_are_violated(
-    monkeypatch,
-):
+def test_a_model_is_asked_where_bounds_alone_are_violated(monkeypatch):
     monkeypatch.setattr(LimitedField, "predicted", lambda self, active, *_: active)
     at = iteration(Accuracy(1e-8))
     found = at.solve(at.active, 1e-8)
@@ -132,9 +126,7 @@ def test_violations_that_may_remain_count_by_the_smaller_field():
     assert settled == [False, True]
 
 
-def test_solves_are_as_exact_as_their_working_set_is_for(
-    monkeypatch,
-):
+def test_solves_are_as_exact_as_their_working_set_is_for(monkeypatch):
     """At the accuracy asked for to rounding, before it as far as that needs."""
     asked = []
     steps = []

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.dragging import dragged_scene
+from tests.solvers.dense import enumerated, stacked
 from tests.solvers.dual.user_limits import INF, Rows, Within
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation
@@ -34,14 +35,7 @@ STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
 TOLERANCE = 1e-6
 
 
-def contested(
-    seed,
-    *,
-    scale=1.0,
-    noise=2.0,
-    mu=0.3,
-    shape=(7, 14, 8),
-):
+def contested(seed, *, scale=1.0, noise=2.0, mu=0.3, shape=(7, 14, 8)):
     """A sliding probe, its forces scaled (or reversed), with noise on them [N]."""
     scene = dragged_scene("contact", mu=mu, shape=shape)
     trajectory = scene.trajectory
@@ -282,32 +276,6 @@ def test_says_what_it_does_not_take():
     assert "each field needs a Laplace term of positive weight" in refusal
 
 
-def enumerated(program, rows):
-    """The minimiser, by trying every set of limits aᵀx ≥ s."""
-    Q, d = program.normal_equations()
-    n = len(d)
-    lower, upper = program.box
-    given = np.flatnonzero(lower == upper)
-    C = np.eye(n)[given]
-    none = np.zeros((len(given),) * 2)
-    inverse = np.linalg.inv(np.block([[Q.toarray(), C.T], [C, none]]))[:n]
-    best = inverse @ np.concatenate([d, lower[given]])
-    A = np.array([a for a, _ in rows])
-    gap = np.array([value for _, value in rows]) - A @ best
-    moved = inverse[:, :n] @ A.T
-    for count in range(len(rows) + 1):
-        for picked in itertools.combinations(range(len(rows)), count):
-            own = list(picked)
-            try:
-                force = np.linalg.solve((A @ moved)[np.ix_(own, own)], gap[own])
-            except np.linalg.LinAlgError:
-                continue
-            left = A @ moved[:, own] @ force - gap
-            if (left >= -1e-9).all() and (force >= -1e-9).all():
-                return np.asarray(best + moved[:, own] @ force)
-    raise AssertionError("no set of limits is right")
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_all_active_sets_of_a_tiny_problem(seed):
     """Four voxels with limits: 0 ≤ q ≤ μ p at each, and 0 ≤ m ≤ μ."""
@@ -338,11 +306,15 @@ def test_all_active_sets_of_a_tiny_problem(seed):
     ]
     program = Formulation(whole.terms, few).compile()
     assert not STRUCTURED.refusal(program)
-    unit = np.eye(program.n_variables)
-    rows = [(unit[V + v], 0.0) for v in at]
-    rows += [(share * unit[v] - unit[V + v], 0.0) for v in at]
-    rows += [(unit[2 * V], 0.0), (-unit[2 * V], -share)]
-    expected = enumerated(program, rows)
+    unit, last = np.eye(program.n_variables), 2 * V
+    rows = [*-unit[V + at], *(unit[V + at] - share * unit[at]), -unit[last], unit[last]]
+    sides = np.append(np.zeros(len(rows) - 1), share)
+    (low, high), (M, t) = program.box, stacked(program)
+    free = low < high
+    expected = np.where(free, 0.0, low)
+    left, open_ = t - M @ expected, M.toarray()[:, free]
+    sides -= np.array(rows) @ expected
+    expected[free] = enumerated(open_, left, np.array(rows)[:, free], sides)
     found = solved(program)
     assert found.claim is Claim.DONE, found.detail
     apart = np.linalg.norm(found.x - expected)
@@ -376,9 +348,7 @@ def test_case_s_with_a_share_below_what_was_put_in():
     assert np.count_nonzero(found > 1e-6 * found.max()) > 300
 
 
-def test_without_a_model_no_working_set_is_predicted(
-    monkeypatch,
-):
+def test_without_a_model_no_working_set_is_predicted(monkeypatch):
     """Where too many voxels are touched, violations alone lead to the answer."""
     monkeypatch.setattr("ttus_opt.solvers.dual.touched_limits.MOST_VOXELS", 0)
     declared = coulomb(contested(1), 1e2)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from tests.solvers.dense import minimiser
 from ttus_opt.problem import formulation
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
@@ -18,16 +19,6 @@ from ttus_opt.solvers.dual.working_set import WorkingSet
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 PROGRAM = formulation.load("eq10", SCENE).compile()
-
-
-def minimiser(program):
-    """By dense algebra."""
-    roots = [np.sqrt(term.weight) for term in program.terms]
-    pairs = list(zip(roots, program.terms, strict=True))
-    M = np.vstack([w * term.matrix.toarray() for w, term in pairs])
-    return np.asarray(
-        np.linalg.lstsq(M, np.concatenate([w * t.target for w, t in pairs]))[0]
-    )
 
 
 EXACT = minimiser(PROGRAM)

@@ -68,9 +68,7 @@ def test_preconditioner_nearly_inverts():
     assert rest @ inverse @ rest < 0.1**2 * (right_side @ inverse @ right_side)
 
 
-def test_where_directions_become_many_a_factor_takes_over(
-    monkeypatch,
-):
+def test_where_directions_become_many_a_factor_takes_over(monkeypatch):
     """It inverts S̃ to single precision, symmetric, and rows without contact alone."""
     monkeypatch.setattr(preconditioner, "MANY", 3)
     monkeypatch.setattr(preconditioner, "SHARE", 0.0)
@@ -90,9 +88,7 @@ def test_where_directions_become_many_a_factor_takes_over(
     np.testing.assert_array_equal(answers[:, -2:], right_sides[:, -2:])
 
 
-def test_a_factor_at_any_weight_is_positive_definite(
-    monkeypatch,
-):
+def test_a_factor_at_any_weight_is_positive_definite(monkeypatch):
     """Where rounding of single precision exceeds I, too."""
     monkeypatch.setattr(preconditioner, "MANY", 3)
     monkeypatch.setattr(preconditioner, "SHARE", 0.0)

@@ -11,6 +11,7 @@ from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
 from tests.conftest import some, torso
+from tests.solvers.dense import enumerated, stacked
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
@@ -79,23 +80,14 @@ def check(declared, least_active=1, close=1e-5):
 FORCES = {"noise": (1.0, 2.0), "reversed": (-3.0, 0.3), "both": (-3.0, 2.0)}
 
 
-def limits_of(scene, kind):
-    return {
-        "sign": [Sign(scene)],
-        "monotone": [Monotone(scene)],
-        "sign, monotone": [Sign(scene), Monotone(scene)],
-        "sign, some slope": [Sign(scene), Monotone(scene, 10.0)],
-        "slope above the field's": [Monotone(scene, 60.0)],
-    }[kind]
-
-
-KINDS = [
-    "sign",
-    "monotone",
-    "sign, monotone",
-    "sign, some slope",
-    "slope above the field's",
-]
+#: By what limits, of a scene
+KINDS = {
+    "sign": lambda scene: [Sign(scene)],
+    "monotone": lambda scene: [Monotone(scene)],
+    "sign, monotone": lambda scene: [Sign(scene), Monotone(scene)],
+    "sign, some slope": lambda scene: [Sign(scene), Monotone(scene, 10.0)],
+    "slope above the field's": lambda scene: [Monotone(scene, 60.0)],
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -104,14 +96,14 @@ KINDS = [
 def test_contested(forces, weight, kind):
     scale, noise = FORCES[forces]
     scene = contested(1, scale=scale, noise=noise)
-    check(eq10(scene, weight, *limits_of(scene, kind)))
+    check(eq10(scene, weight, *KINDS[kind](scene)))
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-@pytest.mark.parametrize("kind", KINDS[:4])
+@pytest.mark.parametrize("kind", list(KINDS)[:4])
 def test_contested_with_hard_boundary(kind, sampling):
     scene = contested(2, sampling=sampling, scale=-3.0)
-    check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
+    check(eq10(scene, 1.0, HardBoundary(scene), *KINDS[kind](scene)))
 
 
 def working_sets(candidate):
@@ -119,9 +111,7 @@ def working_sets(candidate):
 
 
 @pytest.mark.slow
-def test_a_volume_of_growth_limits_does_not_grow_by_layers(
-    monkeypatch,
-):
+def test_a_volume_of_growth_limits_does_not_grow_by_layers(monkeypatch):
     """With the peaks alone, as for bounds, the same takes far more working sets."""
     scene = contested(0, (14, 28, 16), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
@@ -136,9 +126,7 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
 
 
 @pytest.mark.slow
-def test_limits_that_hardly_matter_end_the_iteration(
-    monkeypatch,
-):
+def test_limits_that_hardly_matter_end_the_iteration(monkeypatch):
     """What may remain is within the tolerance, also if it may remain at once."""
     sets = []
     for seed in (2, 4, 5):
@@ -289,23 +277,13 @@ def test_geometry_that_breaks_careless_solvers(hard, name, kind):
     surface, shape, r_outer = SURFACES[name]
     scene = shaped(surface, shape, r_outer)
     more = [HardBoundary(scene)] if hard else []
-    check(eq10(scene, 1.0, *more, *limits_of(scene, kind)), least_active=0)
+    check(eq10(scene, 1.0, *more, *KINDS[kind](scene)), least_active=0)
 
 
-def enumerated(program):
-    """The minimiser, from all active sets by dense algebra; None if none will do.
-
-    The first set whose point holds all limits, with multipliers of the right sign, is
-    the answer: the problem is strictly convex.
-    """
-    roots = [np.sqrt(t.weight) for t in program.terms]
-    M = np.vstack(
-        [r * t.matrix.toarray() for r, t in zip(roots, program.terms, strict=True)]
-    )
-    target = np.concatenate(
-        [r * t.target for r, t in zip(roots, program.terms, strict=True)]
-    )
-    n = program.n_variables
+def of_all_active_sets(program):
+    """The minimiser by dense algebra; None if no active set will do."""
+    M, t = stacked(program)
+    M, n = M.toarray(), program.n_variables
     lower, upper = program.box
     low, high = np.isfinite(lower), np.isfinite(upper)
     G, h = [-np.eye(n)[low], np.eye(n)[high]], [-lower[low], upper[high]]
@@ -318,23 +296,12 @@ def enumerated(program):
             G.append(-constraint.matrix.toarray())
             h.append(-constraint.lower)
     rows, sides = np.vstack(G), np.concatenate(h) - np.vstack(G) @ p
-    M, target, rows = M[:, open_], target - M @ p, rows[:, open_]
     assert len(rows) <= 14, "too many active sets"
-    inverse = np.linalg.inv(M.T @ M)
-    best = inverse @ (M.T @ target)
-    gap, K = rows @ best - sides, rows @ inverse @ rows.T
-    for count in range(min(len(rows), open_.sum()) + 1):
-        for picked in itertools.combinations(range(len(rows)), count):
-            own = np.array(picked, dtype=int)
-            try:
-                mu = np.linalg.solve(K[np.ix_(own, own)], gap[own])
-            except np.linalg.LinAlgError:
-                continue
-            left = gap - K[:, own] @ mu
-            if (mu >= 0.0).all() and (left <= 1e-9).all():
-                p[open_] = best - inverse @ rows[own].T @ mu
-                return p
-    return None
+    found = enumerated(M[:, open_], t - M @ p, rows[:, open_], sides)
+    if found is None:
+        return None
+    p[open_] = found
+    return p
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
@@ -353,7 +320,7 @@ def test_all_active_sets_of_a_tiny_problem(seed, hard):
     more = [HardBoundary(scene)] if hard else []
     within = Within(scene, lower, upper)
     program = eq10(scene, 1.0, within, Monotone(scene, 2.0), *more).compile()
-    expected = enumerated(program)
+    expected = of_all_active_sets(program)
     candidate = solved(program)
     if expected is None:
         assert candidate.claim is Claim.INFEASIBLE
@@ -363,43 +330,30 @@ def test_all_active_sets_of_a_tiny_problem(seed, hard):
     assert apart <= 1e-7 * np.linalg.norm(expected)
 
 
-def test_contradictions_are_named():
-    """Given values of both ends of a spoke are too near for the slope asked."""
+def contradictions():
+    """Scene, limits, and which of them cannot hold together."""
     scene = contested()
-    declared = eq10(
-        scene, 1.0, Sign(scene), Monotone(scene, 400.0), HardBoundary(scene)
-    )
-    solution = tt.fit(scene, declared, solver="structured")
-    assert solution.status is Status.INFEASIBLE
-    with pytest.raises(NoSolutionError, match="monotone against boundary"):
-        solution.field  # noqa: B018
-    assert set(solution.conflict) == {"monotone", "boundary"}
-    assert "contradict" in solution.detail
-
-
-def test_bounds_against_growth_are_named():
-    scene = contested()
-    where = inside(scene) & scene.laplace.free
-    growing = np.where(where, 0.1 * layer(scene), -INF)  # lower bounds rise outwards
-    within = Within(scene, growing, np.where(where, 0.15, INF))
-    solution = tt.fit(scene, eq10(scene, 1.0, within), solver="structured")
-    assert solution.status is Status.INFEASIBLE
-    assert solution.conflict == ("within",)
-    upper = np.where(where & (layer(scene) == 1), 0.1, INF)
-    lower = np.where(where & (layer(scene) == 2), 0.05, -INF)
+    where, at = inside(scene) & scene.laplace.free, layer(scene)
+    hard, turned = HardBoundary(scene), scene.with_boundary(-1.0, 1.0)
+    # given values of both ends of a spoke are too near for the slope asked
+    yield scene, [Sign(scene), Monotone(scene, 400.0), hard], {"monotone", "boundary"}
+    growing = np.where(where, 0.1 * at, -INF)  # lower bounds rise outwards
+    yield scene, [Within(scene, growing, np.where(where, 0.15, INF))], {"within"}
+    upper = np.where(where & (at == 1), 0.1, INF)
+    lower = np.where(where & (at == 2), 0.05, -INF)
     within = Within(scene, lower, upper)
-    declared = eq10(scene, 1.0, within, Monotone(scene, 50.0))
-    solution = tt.fit(scene, declared, solver="structured")
-    assert solution.status is Status.INFEASIBLE
-    assert set(solution.conflict) == {"monotone", "within"}
+    yield scene, [within, Monotone(scene, 50.0)], {"monotone", "within"}
+    yield turned, [Sign(turned), HardBoundary(turned)], {"boundary", "sign"}
 
 
-def test_a_given_value_against_its_bound_is_named():
-    scene = contested().with_boundary(-1.0, 1.0)
-    declared = eq10(scene, 1.0, Sign(scene), HardBoundary(scene))
-    solution = tt.fit(scene, declared, solver="structured")
-    assert solution.status is Status.INFEASIBLE
-    assert set(solution.conflict) == {"boundary", "sign"}
+def test_contradictions_are_named():
+    for scene, limits, names in contradictions():
+        declared = eq10(scene, 1.0, *limits)
+        solution = tt.fit(scene, declared, solver="structured")
+        assert solution.status is Status.INFEASIBLE
+        assert set(solution.conflict) == names and "contradict" in solution.detail
+        with pytest.raises(NoSolutionError, match=" against ".join(solution.conflict)):
+            solution.field  # noqa: B018
 
 
 def test_stops_when_the_time_is_up():
@@ -488,14 +442,10 @@ def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds():
     check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
 
 
-def test_two_growths_on_one_link():
+def test_two_growths_on_one_link_in_any_order():
     scene = contested()
-    check(eq10(scene, 1.0, Monotone(scene), Steeper(scene, 30.0)))
-
-
-def test_two_growths_on_one_link_the_steeper_first():
-    scene = contested()
-    check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
+    for both in itertools.permutations([Monotone(scene), Steeper(scene, 30.0)]):
+        check(eq10(scene, 1.0, *both))
 
 
 @pytest.mark.slow
@@ -513,25 +463,18 @@ def test_an_update_whose_bound_has_become_implied():
     updated(bounded(6.0), bounded(4.0))
 
 
-@pytest.mark.parametrize("what", ["no growth", "no sign", "hard"])
-def test_an_update_with_other_constraints(what):
+@pytest.mark.parametrize("what", ["no growth", "no sign", "hard", "none", "grid"])
+def test_an_update_with_other_limits_or_another_grid(what):
     scene = contested()
     sign, monotone, hard = Sign(scene), Monotone(scene, 5.0), HardBoundary(scene)
-    left = {
-        "no growth": [sign],
-        "no sign": [monotone],
-        "hard": [sign, monotone, hard],
+    others = {
+        "no growth": eq10(scene, 1.0, sign),
+        "no sign": eq10(scene, 1.0, monotone),
+        "hard": eq10(scene, 1.0, sign, monotone, hard),
+        "none": eq10(scene, 1.0),
+        "grid": limited(contested(shape=(6, 10, 6))),
     }
-    updated(limited(scene), eq10(scene, 1.0, *left[what]))
-
-
-def test_an_update_without_limits():
-    scene = contested()
-    updated(limited(scene), eq10(scene, 1.0))
-
-
-def test_an_update_with_another_grid():
-    updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
+    updated(limited(scene), others[what])
 
 
 @pytest.mark.slow
@@ -561,9 +504,7 @@ def test_random_limits_of_all_kinds_are_settled(seeds):
 
 
 @pytest.mark.parametrize("height", [2.0, 1.0 - 1e-9], ids=["risen", "but for rounding"])
-def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
-    height,
-):
+def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(height):
     """From the last working set after which it rose; a single change cannot fail."""
     V = 6
     limits = SpokeLimits(
@@ -584,9 +525,7 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
     assert risen.bounds.tolist() == [-1, -1, 0, 0, 0, 0]
 
 
-def test_patience_ends_where_nothing_gets_better(
-    monkeypatch,
-):
+def test_patience_ends_where_nothing_gets_better(monkeypatch):
     """Better: the worst or the number falls by a part, or more limits are active."""
 
     def violations(worst, count):
@@ -702,9 +641,7 @@ def test_how_exactly_working_sets_are_solved(monkeypatch):
     ]
 
 
-def test_what_joins_is_a_share_of_the_worst_around(
-    monkeypatch,
-):
+def test_what_joins_is_a_share_of_the_worst_around(monkeypatch):
     """The smaller the worst of all, the more joins."""
     monkeypatch.setattr(options, "SHARE", 0.5)
     monkeypatch.setattr(options, "NEIGHBOURHOOD", 1)

@@ -73,9 +73,7 @@ def test_held_are_those_of_the_equation_itself(weight):
     assert np.count_nonzero(predicted != held) <= 0.02 * len(held)
 
 
-def test_it_is_told_what_soft_values_would_be_without_limits(
-    monkeypatch,
-):
+def test_it_is_told_what_soft_values_would_be_without_limits(monkeypatch):
     """b + ω q, where they are held and where they are free, against dense algebra."""
     program = load("free_surface", SCENE).compile()
     of, limits = DualData.of(program), SpokeLimits.of(program)
@@ -114,9 +112,7 @@ def goals(monkeypatch):
     return asked
 
 
-def test_steps_end_where_the_working_set_stays_whatever_its_size(
-    goals,
-):
+def test_steps_end_where_the_working_set_stays_whatever_its_size(goals):
     model = SoftValues(data().system)
     rng = np.random.default_rng(2)
     p, natural = rng.normal(size=(2, len(model.voxels)))

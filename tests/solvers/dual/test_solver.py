@@ -25,9 +25,7 @@ class Inexact(DualSystem):
         return y + 1.001 * (super().apply(y, rtol) - y)
 
 
-def test_refinement_makes_up_for_inexact_products(
-    monkeypatch,
-):
+def test_refinement_makes_up_for_inexact_products(monkeypatch):
     """What such products leave is solved for again, from the field's own residual."""
     data = data_of(1.0)
     exact = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-12)).p
@@ -133,9 +131,7 @@ def test_bounds_that_never_settle_end(monkeypatch):
 
 
 @pytest.mark.parametrize("weight", [0.5, 2.0])
-def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
-    weight,
-):
+def test_other_weights_keep_the_subspace_and_other_columns_lose_it(weight):
     """Whether all weights rise or all fall."""
     data = data_of(1.0)
     rng = np.random.default_rng(1)
@@ -155,9 +151,7 @@ def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
         assert again.steps <= fresh.steps
 
 
-def test_the_prior_s_field_is_kept_while_it_serves(
-    monkeypatch,
-):
+def test_the_prior_s_field_is_kept_while_it_serves(monkeypatch):
     """Solved for anew with another b, and where more is asked of it."""
     data = data_of(1.0)
     solver, laplace = DualSolver(data.system), type(data.system.laplace)

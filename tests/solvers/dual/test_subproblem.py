@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import spsolve
 
 from tests.conftest import ellipsoid, presses, torso
+from tests.solvers.dense import least_squares, stacked
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
 from ttus_opt.contact.scene import Scene
@@ -92,21 +92,12 @@ def eliminated(program, limits, active):
     number = np.cumsum(np.isnan(level)) - 1
     open_ = np.flatnonzero(~known)
     P = sp.csc_array(
-        (np.ones(len(open_)), (open_, number[label[open_]])),
-        shape=(n, number[-1] + 1),
+        (np.ones(len(open_)), (open_, number[label[open_]])), shape=(n, number[-1] + 1)
     )
-    roots = [np.sqrt(t.weight) for t in program.terms]
-    M = sp.vstack([r * t.matrix for r, t in zip(roots, program.terms, strict=True)])
-    t = np.concatenate(
-        [r * t.target for r, t in zip(roots, program.terms, strict=True)]
-    )
+    M, t = stacked(program)
     if not P.shape[1]:
         return offset
-    K, side = sp.csc_array(M @ P), t - M @ offset
-    m = len(side)
-    augmented = sp.block_array([[sp.eye_array(m), K], [K.T, None]], format="csc")
-    z = spsolve(augmented, np.concatenate([side, np.zeros(P.shape[1])]))[m:]
-    return np.asarray(P @ z + offset)
+    return np.asarray(P @ least_squares(sp.csc_array(M @ P), t - M @ offset) + offset)
 
 
 def solved(program, limits, active):

@@ -10,15 +10,13 @@ import scipy.sparse as sp
 
 from tests.solvers.dual.test_field_pair import contested, coulomb
 from tests.solvers.dual.test_pair_subproblem import pair
+from tests.solvers.dual.test_pivoting import wrong_signs
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.touched_limits import (
-    TouchedLimits,
-    complementary,
-)
+from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured
 
@@ -125,14 +123,6 @@ def test_too_many_voxels_or_none_make_no_model(monkeypatch):
     assert TouchedLimits.of(of.rows, np.ones(V, dtype=bool)) is None
 
 
-def wrong_signs(matrix, constant, active):
-    """Where z or M z + c is negative."""
-    at = np.flatnonzero(active)
-    z = np.zeros(len(constant))
-    z[at] = np.linalg.solve(matrix[np.ix_(at, at)], -constant[at])
-    return np.asarray(np.where(active, z, matrix @ z + constant) < 0.0)
-
-
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("tries", [0, 10])
 def test_complementary_is_the_one_set_without_wrong_signs(seed, tries, monkeypatch):
@@ -181,9 +171,7 @@ def test_complementary_of_a_singular_matrix_is_none():
     assert complementary(matrix, -np.ones(3), np.ones(3, dtype=bool)) is None
 
 
-def test_a_model_lost_to_rounding_predicts_nothing(
-    monkeypatch,
-):
+def test_a_model_lost_to_rounding_predicts_nothing(monkeypatch):
     of = pair(1.0, 1.0, 0.3, False)
     n = len(of.limits.given)
     none, below = Multipliers(np.zeros(n), np.zeros(n)), np.full(n, -1.0)
@@ -202,9 +190,7 @@ def test_a_rough_prediction_does_not_lead_back_to_a_set_that_failed():
     assert int(candidate.detail.split(" ")[0]) <= 10
 
 
-def test_model_leads_to_the_same_answer_in_fewer_working_sets(
-    monkeypatch,
-):
+def test_model_leads_to_the_same_answer_in_fewer_working_sets(monkeypatch):
     scene = contested(1, noise=0.2, mu=0.0, shape=(8, 16, 8))
     program = coulomb(scene, 1.0, largest_friction=10.0).compile()
     with_model = Structured().prepare(program, Request(1e-7, None)).solve()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from tests.solvers.dense import minimiser
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.linear_parameters import Complement
@@ -32,15 +33,6 @@ def made():
     split = Split.of(program, FEW)
     none = Complement(np.zeros((len(split.few.t), 0)), lambda residual: residual)
     return Made(program, split, LeastSquares(split, none))
-
-
-def minimiser(program):
-    """By dense algebra."""
-    roots = [np.sqrt(term.weight) for term in program.terms]
-    pairs = list(zip(roots, program.terms, strict=True))
-    M = np.vstack([w * term.matrix.toarray() for w, term in pairs])
-    t = np.concatenate([w * term.target for w, term in pairs])
-    return np.linalg.lstsq(M, t)[0]
 
 
 def random_field(seed):

@@ -42,8 +42,7 @@ def solved(problem, active, rtol, last=None):
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
 @pytest.mark.parametrize("own", [DepthWeighted, AlongZ], ids=lambda t: t.name)
 @pytest.mark.parametrize(
-    ("held", "linked"),
-    [(0.1, 0.0), (0.0, 0.3), (0.1, 0.5), (0.6, 0.9)],
+    ("held", "linked"), [(0.1, 0.0), (0.0, 0.3), (0.1, 0.5), (0.6, 0.9)]
 )
 def test_equals_eliminated_least_squares(held, linked, own, hard):
     program, problem = made(own, hard)

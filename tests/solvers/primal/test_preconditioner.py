@@ -28,9 +28,7 @@ def fresh():
     return built, rng.normal(size=len(split.few.b) + len(split.few.t))
 
 
-def test_fields_kept_of_directions_stand_for_solves(
-    monkeypatch,
-):
+def test_fields_kept_of_directions_stand_for_solves(monkeypatch):
     kept, rest = fresh()
     system, spent = kept._system, []
     own = type(system).response

@@ -37,9 +37,7 @@ def test_over_the_field(name, how, monkeypatch):
     assert (steps == 1) == (how == "factor")
 
 
-def test_many_steps_ask_for_another_preconditioner(
-    monkeypatch,
-):
+def test_many_steps_ask_for_another_preconditioner(monkeypatch):
     monkeypatch.setattr(field_newton, "SMALL", 0)
     monkeypatch.setattr(field_newton, "FEW_ROWS", 50)
     monkeypatch.setattr(field_newton, "MANY", 12)

@@ -35,14 +35,7 @@ class Dense:
         self._free, self._blocks, self._size = ~problem.fixed, blocks, size
         self.asked: list[float] = []
 
-    def step(
-        self,
-        gradient,
-        multipliers,
-        slopes,
-        rtol,
-        deadline,
-    ):
+    def step(self, gradient, multipliers, slopes, rtol, deadline):
         self.asked.append(rtol)
         n, free = len(gradient), self._free
         assert not gradient[~free].any()
@@ -65,13 +58,7 @@ def anchored(problem, weight):
     return PenalisedRows("anchor", one, np.zeros(n), weight, Squares(), exact=True)
 
 
-def method_of(
-    what,
-    *,
-    anchor=0.0,
-    size=1.0,
-    request=None,
-):
+def method_of(what, *, anchor=0.0, size=1.0, request=None):
     problem = PenalisedProblem.of(what)
     for block in problem.bent:
         block.sigma = 1.0
@@ -149,10 +136,7 @@ def test_given_values_stay_and_their_multipliers_balance():
     rng = np.random.default_rng(5)
     A, b = rng.normal(size=(9, 4)), rng.normal(size=9)
     what = program(
-        [
-            term(A, b),
-            term(np.eye(4)[1:], np.zeros(3), WEIGHT, Absolute(), name="bent"),
-        ],
+        [term(A, b), term(np.eye(4)[1:], np.zeros(3), WEIGHT, Absolute(), name="bent")],
         [rows("given", np.eye(4)[:1], [0.5], [0.5])],
     )
     left = program(
@@ -195,10 +179,7 @@ def test_limits_hold_with_their_multipliers():
 
 @pytest.mark.parametrize(
     ("change", "claim"),
-    [
-        ({"request": Request(1e-9, 1e-9)}, Claim.TIME_LIMIT),
-        ({}, Claim.GAVE_UP),
-    ],
+    [({"request": Request(1e-9, 1e-9)}, Claim.TIME_LIMIT), ({}, Claim.GAVE_UP)],
     ids=["time", "rounds"],
 )
 def test_an_end_before_the_tolerance_is_told(change, claim, monkeypatch):
@@ -248,9 +229,7 @@ def test_a_step_that_is_no_number_changes_nothing():
     np.testing.assert_array_equal(found.x, np.full(5, 10.0))
 
 
-def test_parameters_grow_after_a_complete_round_and_shrink_after_another(
-    monkeypatch,
-):
+def test_parameters_grow_after_a_complete_round_and_shrink_after_another(monkeypatch):
     monkeypatch.setattr(method_of_multipliers, "ROUNDS", 3)
     method, _ = method_of(lasso(0))
     outcomes, growths = iter([True, False, True]), []
