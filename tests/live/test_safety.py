@@ -103,8 +103,7 @@ def test_rearming_needs_zero_contact_and_holds_until_both_are():
 
 
 def test_nothing_to_rearm():
-    with pytest.raises(InputError, match="has not stopped"):
-        running().rearm(0.0)
+    refuses(InputError, "has not stopped", running().rearm, 0.0)
 
 
 def test_who_joins_a_stopped_side_holds():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.conftest import some
 from tests.live.springy import PLAN, Spring, parts, path, session
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
@@ -35,7 +36,7 @@ links = st.builds(
 )
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(links)
 def test_whatever_the_link_does(impairment):
     goes_well(impairment)
@@ -69,7 +70,7 @@ def goes_well(impairment):
 def test_a_session_is_the_same_every_time():
     given_ = Impairment(delay=0.1, jitter=0.05, loss=0.1, burst=3, seed=5)
     one, two = (
-        [np.concatenate([m.felt, m.position]) for m in session(given_).run(2.0)]
+        [np.concatenate([m.felt, m.position]) for m in session(given_).run(1.0)]
         for _ in range(2)
     )
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
@@ -77,10 +78,11 @@ def test_a_session_is_the_same_every_time():
 
 @pytest.mark.parametrize("delay", [0.0, 0.25])
 def test_a_clean_link_reaches_normal_and_the_model_learns(delay):
-    simulation = session(Impairment(delay=delay))
-    for _ in simulation.run(6.0):
+    moved = path(lifted=0.5, period=2.0)
+    simulation = session(Impairment(delay=delay), moved=moved)
+    for _ in simulation.run(3.0):
         pass
-    view = simulation.operator.view(6.0)
+    view = simulation.operator.view(3.0)
     assert view.state == "NORMAL"
     assert view.folded > 20
     assert view.round_trip == pytest.approx(2 * delay, abs=0.02)
@@ -97,7 +99,15 @@ def test_no_force_before_the_hand_was_lifted():
     felt = [np.linalg.norm(m.felt[:3]) for m in simulation.run(1.0)]
     assert max(felt) == 0.0
     assert simulation.operator.feedback is not None
-    assert max(np.linalg.norm(m.felt[:3]) for m in simulation.run(4.0)) > 1.0
+    assert any(np.linalg.norm(m.felt[:3]) > 1.0 for m in simulation.run(4.0))
+
+
+def deepest():
+    """A session in which the hand has just pressed deepest."""
+    simulation = session(moved=path(lifted=0.5, period=2.0))
+    for _ in simulation.run(1.5):
+        pass
+    return simulation
 
 
 def reaches(simulation, state, side, seconds=3.0):
@@ -109,9 +119,7 @@ def reaches(simulation, state, side, seconds=3.0):
 
 
 def test_when_the_operator_dies_the_follower_retracts_then_stops():
-    simulation = session()
-    for _ in simulation.run(3.0):
-        pass
+    simulation = deepest()
     assert simulation.sensed.wrench[0] > 1.0
     simulation.there.send = lambda now, packets: None  # kill -9
     cut = simulation.time
@@ -125,9 +133,7 @@ def test_when_the_operator_dies_the_follower_retracts_then_stops():
 
 
 def test_when_the_follower_dies_the_operator_holds_its_model_then_stops():
-    simulation = session()
-    for _ in simulation.run(3.0):
-        pass
+    simulation = deepest()
     simulation.back.send = lambda now, packets: None
     cut = simulation.time
     assert reaches(simulation, State.HOLD, "operator") - cut <= 0.14
@@ -175,9 +181,7 @@ def test_an_invalid_hand_pose_stops():
 
 
 def test_rearming_both_sides_at_zero_contact_goes_on():
-    simulation = session()
-    for _ in simulation.run(3.0):
-        pass
+    simulation = deepest()
     simulation.operator.stop()
     hand = simulation.hand
     for _ in simulation.run(0.1):
@@ -194,7 +198,7 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
     assert reaches(simulation, State.NORMAL, "follower", 0.5)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", some(range(4), 2))
 def test_silence_stops_after_500_ms_and_not_before(seed):
     simulation = session(Impairment(delay=0.1, loss=0.3, burst=10.0, seed=seed))
     heard, operator = 0.0, simulation.operator
@@ -306,8 +310,8 @@ def test_the_follower_keeps_speed_and_workspace():
 
 def test_a_new_surface_is_felt_without_a_jump():
     surface, shell, content = parts()
-    simulation = session(moved=path(period=40.0))
-    for _ in simulation.run(8.0):
+    simulation = session(moved=path(period=20.0))
+    for _ in simulation.run(4.0):
         pass
     from dataclasses import replace
 
@@ -318,7 +322,7 @@ def test_a_new_surface_is_felt_without_a_jump():
     change = encode(higher, base=content[0])
     seen = decode(change, base=content[0])
     model = encode_model(LiveModel(seen, shell, PLAN))
-    simulation.back.send(8.0, simulation.follower.renew(1242.5, change, model))
+    simulation.back.send(4.0, simulation.follower.renew(1238.5, change, model))
     before = simulation.operator.model.learner.touched
     last, steps = None, []
     for moment in simulation.run(1.5):

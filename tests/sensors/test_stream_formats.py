@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
+from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, TtusWarning
 from ttus_opt.sensors.column_map import read_column_map
 from ttus_opt.sensors.stream_files import (
@@ -287,10 +288,9 @@ def test_frames_without_times_are_counted_aloud(tmp_path: Path) -> None:
 
 def test_several_tools_are_named(tmp_path: Path) -> None:
     file = ndi_toolbox(tmp_path / "toolbox.csv")
-    with pytest.raises(
-        FileError, match="several tools of poses: Probe, Stylus: choose one"
-    ):
-        read_poses(file)
+    refuses(
+        FileError, "several tools of poses: Probe, Stylus: choose one", read_poses, file
+    )
     other = read_poses(file, "Stylus")  # its own state, not the probe's
     np.testing.assert_allclose(other.position, PLACE + 0.1)
 
@@ -340,8 +340,7 @@ def test_angles_of_an_unstated_kind_are_not_guessed(tmp_path: Path) -> None:
     text = "Segments\n20\n,,Probe:Probe,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n"
     text += ",,deg,deg,deg,mm,mm,mm\n1,0,1,2,3,4,5,6\n2,0,1,2,3,4,5,6\n"
     (tmp_path / "v.csv").write_text(text)
-    with pytest.raises(FileError, match="Euler or helical is not stated"):
-        read_poses(tmp_path / "v.csv")
+    refuses(FileError, "Euler or helical is not stated", read_poses, tmp_path / "v.csv")
 
 
 def test_euler_angles_of_motive(tmp_path: Path) -> None:

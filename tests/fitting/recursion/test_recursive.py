@@ -6,6 +6,7 @@ from scipy.stats import chi2
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, some, torso
+from tests.refusals import refuses
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
@@ -134,8 +135,7 @@ def test_downdate_leaves_what_the_others_make():
     assert fit.measurements == 10
     left = batch(scene, [1, 2, 4, 5, 6, 7, 8, 9, 10, 11])
     assert difference(fit, closed_form(left, **WEIGHTS)) < 1e-10
-    with pytest.raises(InputError, match="measurement 3 is not in the fit"):
-        fit.downdate(3)
+    refuses(InputError, "measurement 3 is not in the fit", fit.downdate, 3)
 
 
 def test_window_and_fading():
@@ -241,8 +241,7 @@ def test_an_outlier_is_reported_and_left_out():
     kept = [t for t in range(30) if t not in (20, 25)]
     good = batch(replace(scene, trajectory=told), kept)
     assert difference(fit, closed_form(good, **WEIGHTS)) < 1e-10
-    with pytest.raises(InputError, match="measurement 20 is not in the fit"):
-        fit.downdate(20)
+    refuses(InputError, "measurement 20 is not in the fit", fit.downdate, 20)
     # without a test everything is in
     everything = RecursiveFit(
         scene, **WEIGHTS, noise_std=0.1, outlier_level=None, fold_scene=False
@@ -307,8 +306,7 @@ def test_capacity_is_a_limit():
     with pytest.raises(InputError, match=f"capacity of {n - 1} measurements"):
         RecursiveFit(scene, **WEIGHTS, capacity=n - 1)
     fit = RecursiveFit(scene, **WEIGHTS, capacity=n)
-    with pytest.raises(InputError, match="forget old measurements"):
-        fold(fit, scene.trajectory, [first])
+    refuses(InputError, "forget old measurements", fold, fit, scene.trajectory, [first])
     assert fit.measurements == 12
     fit.forget(window=12 - first - 1)
     assert fold(fit, scene.trajectory, [first])[0].accepted
@@ -330,8 +328,7 @@ def test_forces_alone_and_the_noise_they_tell_by_dense_algebra():
     for k in range(4):
         pose = told.rotation[k], told.position[k]
         fit.update(*pose, told.force[k])
-        with pytest.raises(InputError, match=r"needs torque \(3,\)"):
-            both.update(*pose, told.force[k])
+        refuses(InputError, r"needs torque \(3,\)", both.update, *pose, told.force[k])
     touching = np.repeat(scene.rows.contact_points > 0, 3)
     D, t = scene.N.toarray()[touching], scene.f[touching]
     M = np.vstack([scene.L.toarray(), np.sqrt(weight) * D])

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 import ttus_opt as tt
 from tests.conftest import small_scene, three_presses, torso
 from tests.core.test_blas_threads import threads
+from tests.refusals import refuses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.presses import pressed_places
@@ -245,8 +246,7 @@ def test_what_another_grid_finds_is_rescaled_by_its_prior(monkeypatch):
     ],
 )
 def test_what_cannot_be_tuned_is_refused(given, told):
-    with pytest.raises(InputError, match=told):
-        tt.fit(drawn(), **{"weights": "auto", **given})
+    refuses(InputError, told, tt.fit, drawn(), **{"weights": "auto", **given})
 
 
 def test_without_contact_nothing_is_tuned():
@@ -254,5 +254,4 @@ def test_without_contact_nothing_is_tuned():
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
     with pytest.warns(tt.TtusWarning, match="Laplace field alone"):
         off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
-    with pytest.raises(InputError, match="measured in contact"):
-        tune(off)
+    refuses(InputError, "measured in contact", tune, off)

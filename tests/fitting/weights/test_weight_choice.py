@@ -11,6 +11,7 @@ from tests.conftest import presses, small_scene, torso
 from tests.dragging import dragged_scene
 from tests.fitting.uncertainty.test_contact_spread import scene_of
 from tests.fitting.weights.test_tuning import drawn, tuned
+from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import InputError, TtusWarning
@@ -221,8 +222,7 @@ def test_a_formulation_that_cannot_be_tuned_keeps_its_weights():
     with pytest.warns(TtusWarning, match=r"coulomb_drag cannot be tuned.*are used"):
         choice = choice_of("auto", drawn(), "coulomb_drag", strict=False)
     assert choice.tuning is None and weights(choice) == OWN
-    with pytest.raises(InputError, match="cannot be tuned"):
-        choice_of("auto", drawn(), "coulomb_drag")
+    refuses(InputError, "cannot be tuned", choice_of, "auto", drawn(), "coulomb_drag")
     with pytest.raises(InputError, match="has no option"):
         choice_of("auto", drawn(), "eq10", {"strength": 1.0})
 
@@ -276,8 +276,7 @@ def test_the_word_where_none_is_given(formulation, options, word):
     ],
 )
 def test_words_that_cannot_be_followed(word, formulation, options, told):
-    with pytest.raises(InputError, match=told):
-        word_for(word, formulation, options)
+    refuses(InputError, told, word_for, word, formulation, options)
     with pytest.raises(InputError, match=told):
         tt.fit(small_scene("trilinear"), formulation, weights=word, **options)
 
