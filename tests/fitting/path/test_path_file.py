@@ -173,13 +173,8 @@ def test_a_file_that_cannot_be_continued_is_named(tmp_path, solved):
     assert len(solved) == 8
 
 
-@pytest.mark.parametrize(
-    ("name", "rtol"),
-    [
-        ("coulomb_global", 0.0),
-        pytest.param("robust", 2e-5, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "rtol"), [("coulomb_global", 0.0), ("robust", 2e-5)])
 def test_several_at_a_time_find_the_same(name, rtol, tmp_path):
     pytest.importorskip("joblib")
     weights = {"torque": WEIGHTS[:2]}
