@@ -1,6 +1,7 @@
 """Scenes shared by many tests: a small bumpy torso, a probe and random presses."""
 
 import functools
+import gc
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,13 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+def pytest_collection_finish():
+    """Leave out of the collector's rounds what lives as long as the tests do."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 50)
 
 
 def shared_data(name: str = "") -> Path:

@@ -17,7 +17,7 @@ from ttus_opt.live.trial import COMPARATORS, Trial, run
 def test_over_a_delay_the_model_is_close_and_passive_and_the_measured_force_is_not():
     """Short sessions with a round trip of 600 ms."""
     names = ("model", "direct")
-    model, direct = (run(Trial(n, 0.6, seconds=10.0, settled=8.0)) for n in names)
+    model, direct = (run(Trial(n, 0.6, seconds=7.0, settled=5.0)) for n in names)
     assert model.error < 0.5
     assert model.energy < 0.05
     assert model.step < 0.1

@@ -111,7 +111,7 @@ def test_other_weights_and_values_are_compressed_again(monkeypatch):
 def test_a_motion_that_returns_to_its_places_is_compressed_like_one_that_does_not():
     """Blocks of rows in the order of time would touch all columns and stay."""
     rng = np.random.default_rng(5)
-    n_places, visits, width = 200, 60, 12
+    n_places, visits, width = 100, 30, 12
     place = np.tile(rng.permutation(n_places), visits)
     columns = (12 * place[:, None] + np.arange(width)).ravel()
     starts = width * np.arange(len(place) + 1)

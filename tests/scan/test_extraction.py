@@ -302,7 +302,7 @@ def test_errors_of_a_hidden_back_are_as_stated(bed):
     scan, rng = ct_skin(), np.random.default_rng(2)
     cloud = seen_from_the_front(scan, rng, bed=bed)
     axis = Axis.from_cloud(cloud, head=[0.0, 0.0, 1.0])
-    surface = extract_surface(cloud, axis=axis, n_theta=90, n_z=40)
+    surface = extract_surface(cloud, axis=axis, n_theta=60, n_z=30)
     error = surface.radius - true_radius(scan, surface)
     filled = np.isfinite(error) & ~surface.observed
     assert 0.4 < filled.mean() < 0.65

@@ -13,7 +13,7 @@ from ttus_opt.scan.viewpoint import camera_of
 
 def person(x=0.0):
     """The front half of a flat trunk with two arms behind its middle, at z = 2 m."""
-    angle, y = np.meshgrid(np.linspace(0, np.pi, 150), np.linspace(-0.8, 0.4, 300))
+    angle, y = np.meshgrid(np.linspace(0, np.pi, 75), np.linspace(-0.8, 0.4, 150))
     parts = [(0.17, 0.11, 0.0), (0.045, 0.045, 0.27), (0.045, 0.045, -0.27)]
     return np.concatenate(
         [

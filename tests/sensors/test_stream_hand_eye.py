@@ -40,7 +40,7 @@ def noisy(motion, time, turn, shift, seed):
 
 
 def streams(
-    seed=0, *, fixed=True, turn=0.003, shift=5e-4, outliers=0.0, axes=3, seconds=15.0
+    seed=0, *, fixed=True, turn=0.003, shift=5e-4, outliers=0.0, axes=3, seconds=10.0
 ):
     """A marker in a camera at 30 Hz, the hand at 50 Hz on a clock that is behind."""
     time = np.arange(0.0, seconds, 1 / 30)
@@ -77,7 +77,7 @@ def test_outliers_and_noise():
     off = inverse(CAMERA) @ found.camera
     assert np.linalg.norm(off[:3, 3]) < 2e-3
     assert Rotation.from_matrix(off[:3, :3]).magnitude() < 2e-3
-    assert found.outliers > 90
+    assert found.outliers > 60
     assert found.loop.gap == pytest.approx(0.0013, rel=0.5)
 
 

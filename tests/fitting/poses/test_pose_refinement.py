@@ -25,7 +25,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 
 NOISE = TrackerNoise()
-SHAPE = (16, 48, 20)
+SHAPE = (14, 40, 16)
 
 
 def sweep(seed, n=120):

@@ -199,7 +199,7 @@ def test_the_sampling_is_that_of_drag_where_the_depth_map_has_it():
     names = "press_fit.csv", "sweep_drag_fit.csv"
     recordings = [tt.read_trajectory(example.path(name)) for name in names]
     shell = tt.PointShell.from_spec(example.PROBE)
-    plan = ScenePlan((24, 72, 30), sampling="trilinear")
+    plan = ScenePlan((14, 40, 18), sampling="trilinear")
     scene = plan.build(surface, shell, recordings)
     assert estimate_drag(scene).acts_at == "points"
     at = {

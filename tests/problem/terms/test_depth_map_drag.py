@@ -67,7 +67,7 @@ def test_given_values_are_held():
 def test_the_example_drags_where_its_sweep_does():
     """Drag of the whole patch; a Laplace field takes it for that of every point."""
     surface = tt.Surface.load(example.path("surface.nc"))
-    plan = ScenePlan((24, 72, 30), sampling="contact-size")
+    plan = ScenePlan((16, 48, 20), sampling="contact-size")
     names = "press_fit.csv", "sweep_drag_fit.csv"
     recordings = [tt.read_trajectory(example.path(name)) for name in names]
     shell = tt.PointShell.from_spec(example.PROBE)
