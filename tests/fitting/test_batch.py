@@ -1,5 +1,6 @@
 """Fits as a whole: what is handed out, and what is not."""
 
+import functools
 import time
 from dataclasses import dataclass, replace
 
@@ -39,7 +40,9 @@ def eq10(weight=0.1, scene=SCENE):
     return Formulation([LaplaceTerm(scene), ForceTerm(scene, weight)], name="mine")
 
 
-def dense_minimum(weight, scene=SCENE):
+@functools.cache
+def dense_minimum(weight, tiny=False):
+    scene = TINY if tiny else SCENE
     L, N = scene.L.toarray(), scene.N.toarray()
     return np.linalg.solve(
         L.T @ L + weight * N.T @ N, L.T @ scene.b + weight * N.T @ scene.f
@@ -192,7 +195,9 @@ def test_auto_goes_on_where_the_first_answer_does_not_hold(monkeypatch):
     assert fit(TINY, eq10(scene=TINY)).attempts == ()
 
     def gives_up(self):
-        return Candidate(dense_minimum(0.5, TINY), claim=Claim.GAVE_UP, detail="tired")
+        return Candidate(
+            dense_minimum(0.5, tiny=True), claim=Claim.GAVE_UP, detail="tired"
+        )
 
     monkeypatch.setattr(structured._Loaded, "solve", gives_up)
     solution = fit(TINY, eq10(scene=TINY))
@@ -201,7 +206,7 @@ def test_auto_goes_on_where_the_first_answer_does_not_hold(monkeypatch):
     assert [a.solver for a in solution.attempts] == ["structured"]
     assert "after structured inaccurate at" in solution.advice
     np.testing.assert_allclose(
-        solution.field.values.reshape(-1), dense_minimum(0.1, TINY), atol=1e-6
+        solution.field.values.reshape(-1), dense_minimum(0.1, tiny=True), atol=1e-6
     )
     alone = fit(TINY, eq10(scene=TINY), solver="structured")
     assert alone.status is Status.INACCURATE
@@ -209,7 +214,7 @@ def test_auto_goes_on_where_the_first_answer_does_not_hold(monkeypatch):
 
 
 def test_of_two_answers_the_solved_one_is_kept_or_that_with_less_residual():
-    exact = dense_minimum(0.1, TINY)
+    exact = dense_minimum(0.1, tiny=True)
     near, far = (judge(exact + error, scene=TINY) for error in (1e-3, 1e-2))
     none = judge(None, Claim.GAVE_UP, TINY)
     assert near.status is far.status is Status.INACCURATE

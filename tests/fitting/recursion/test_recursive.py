@@ -1,3 +1,4 @@
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -366,9 +367,15 @@ def test_options_are_checked(option, message):
 def test_options_at_the_ends_of_their_ranges_are_taken():
     """One weight may be 0; one measurement is a capacity; 1e-12 is a probability."""
     weights = ({"force_weight": 0.0}, {"torque_weight": 0.0})
-    for options in (*weights, {"noise_std": 1e-9}, {"outlier_level": 1e-12}):
-        RecursiveFit(small_scene(), **options)
-    RecursiveFit(small_scene(), capacity=1, fold_scene=False)
+    more = {"noise_std": 1e-9}, {"outlier_level": 1e-12}, {"capacity": 1}
+    for options in (*weights, *more):
+        RecursiveFit(small_scene(), fold_scene=False, **options)
+
+
+@functools.cache
+def held():
+    """A fit for what changes nothing."""
+    return RecursiveFit(small_scene(), **WEIGHTS)
 
 
 @pytest.mark.parametrize(
@@ -384,8 +391,7 @@ def test_options_at_the_ends_of_their_ranges_are_taken():
     ],
 )
 def test_measurements_are_checked(argument, value, message):
-    scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = held()
     arguments = [np.eye(3), np.array([0.12, 0.0, 0.1]), np.zeros(3), np.zeros(3)]
     arguments[argument] = value
     with pytest.raises(InputError, match=message) as caught:
@@ -399,7 +405,7 @@ def test_measurements_are_checked(argument, value, message):
 )
 def test_forget_wants_one_sound_value(factor, window):
     with pytest.raises(InputError, match=r"factor|window"):
-        RecursiveFit(small_scene(), **WEIGHTS).forget(factor, window=window)
+        held().forget(factor, window=window)
 
 
 def test_forgetting_nothing_and_everything():
