@@ -71,7 +71,14 @@ def test_the_hand_begins_and_moves_between_places_lifted():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"comparator": "x"}, {"prior": 0.0}, {"loss": 1.0}, {"round_trip": -1.0}]
+    "bad",
+    [
+        {"comparator": "x"},
+        {"prior": 0.0},
+        {"loss": 1.0},
+        {"round_trip": -1.0},
+        {"seed": -1},
+    ],
 )
 def test_unusable_trials(bad):
     with pytest.raises(InputError):

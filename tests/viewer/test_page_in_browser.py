@@ -110,6 +110,18 @@ class Visit:
         row = self.page.locator(f"[id='{handle._impl.uuid}']")
         return row.locator("xpath=..").locator("input:not([type=hidden])")
 
+    def slide(self, handle, share):
+        """Drag a slider's thumb to a share of its way."""
+        row = self.page.locator(f"[id='{handle._impl.uuid}']").locator("xpath=..")
+        track = row.locator("[class*=Slider-track]").first.bounding_box()
+        thumb = row.get_by_role("slider").bounding_box()
+        y, mouse = thumb["y"] + 0.5 * thumb["height"], self.page.mouse
+        mouse.move(thumb["x"] + 0.5 * thumb["width"], y)
+        mouse.down()
+        for part in (0.5, 1.0):
+            mouse.move(track["x"] + share * part * track["width"], y)
+        mouse.up()
+
 
 @pytest.fixture(scope="module")
 def visit(browser, viewer):
@@ -355,8 +367,9 @@ def test_a_live_session_is_stopped_armed_again_and_delayed(browser):
             return session.view().state == "NORMAL"
 
         visit.until(armed)
-        visit.field(live.tab.delay).fill("800")
-        visit.until(lambda: abs(session.view().round_trip - 0.8) < 0.1)
+        visit.slide(live.tab.delay, 0.8)
+        visit.until(lambda: abs(session.trial.round_trip - 0.8) < 0.05)
+        visit.until(lambda: abs(session.view().round_trip - 0.8) < 0.15)
         visit.page.get_by_text(re.compile(r"^[78]\d\d ms, 0 %")).wait_for()
         visit.page.close()
         assert visit.faults == []

@@ -119,6 +119,7 @@ def report(
     no_camera: bool = False,
     comparator: str = "model",
     seconds: float = 20.0,
+    seed: int = 0,
     picture: Path | None = None,
     recording: Path | None = None,
     json: bool = False,
@@ -137,6 +138,7 @@ def report(
         no_camera: The follower does not see that motion.
         comparator: What the hand feels: model, fixed, direct or passive.
         seconds: Length of the session [s].
+        seed: Of noise, loss and jitter.
         picture: Draw felt and true force here.
         recording: Record the session here (.mcap).
 
@@ -164,6 +166,7 @@ def report(
         1e-3 * breathing,
         not no_camera,
         seconds=seconds,
+        seed=seed,
     )
     with contextlib.ExitStack() as files, Stages(1) as begin:
         begin("session in virtual time")

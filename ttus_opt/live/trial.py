@@ -99,6 +99,8 @@ class Trial:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} must be positive, got {value}")
+        if self.seed < 0:
+            raise InputError(f"seed must not be negative, got {self.seed}")
         self.impairment()
 
     def impairment(self) -> Impairment:
