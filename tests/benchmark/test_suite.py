@@ -11,7 +11,7 @@ from tests.refusals import refuses
 from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.contact.rows import Sampling
-from ttus_opt.core.errors import InputError, MissingPackageError
+from ttus_opt.core.errors import InputError, MissingPackageError, TtusWarning
 
 
 def never(*arguments):
@@ -53,7 +53,8 @@ def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
     monkeypatch.setattr(suite, "run_isolated", never)
     interrupt(asked.rows_file)
     again = tiny_suite(tmp_path, formulations=["eq10", "eq10_sign"], repeat=2)
-    assert again.run()["solvers"] == rows
+    with pytest.warns(TtusWarning, match="4 of 4 runs are those of an earlier call"):
+        assert again.run()["solvers"] == rows
 
 
 @pytest.mark.slow
@@ -68,7 +69,8 @@ def test_other_parts_are_not_run_twice_either(tmp_path, monkeypatch):
     assert not rows["ripple"]
     monkeypatch.setattr(suite, "run_isolated", never)
     interrupt(asked.rows_file)
-    assert tiny_suite(tmp_path, parts=["assembly"]).run() == rows
+    with pytest.warns(TtusWarning, match="1 of 1 runs"):
+        assert tiny_suite(tmp_path, parts=["assembly"]).run() == rows
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
@@ -89,7 +91,8 @@ def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
         return ended(spec)
 
     monkeypatch.setattr(suite, "run_isolated", counted)
-    rows = tiny_suite(tmp_path, parts=names).run()
+    with pytest.warns(TtusWarning, match="3 of 6 runs are those of an earlier call"):
+        rows = tiny_suite(tmp_path, parts=names).run()
     assert run == ["rendering"] * len(get_args(Sampling))
     assert len(rows["ripple"]) == 3
 

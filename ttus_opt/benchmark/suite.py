@@ -20,7 +20,7 @@ from ttus_opt.benchmark.parts.registry import SOLVERS, parts
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.core import optional
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import InputError, warn
 from ttus_opt.core.saved_results import append_line, read_lines
 
 #: Fraction of the available memory that one run may take
@@ -109,6 +109,11 @@ class Suite:
         """
         earlier = self.done()
         rows = {s.key: earlier[s.key] for s in self.plan if s.key in earlier}
+        if rows:
+            warn(
+                f"{len(rows)} of {len(self.plan)} runs are those of an earlier call, "
+                f"from {self.rows_file}: remove it to measure them anew"
+            )
         for spec in self.plan:
             if reported is not None and spec.key in rows:
                 reported(spec, rows[spec.key])

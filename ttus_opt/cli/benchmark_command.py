@@ -130,7 +130,8 @@ def benchmark(
             process anyway.
         export: Write the problems as .mat and .npz here instead of solving them.
         parts: What to measure: solvers, assembly, profile, recursion, rendering,
-            ripple, separated by commas, or all. All but solvers run one at a time.
+            ripple, live, separated by commas, or all. All but solvers run one at a
+            time.
 
     Example:
         ttus-opt benchmark --case S --formulations eq10,eq10_sign --solvers
