@@ -185,10 +185,19 @@ def test_what_is_refused():
         board_pose(tag, Board(1, 2, 0.06, 0.01, "APRILTAG_36H11"), CAMERA)
 
 
+def test_a_truncated_photo_is_refused_without_other_words(tmp_path, capfd):
+    """OpenCV fills it in, and libpng speaks on stderr."""
+    cv2.imwrite(str(tmp_path / "whole.png"), np.full((60, 80), 9, np.uint8))
+    content = (tmp_path / "whole.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(content[: len(content) // 2])
+    refuses(FileError, "truncated PNG", read_image, tmp_path / "cut.png")
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("content", [b"no image", b"\x89PNG\r\n\x1a\n" + bytes(40)])
 def test_files_that_are_no_image(tmp_path, content):
     (tmp_path / "photo.png").write_bytes(content)
-    with pytest.raises(FileError, match=r"cannot read \S*photo\.png as an image"):
+    with pytest.raises(FileError, match=r"photo\.png is a damaged or truncated PNG"):
         read_image(tmp_path / "photo.png")
 
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.conftest import torso
 from tests.refusals import refuses
 from tests.sensors.test_plus_sequence import sequence
+from tests.sensors.test_stream_formats import SAMPLES
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
@@ -77,3 +79,13 @@ def test_a_table_of_neither_kind_is_told_by_the_kind_it_is_nearer(tmp_path):
         file.write_text(f"{header}\n{','.join('1' for _ in header.split(','))}\n")
         told = refuses(FileError, f"has no column {lacks}: ", raw_recordings, file)
         assert "t,px,py,pz,qw,qx,qy,qz (poses) or t,fx,fy,fz (wrenches)" in told
+
+
+def test_what_is_no_such_stream_is_told_by_what_it_is(tmp_path):
+    torso().save(tmp_path / "surface.nc")
+    refuses(
+        FileError, "holds a surface or a field", read_poses, tmp_path / "surface.nc"
+    )
+    refuses(FileError, "a folder without a recording of ROS 2", read_poses, tmp_path)
+    ati = SAMPLES["ati.csv"](tmp_path / "ati.csv")
+    refuses(FileError, "has wrenches only, no poses", read_poses, ati)

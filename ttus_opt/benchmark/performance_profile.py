@@ -98,8 +98,8 @@ def profile_picture(by_solver: Mapping[str, Sequence[float]]) -> Figure:
                 steps, heights, where="post", label=solver, markevery=(0.02, 0.15),
                 **styles[solver],
             )  # fmt: skip
-        axis.set(xscale="log", xlabel="factor τ of the fastest", xlim=(1.0, end))
-        axis.set_ylabel("share of problems solved within τ")
+        axis.set(xscale="log", xlabel="factor τ of the fastest [–]", xlim=(1.0, end))
+        axis.set_ylabel("share of problems solved within τ [–]")
         axis.set_ylim(0.0, 1.03)
         figure.legend(loc="outside right upper")
     return figure

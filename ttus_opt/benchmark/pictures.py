@@ -81,7 +81,7 @@ def _against_size(
         axis.plot(*answers, label=solver, **style)
         axis.plot(*failed, **{**style, "linestyle": "none", "fillstyle": "none"})
     axis.set(xscale="log", yscale="log", title=rows[0]["formulation"])
-    axis.set(xlabel="voxels V", ylabel=label)
+    axis.set(xlabel="voxels V [–]", ylabel=label)
     axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
     axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
     axis.set_xticks([], minor=True)
@@ -114,7 +114,7 @@ def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figur
         beside: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
         axis.annotate(row["solver"], at, fontsize=7.5, **beside)
     axis.set(xscale="log", yscale="log", xlabel=label, title=rows[0]["formulation"])
-    axis.set_ylabel("relative KKT residual, verified")
+    axis.set_ylabel("relative KKT residual, verified [–]")
     axis.margins(x=0.15, y=0.1)
     return figure
 

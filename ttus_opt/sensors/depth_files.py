@@ -7,10 +7,7 @@ would otherwise fail much later.
 
 from __future__ import annotations
 
-import math
 import os
-import struct
-import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +19,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.cloud import UNITS
 from ttus_opt.sensors.depth_bag import SUFFIX, Frame, read_bag_depth
+from ttus_opt.sensors.image_file import decoded
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 
@@ -30,12 +28,6 @@ LARGEST_FILE, LARGEST_IMAGE = 400_000_000, 30_000_000
 
 #: Smallest side of an image [pixel]
 LEAST_SIDE = 16
-
-#: Level at which OpenCV logs nothing
-SILENT = 0
-
-#: First bytes of a PNG
-PNG = b"\x89PNG\r\n\x1a\n"
 
 #: Plausible median depth of a scan [m]
 DEPTH_LIMITS = (0.1, 10.0)
@@ -136,61 +128,9 @@ def _read(file: Path) -> NDArray[Any]:
             f"{file} has the suffix {suffix!r}, expected one of {', '.join(SUFFIXES)}: "
             "export the depth image as one of these"
         )
-    return _decoded(file)
-
-
-def _decoded(file: Path) -> NDArray[Any]:
-    """The pixels of a PNG or TIFF, unconverted.
-
-    Raises:
-        FileError: OpenCV cannot read it.
-    """
     import cv2
 
-    content = np.fromfile(file, np.uint8)
-    if file.suffix.lower() == ".png":
-        _check_png(file, content.tobytes())
-    # OpenCV 4.10 has its log functions at the top level
-    log = getattr(cv2.utils, "logging", cv2)
-    level = log.getLogLevel()
-    log.setLogLevel(SILENT)
-    image, cause = None, None
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
-    except (cv2.error, MemoryError) as error:
-        cause = error
-    finally:
-        log.setLogLevel(level)
-    if image is None:
-        raise FileError(
-            f"OpenCV cannot read {file} as an image: damaged? export it again"
-        ) from cause
-    return np.asarray(image)
-
-
-def _check_png(file: Path, content: bytes) -> None:
-    """Refuse a PNG with damaged chunks, which the decoder would fill in.
-
-    Raises:
-        FileError: A wrong checksum, missing chunks, or too many pixels announced.
-    """
-    at, kinds, size = len(PNG), [], 0
-    while content.startswith(PNG) and at + 12 <= len(content):
-        length, kind = struct.unpack_from(">I4s", content, at)
-        body = content[at + 4 : at + 8 + length]
-        end = content[at + 8 + length : at + 12 + length]
-        if end != zlib.crc32(body).to_bytes(4, "big"):
-            break
-        if kind == b"IHDR" and length == 13:
-            size = math.prod(struct.unpack_from(">II", body, 4))
-        kinds.append(kind)
-        at += 12 + length
-    if size > LARGEST_IMAGE:
-        raise FileError(f"{file} declares {size} pixels: not a depth image")
-    if not kinds or kinds[0] != b"IHDR" or kinds[-1] != b"IEND":
-        raise FileError(
-            f"{file} is a damaged or truncated PNG: copy or export it again"
-        )
+    return decoded(file, LARGEST_IMAGE, cv2.IMREAD_UNCHANGED)
 
 
 def _check_kind(file: Path, values: NDArray[Any]) -> None:

@@ -19,6 +19,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, warn
 from ttus_opt.probe.rigid_motion import homogeneous
+from ttus_opt.sensors.image_file import decoded
 from ttus_opt.sensors.intrinsics import Intrinsics
 
 #: Root-mean-square reprojection error above which a pose gives a warning, and above
@@ -114,17 +115,9 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     import cv2
 
     file = io.existing_file(path, "image", LARGEST_FILE)
-    content = np.fromfile(file, np.uint8)
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
-    except cv2.error as error:
-        raise FileError(
-            f"OpenCV cannot read {file} as an image: {error.err}"
-        ) from error
-    if image is None or image.size > LARGEST_IMAGE:
-        raise FileError(
-            f"OpenCV cannot read {file} as an image, or it is too large: save it as PNG"
-        )
+    image = decoded(file, LARGEST_IMAGE, cv2.IMREAD_GRAYSCALE)
+    if image.size > LARGEST_IMAGE:
+        raise FileError(f"{file} has {image.size:,} pixels: save it smaller")
     return np.asarray(image, np.uint8)
 
 

@@ -39,6 +39,10 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         FileError: Missing, damaged, or without such variables, units or order.
     """
     file, data, names = _opened(path, wanted.columns)
+    if "time" not in data.variables and not names and "radius" in data.variables:
+        raise FileError(
+            f"{file} holds a surface or a field, no poses or wrenches: wrong file?"
+        )
     there = {k for k in UNITS if names.get(k, k) in data.variables}
     poses = wanted.kind in ("poses", "recording") or (
         not wanted.kind and "position" in there

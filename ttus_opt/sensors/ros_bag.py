@@ -89,6 +89,11 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
     """
     if not place.exists():
         raise FileError(f"recording not found: {place}: check the path")
+    if place.is_dir() and not (place / "metadata.yaml").exists():
+        raise FileError(
+            f"{place} is a folder without a recording of ROS 2 (metadata.yaml): name a "
+            "file in it"
+        )
     types = {} if wanted.kind == "wrenches" else {**POSES}
     if wanted.kind in ("", "wrenches"):
         types |= WRENCHES

@@ -68,7 +68,10 @@ def chosen(
     ]
     names = [raw.name for raw in of_kind]
     if not of_kind:
-        listed = ", ".join(raw.name or "a stream" for raw in found)
+        other = "poses" if wanted.kind == "wrenches" else "wrenches"
+        if found and not any(raw.name for raw in found):
+            raise FileError(f"{file} has {other} only, no {kind}: name another file")
+        listed = ", ".join(raw.name for raw in found)
         but = f", but {listed}" if listed else ""
         raise FileError(f"{file} has no {word} of {kind}{but}: record one")
     if wanted.name is None:
