@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.benchmark.tiny import TINY
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from ttus_opt.benchmark import solver_run
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.progress import KEPT, Progress

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from tests.solvers.own_terms import Differences, SkinGraph
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.problem.constraints.boundary import HardBoundary

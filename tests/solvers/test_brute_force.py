@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
+from tests.oracles.dense import enumerated, minimiser, stacked
 from tests.solvers import taking
-from tests.solvers.dense import enumerated, minimiser, stacked
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.sign import Sign

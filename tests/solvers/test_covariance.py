@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-import scipy.optimize
+from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
+from tests.oracles.dense import stacked
 from ttus_opt import fit
 from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.prior import square_root
@@ -40,11 +41,8 @@ def test_it_gives_the_normal_equations_solution(weight):
     formulation = declared(weight)
     solution = fit(scene(), formulation, solver="covariance")
     assert solution.status.name == "SOLVED"
-    rows, targets = [], []
-    for term in formulation.terms:
-        rows.append(np.sqrt(term.weight) * term.assembled.blocks["p"].toarray())
-        targets.append(np.sqrt(term.weight) * term.assembled.target)
-    expected, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)
+    M, t = stacked(formulation.compile())
+    expected = np.linalg.lstsq(M.toarray(), t)[0]
     got = solution.field.values.ravel()
     assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
 
@@ -59,11 +57,8 @@ def test_parameters_within_bounds_agree_with_bounded_least_squares():
             terms=[prior, drag], constraints=[ViscousSign(own, 1)]
         )
         program = formulation.compile()
-        rows = [np.sqrt(t.weight) * t.matrix.toarray() for t in program.terms]
-        aims = [np.sqrt(t.weight) * t.target for t in program.terms]
-        expected = scipy.optimize.lsq_linear(
-            np.vstack(rows), np.concatenate(aims), program.box, method="bvls"
-        )
+        M, t = stacked(program)
+        expected = lsq_linear(M.toarray(), t, program.box, method="bvls")
         candidate = covariance.Covariance().prepare(program, Request()).solve()
         x, size = candidate.x, np.abs(expected.x).max()
         assert np.abs(x - expected.x).max() < 1e-7 * size

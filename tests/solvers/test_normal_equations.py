@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values

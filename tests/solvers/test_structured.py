@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from tests.solvers.dual.user_limits import Rows, contested, louder
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.contact.scene import Scene

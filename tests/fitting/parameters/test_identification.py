@@ -8,6 +8,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene, some
 from tests.dragging import dragged_scene
+from tests.oracles.dense import least_squares, stacked
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.parameters.identification import noise_variance
@@ -198,8 +199,8 @@ def test_a_viscous_standard_error_is_that_of_dense_least_squares():
             scene, "viscous_drag", acts_at="contact", sectors=patches, **WEIGHTS
         )
         program = solution.program
-        A = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in program.terms])
-        t = np.concatenate([np.sqrt(t.weight) * t.target for t in program.terms])
+        M, t = stacked(program)
+        A = M.toarray()
         V = scene.n_voxels
         slid = V + np.flatnonzero(np.abs(A[:, V:]).sum(axis=0))
         columns = np.concatenate([np.arange(V), slid])
@@ -245,10 +246,8 @@ def test_a_searched_standard_error_is_that_of_the_dense_profile():
     build = declared.search.build
 
     def least(mu):
-        terms = build(mu).compile().terms
-        A = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in terms])
-        t = np.concatenate([np.sqrt(t.weight) * t.target for t in terms])
-        rest = t - A @ np.linalg.solve(A.T @ A, A.T @ t)
+        M, t = stacked(build(mu).compile())
+        rest = t - M @ least_squares(M, t)
         return float(rest @ rest)
 
     h = 0.01

@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
+from tests.oracles.dense import minimiser, stacked
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import (
     ProgramBounds,
@@ -277,9 +278,7 @@ def test_a_bound_far_above_what_is_asked_comes_close():
     scene = small_scene(shape=(7, 12, 7), n_poses=2)
     declared = load("eq10", scene, force_weight=100.0, torque_weight=100.0)
     problem = declared.compile()
-    M = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in problem.terms])
-    t = np.concatenate([np.sqrt(t.weight) * t.target for t in problem.terms])
-    best = np.linalg.lstsq(M, t)[0]
+    M, best = stacked(problem)[0], minimiser(problem)
     laplace = scene.laplace
     along = laplace.solve(laplace.solve_adjoint(scene.N.T @ np.ones(scene.N.shape[0])))
     along *= 1e-2 / np.linalg.norm(M @ along)

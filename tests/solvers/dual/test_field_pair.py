@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.dragging import dragged_scene
-from tests.solvers.dense import enumerated, stacked
+from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.user_limits import INF, Rows, Within
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation

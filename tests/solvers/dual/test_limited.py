@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from ttus_opt.problem import formulation
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request

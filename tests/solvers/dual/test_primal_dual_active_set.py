@@ -11,7 +11,7 @@ from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
 from tests.conftest import some, torso
-from tests.solvers.dense import enumerated, stacked
+from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface

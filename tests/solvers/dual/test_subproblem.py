@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from tests.conftest import ellipsoid, presses, torso
-from tests.solvers.dense import least_squares, stacked
+from tests.oracles.dense import least_squares, stacked
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
 from ttus_opt.contact.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from tests.solvers.dense import minimiser
+from tests.oracles.dense import minimiser
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.linear_parameters import Complement
