@@ -31,10 +31,10 @@ SLOW = {
 
 @functools.cache
 def scene():
-    """Three hundred voxels, presses of random size."""
+    """Two hundred voxels, presses of random size."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return small_scene("trilinear", shape=(5, 10, 6), n_poses=8, seed=4)
+        return small_scene("trilinear", shape=(5, 8, 5), n_poses=8, seed=4)
 
 
 @functools.cache

@@ -19,7 +19,7 @@ KEEPERS = {
     "free": taking.FORMULATIONS["eq10"],
     "signed": taking.FORMULATIONS["eq10_sign"] - taking.HIGHS,
 }
-SHAPE = (5, 10, 6)
+SHAPE = (5, 8, 5)
 
 
 def compiled(signed, factor=1.0, weight=1.0):

@@ -1,5 +1,6 @@
 """Bounds of the gap beside auxiliary variables, against optima of other solvers."""
 
+import functools
 from dataclasses import replace
 
 import cvxpy as cp
@@ -23,17 +24,19 @@ from ttus_opt.solvers.base import Claim, Request
 INF = np.inf
 
 
-def declared():
+@functools.cache
+def answered():
+    """A formulation with an idea, its program, and Clarabel's answer."""
     plain = load("eq10", SCENE, force_weight=0.1, torque_weight=0.0)
-    return plain + CvxpyTerm("x", lambda p: cp.max(p[2]), weight=1e-6)
+    model = plain + CvxpyTerm("x", lambda p: cp.max(p[2]), weight=1e-6)
+    answer = Fitter(model, solver="clarabel")._prepared.solve()
+    return model, model.compile(), answer
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-6])
 def test_a_field_that_ignores_all_data_is_not_solved(tolerance):
     """Multipliers that miss by 1e-9 are no licence for it."""
-    model = declared()
-    answer = Fitter(model, solver="clarabel")._prepared.solve()
-    whole = model.compile()
+    model, whole, answer = answered()
     best = whole.objective(answer.x)
     p = SCENE.laplace.solve(SCENE.b)
     x = np.concatenate([p, [p.reshape(SCENE.voxmap.grid.shape)[2].max()]])

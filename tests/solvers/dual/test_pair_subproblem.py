@@ -21,8 +21,8 @@ INF = np.inf
 
 @functools.cache
 def pair(weight, smoothness, share, hard):
-    """Three hundred voxels, and measurements that do not fit the prior."""
-    scene = dragged_scene("contact", shape=(6, 10, 5))
+    """Two hundred voxels, and measurements that do not fit the prior."""
+    scene = dragged_scene("contact", shape=(5, 8, 5))
     rng = np.random.default_rng(1)
     trajectory = scene.trajectory
     noisy = trajectory.force + rng.normal(0.0, 1.0, trajectory.force.shape)
