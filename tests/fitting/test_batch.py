@@ -17,7 +17,6 @@ from ttus_opt.fitting.batch import Fitter, _better, fit, judged
 from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import WeightChoice
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation, Search, available, load
 from ttus_opt.problem.reduction import reduce
@@ -47,24 +46,6 @@ def dense_minimum(weight, tiny=False):
     return np.linalg.solve(
         L.T @ L + weight * N.T @ N, L.T @ scene.b + weight * N.T @ scene.f
     )
-
-
-def test_bounded_fit_against_dense_bounded_least_squares():
-    """eq10_sign on a handful of voxels, by an active-set method on dense rows."""
-    from scipy.optimize import lsq_linear
-
-    scene = small_scene("trilinear", shape=(6, 8, 5), n_poses=15)
-    rows = [scene.L.toarray(), np.sqrt(3.0) * scene.N.toarray()]
-    target = np.concatenate([scene.b, np.sqrt(3.0) * scene.f])
-    region = scene.voxmap.region.reshape(-1)
-    box = (np.where(region > 0, 0.0, -np.inf), np.where(region < 0, 0.0, np.inf))
-    dense = lsq_linear(np.vstack(rows), target, box, method="bvls", tol=1e-14)
-    solution = fit(scene, "eq10_sign", force_weight=3.0, torque_weight=0.0)
-    assert (np.abs(dense.x[region != 0]) < 1e-9).any()  # the sign does bind
-    np.testing.assert_allclose(
-        solution.field.values.reshape(-1), dense.x, atol=1e-5 * np.abs(dense.x).max()
-    )
-    assert solution.objective == pytest.approx(2.0 * dense.cost, rel=1e-7)
 
 
 def judge(x, claim=Claim.DONE, scene=SCENE):
@@ -222,16 +203,6 @@ def test_of_two_answers_the_solved_one_is_kept_or_that_with_less_residual():
         assert _better(one, other) is near
     proved = replace(far, status=Status.SOLVED)
     assert _better(near, proved) is proved
-
-
-def test_a_contradiction_is_reported_by_name():
-    declared = eq10().with_constraints(
-        Sign(SCENE), HardBoundary(SCENE), Monotone(SCENE, 1000.0)
-    )
-    solution = fit(SCENE, declared)
-    assert solution.status is Status.INFEASIBLE
-    assert solution.conflict == ("boundary", "monotone")
-    refuses(NoSolutionError, "boundary against monotone", lambda: solution.field)
 
 
 def test_slack_and_dual_of_every_constraint_by_name():

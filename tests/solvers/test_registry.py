@@ -86,11 +86,6 @@ def test_estimates_grow_with_the_grid_and_with_limits():
         assert solver.cost(small) < solver.cost(limited)
 
 
-def test_auto_takes_the_structured_solver_on_eq10():
-    scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6)
-    assert registry.choose("auto", load("eq10", scene).compile()).name == ("structured")
-
-
 def test_auto_never_takes_a_reference():
     assert {"amg_pcg", "closed_form"} <= set(registry.solvers())
     assert not {"amg_pcg", "closed_form"} & set(registry.estimating())

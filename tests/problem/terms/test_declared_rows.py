@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.conftest import small_scene
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.formulation import load
@@ -96,12 +97,11 @@ HOSTILE = {
 @pytest.mark.parametrize("what", HOSTILE)
 def test_what_makes_no_sense_is_told_in_one_sentence(what):
     given, told = HOSTILE[what]
-    with pytest.raises(InputError, match=told) as caught:
-        (load("eq10", SCENE) + Own(SCENE, given=given)).compile()
-    assert "\n" not in str(caught.value)
+    call = (load("eq10", SCENE) + Own(SCENE, given=given)).compile
+    message = refuses(InputError, told, call)
     if what != "another size":
-        assert "term own (" in str(caught.value)
-        assert f"{Path(__file__).name}, line " in str(caught.value)
+        assert "term own (" in message
+        assert f"{Path(__file__).name}, line " in message
 
 
 @pytest.mark.parametrize(
