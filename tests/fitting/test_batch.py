@@ -18,7 +18,7 @@ from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import WeightChoice
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.formulation import Formulation, Search, available, load
+from ttus_opt.problem.formulation import Formulation, Search, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
 from ttus_opt.problem.terms.base import AffineRows
@@ -309,23 +309,6 @@ def test_what_cannot_be_fitted():
         with pytest.raises(InputError, match=f"weights='{word}' is not known: take"):
             fit(SCENE, "eq10", weights=word)
     refuses(InputError, "tolerance must lie between", fit, SCENE, "eq10", tolerance=0.0)
-
-
-@pytest.mark.parametrize("info", available(), ids=lambda info: info.name)
-def test_every_formulation_is_solved_by_what_auto_picks(info):
-    """Verified, its objective no worse than that of the Laplace field."""
-    name = info.name
-    scene = small_scene("trilinear", shape=(7, 14, 8))
-    options = {} if name == "laplace_only" else {"force_weight": 0.1}
-    declared = load(name, scene, **options)
-    solution = fit(scene, declared)
-    assert solution.status is Status.SOLVED, solution.advice
-    program = solution.program
-    x = np.zeros(program.n_variables)
-    x[program.variables["p"]] = scene.laplace.solve(scene.b)
-    assert solution.objective <= program.objective(x) * (1 + 1e-6) + 1e-9
-    for slack in solution.slacks.values():
-        assert slack.min() > -1e-5
 
 
 def test_compiling_is_no_part_of_the_other_times():
