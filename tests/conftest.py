@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -84,6 +85,14 @@ def presses(
         force + rng.normal(0.0, 0.3, force.shape),
         rng.normal(0.0, 0.02, force.shape),
     )
+
+
+def with_wrenches(scene: Scene, force: Array, torque: Array | None = None) -> Scene:
+    """The scene with other forces [N] and torques [N·m], of frames or in one row."""
+    given = scene.trajectory
+    other = given.torque if torque is None else torque.reshape(-1, 3)
+    measured = replace(given, force=force.reshape(-1, 3), torque=other)
+    return replace(scene, trajectory=measured)
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, torso
+from tests.conftest import presses, torso, with_wrenches
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.checks.sanity import check_recordings
@@ -72,7 +72,6 @@ def test_evaluation_and_report_say_that_there_are_none():
 
 def test_a_flipped_sensor_of_forces_is_told():
     _, only = scenes()
-    force = only.trajectory.force
-    wrong = replace(only, trajectory=replace(only.trajectory, force=-force))
+    wrong = with_wrenches(only, -only.f)
     report = check_recordings(wrong, tt.fit(wrong, "laplace_only").field)
     assert report.mistake.mends == "--flip-wrench"

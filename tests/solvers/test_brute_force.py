@@ -1,13 +1,12 @@
 """Solvers against enumeration of all active sets and against dense linear algebra."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from tests.oracles.dense import enumerated, minimiser, stacked
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
@@ -53,9 +52,7 @@ def test_enumeration_of_active_sets(solver, seed):
 def tiny():
     """Eq. 10 on a grid small enough for dense algebra, with forces that pull."""
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=6, seed=2)
-    trajectory = scene.trajectory
-    pulled = replace(trajectory, force=-4.0 * trajectory.force)
-    scene = replace(scene, trajectory=pulled)
+    scene = with_wrenches(scene, -4.0 * scene.f)
     return load("eq10", scene, force_weight=1.0, torque_weight=1.0)
 
 

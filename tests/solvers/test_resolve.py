@@ -1,11 +1,9 @@
 """Re-solving: ``update`` gives what a fresh ``prepare`` gives and keeps its factor."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from tests.solvers import taking
 from ttus_opt.problem.constraints.sign import Sign
 from ttus_opt.problem.formulation import load
@@ -25,9 +23,7 @@ SHAPE = (5, 8, 5)
 def compiled(signed, factor=1.0, weight=1.0):
     """Eq. 10 with all measured forces scaled and another weight."""
     scene = small_scene("trilinear", shape=SHAPE, n_poses=8, seed=3)
-    trajectory = scene.trajectory
-    other = replace(trajectory, force=trajectory.force * factor)
-    scene = replace(scene, trajectory=other)
+    scene = with_wrenches(scene, factor * scene.f)
     declared = load("eq10", scene, force_weight=weight, torque_weight=1.0)
     if signed:
         declared = declared.with_constraints(Sign(scene))

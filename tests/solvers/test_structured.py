@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.conftest import ellipsoid, presses, small_scene, torso, with_wrenches
 from tests.dragging import dragged_scene
 from tests.oracles.dense import minimiser
 from tests.solvers.dual.user_limits import Rows, louder
@@ -76,14 +76,11 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one():
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
     prepared = STRUCTURED.prepare(program(scene, 1.0), TIGHT)
     first = prepared.solve().iterations
-    rng = np.random.default_rng(5)
-    louder = replace(
-        scene.trajectory, force=scene.trajectory.force + rng.normal(size=(40, 3))
-    )
+    noise = np.random.default_rng(5).normal(size=scene.f.shape)
     changes = {
         "the same again": scene,
         "boundary": scene.with_boundary(3.0, 1.0),
-        "measured values": replace(scene, trajectory=louder),
+        "measured values": with_wrenches(scene, scene.f + noise),
     }
     of_kept, of_fresh = 0, 0
     for what, other in changes.items():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene, some
+from tests.conftest import small_scene, some, with_wrenches
 from tests.dragging import dragged_scene
 from tests.oracles.dense import least_squares, stacked
 from ttus_opt.contact.friction import Sliding
@@ -104,9 +104,9 @@ def test_a_pure_press_tells_no_drag(name):
     pressed = replace(given, position=given.position + deep * out + aside)
     scene = recorded(dragged(), pressed)
     p = scene.laplace.solve(scene.b)
-    force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, 0.3, (len(given), 3))
-    torque = (scene.W @ p).reshape(-1, 3) + rng.normal(0.0, 5e-3, (len(given), 3))
-    scene = replace(scene, trajectory=replace(pressed, force=force, torque=torque))
+    force = scene.N @ p + rng.normal(0.0, 0.3, scene.f.shape)
+    torque = scene.W @ p + rng.normal(0.0, 5e-3, scene.f.shape)
+    scene = with_wrenches(scene, force, torque)
     solution = tt.fit(scene, name, acts_at="reference", **WEIGHTS)
     assert set(solution.not_identified) == NEUTRAL[name]
     for parameter in NEUTRAL[name]:
@@ -145,19 +145,13 @@ def noisy(scene, sigma, rng):
     The drag of the scene's own wrenches acts on the Laplace field, its part on the
     rest of the drawn field is left out.
     """
-    given = scene.trajectory
     shift = scene.laplace.solve(sigma * rng.normal(size=scene.n_voxels))
     noise = sigma / np.sqrt(WEIGHTS["force_weight"])
-    shape = given.force.shape
-    force = given.force + (scene.N @ shift).reshape(shape)
-    torque = given.torque + (scene.W @ shift).reshape(shape)
-    return replace(
+    force, torque = noise * rng.normal(size=(2, len(scene.f)))
+    return with_wrenches(
         scene,
-        trajectory=replace(
-            given,
-            force=force + noise * rng.normal(size=shape),
-            torque=torque + noise * scene.torque_length * rng.normal(size=shape),
-        ),
+        scene.f + scene.N @ shift + force,
+        scene.tau + scene.W @ shift + scene.torque_length * torque,
     )
 
 
@@ -171,12 +165,7 @@ def test_the_noise_is_estimated_from_what_is_left():
     declared = load("eq10", scene, **WEIGHTS)
     fitter = tt.Fitter(declared)
     p = scene.laplace.solve(scene.b)
-    given = replace(
-        scene.trajectory,
-        force=(scene.N @ p).reshape(-1, 3),
-        torque=(scene.W @ p).reshape(-1, 3),
-    )
-    scene = replace(scene, trajectory=given)
+    scene = with_wrenches(scene, scene.N @ p, scene.W @ p)
     rng, found = np.random.default_rng(0), []
     for _ in range(5):
         drawn = load("eq10", noisy(scene, sigma, rng), **WEIGHTS)
@@ -191,9 +180,9 @@ def test_the_noise_is_estimated_from_what_is_left():
 def test_a_viscous_standard_error_is_that_of_dense_least_squares():
     """With all rows in one matrix, one patch and several."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
-    given, place = scene.trajectory, scene.places
-    alike = np.random.default_rng(6).normal(0.0, 0.03, (len(given), 3))[place]
-    scene = replace(scene, trajectory=replace(given, force=given.force + alike))
+    place = scene.places
+    alike = np.random.default_rng(6).normal(0.0, 0.03, (len(place), 3))[place]
+    scene = with_wrenches(scene, scene.f + alike.ravel())
     for patches in (1, 12):
         solution = tt.fit(
             scene, "viscous_drag", acts_at="contact", sectors=patches, **WEIGHTS
@@ -303,7 +292,7 @@ def test_several_patches_are_doubted_one_by_one():
     angle = np.arctan2(given.position[:, 1], given.position[:, 0])
     hidden = (angle % (2 * np.pi)) > np.deg2rad(90.0)
     louder[hidden] += rng.normal(0.0, 0.5, louder[hidden].shape)
-    scene = replace(scene, trajectory=replace(given, force=louder))
+    scene = with_wrenches(scene, louder)
     solution = tt.fit(scene, "viscous_drag", acts_at="contact", sectors=12, **WEIGHTS)
     unidentified = {n for n, why in solution.not_identified.items() if "±" in why}
     for name in unidentified:
@@ -381,10 +370,8 @@ def test_without_weight_nothing_is_told():
 
 @each_drag
 def test_forces_that_are_all_zero_do_not_trouble_it(name):
-    given = dragged().trajectory
-    nothing = np.zeros((len(given), 3))
-    scene = replace(dragged(), trajectory=replace(given, force=nothing, torque=nothing))
-    scene = scene.with_boundary(0.0, 0.0)
+    nothing = np.zeros_like(dragged().f)
+    scene = with_wrenches(dragged(), nothing, nothing).with_boundary(0.0, 0.0)
     solution = tt.fit(scene, name, **WEIGHTS)
     told = {*solution.standard_errors, *solution.not_identified, *solution.remarks}
     assert told == NEUTRAL[name]

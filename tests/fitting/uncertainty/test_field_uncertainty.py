@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, three_presses, torso
+from tests.conftest import presses, small_scene, three_presses, torso, with_wrenches
 from tests.fitting.uncertainty import test_wrench_noise
 from tests.refusals import refuses
 from ttus_opt.contact.scene import Scene
@@ -127,8 +127,7 @@ def test_covariance_is_that_of_dense_algebra():
 def test_another_torque_length_with_its_weight_is_the_same_fit(sized):
     """Also where every measured torque is zero, which tells no length."""
     scene = three_presses()
-    measured = replace(scene.trajectory, torque=sized * scene.trajectory.torque)
-    scene = replace(scene, trajectory=measured)
+    scene = with_wrenches(scene, scene.f, sized * scene.tau)
     lengths = [
         uncertainty(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
         for options in (
@@ -210,15 +209,9 @@ def test_fits_of_perturbed_data_scatter_as_stated():
         e = factor @ rng.normal(size=len(factor))
         force = scene.N @ p + e[: len(scene.f)]
         torque = scene.W @ p + ell * e[len(scene.f) :]
-        trajectory = replace(
-            scene.trajectory, force=force.reshape(-1, 3), torque=torque.reshape(-1, 3)
-        )
-        given = tt.load_formulation(
-            "eq10",
-            replace(scene, trajectory=trajectory),
-            force_weight=FORCE,
-            torque_weight=TORQUE,
-        )
+        drawn = with_wrenches(scene, force, torque)
+        weights = {"force_weight": FORCE, "torque_weight": TORQUE}
+        given = tt.load_formulation("eq10", drawn, **weights)
         if fitter is None:
             fitter = tt.Fitter(given, solver="structured")
         else:

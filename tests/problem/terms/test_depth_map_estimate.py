@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 from scipy.stats import multivariate_normal
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from tests.refusals import refuses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, TtusWarning
@@ -24,12 +24,6 @@ from ttus_opt.problem.terms.depth_map_estimate import (
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import PartNoise, contact_directions
 from ttus_opt.voxmap.sampling import sized
-
-
-def with_forces(scene, force):
-    return replace(
-        scene, trajectory=replace(scene.trajectory, force=force.reshape(-1, 3))
-    )
 
 
 def drawn(seed, n_poses=80, ratio=1.0):
@@ -51,7 +45,7 @@ def drawn(seed, n_poses=80, ratio=1.0):
     p = np.zeros(scene.n_voxels)
     p[touched] = 200.0 * depth[touched] * (1.0 + g)
     force = scene.N @ p
-    return with_forces(scene, force + rng.normal(0.0, 0.1, force.shape))
+    return with_wrenches(scene, force + rng.normal(0.0, 0.1, force.shape))
 
 
 def matern(distance, length):
@@ -141,7 +135,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(power):
     """A stiff layer, a round tip on a half-space, tissue that stiffens."""
     scene = drawn(0, 40)
     p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
-    grown = with_forces(scene, scene.N @ p)
+    grown = with_wrenches(scene, scene.N @ p)
     found = least_squares_profile(grown)
     expected = 0.7 * (np.array(found.exponents) == power)
     assert expected.any()
@@ -221,7 +215,7 @@ def test_it_finds_the_length_of_contacts_that_forces_have():
         scene = drawn(3).resampled(f"contact-size:{least}")
         depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
         noise = np.random.default_rng(1).normal(0.0, 0.02, len(scene.f))
-        pressed = with_forces(scene, scene.N @ (400.0 * depth) + noise)
+        pressed = with_wrenches(scene, scene.N @ (400.0 * depth) + noise)
         found.append(estimate_depth_map(pressed, resampled=True))
         again = pressed.resampled(sized(found[-1].least_length))
         same = estimate_depth_map(again)
@@ -259,7 +253,7 @@ def test_frames_in_the_air_do_not_count():
     scene = drawn(0, 40)
     whole = _Problem.of(scene, scene.N).force
     away = lifted(scene, 0)
-    kept = _Problem.of(with_forces(away, scene.f), away.N).force
+    kept = _Problem.of(with_wrenches(away, scene.f), away.N).force
     np.testing.assert_allclose(kept, whole[1:])
 
 
@@ -355,7 +349,7 @@ def test_noise_that_grows_with_the_force_is_not_taken_for_tissue():
     rng = np.random.default_rng(4)
     size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
     own = np.repeat(0.3 * size, 3) * rng.standard_normal(scene.f.shape)
-    found = estimate_depth_map(with_forces(scene, scene.f + own))
+    found = estimate_depth_map(with_wrenches(scene, scene.f + own))
     assert found.noise == pytest.approx(
         np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.35
     )
@@ -376,7 +370,7 @@ def test_a_trackers_error_is_not_taken_for_tissue():
     exact = estimate_depth_map(replace(scene, trajectory=time))
     moved = estimate_depth_map(
         replace(
-            with_forces(scene, scene.f + off),
+            with_wrenches(scene, scene.f + off),
             trajectory=replace(time, force=(scene.f + off).reshape(-1, 3)),
         )
     )
@@ -389,16 +383,18 @@ def test_errors_that_a_press_shares_are_not_taken_for_tissue():
     press = np.arange(120) // 8
     rng = np.random.default_rng(5)
     shared = np.repeat(1.0 + 0.05 * rng.standard_normal(15)[press], 3)
-    found = estimate_depth_map(with_forces(scene, scene.f * shared))
+    found = estimate_depth_map(with_wrenches(scene, scene.f * shared))
     assert found.surface_length > 0.015
 
 
 def test_forces_that_pull_and_none_at_all_are_refused():
     scene = drawn(0, 20)
     for estimate in (estimate_depth_map, least_squares_profile):
-        refuses(InputError, "pull the probe in", estimate, with_forces(scene, -scene.f))
+        refuses(
+            InputError, "pull the probe in", estimate, with_wrenches(scene, -scene.f)
+        )
         with pytest.raises(InputError, match="touches they reach 0 N only"):
-            estimate(with_forces(scene, 0.0 * scene.f))
+            estimate(with_wrenches(scene, 0.0 * scene.f))
     away = replace(scene.trajectory, position=[1.2, 1.2, 1] * scene.trajectory.position)
     with pytest.warns(TtusWarning, match="touches the patient in none"):
         apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)

@@ -1,13 +1,13 @@
 """Drag that reverses, or lies across the force, against least squares and by motion."""
 
 import functools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ttus_opt as tt
+from tests.conftest import with_wrenches
 from ttus_opt import example
 from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.scene import Scene
@@ -183,11 +183,7 @@ def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(released):
     rows = GlobalCoulomb(scene, "points").rows
     force = scene.N @ p - 0.3 * (rows.force @ p)
     torque = scene.W @ p - 0.3 * (rows.torque @ p)
-    dragged = replace(
-        scene.trajectory, force=force.reshape(-1, 3), torque=torque.reshape(-1, 3)
-    )
-    scene = replace(scene, trajectory=dragged)
-    found = estimate_drag(scene, "points")
+    found = estimate_drag(with_wrenches(scene, force, torque), "points")
     assert found.friction_coefficient == pytest.approx(0.3 if released else 0.0)
     assert (found.misfit < 1e-9) == released
 

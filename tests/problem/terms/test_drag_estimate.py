@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
+from tests.conftest import with_wrenches
 from tests.dragging import dragged_scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import load
@@ -109,10 +110,5 @@ def test_drag_is_shown_where_forces_need_it():
     assert found.is_shown and found.gain > 3.0 * LEAST_GAIN
     p = scene.laplace.solve(scene.b)
     noise = np.random.default_rng(1).normal(0.0, 0.05, scene.f.shape)
-    smooth = replace(
-        scene.trajectory,
-        force=(scene.N @ p + noise).reshape(-1, 3),
-        torque=(scene.W @ p).reshape(-1, 3),
-    )
-    without = estimate_drag(replace(scene, trajectory=smooth))
+    without = estimate_drag(with_wrenches(scene, scene.N @ p + noise, scene.W @ p))
     assert not without.is_shown and without.gain < 2.0

@@ -1,13 +1,12 @@
 """The Laplace prior about a depth profile."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
@@ -86,9 +85,7 @@ def test_without_measurements_the_field_is_the_profile():
 def test_a_profile_that_made_the_forces_is_found():
     scene = place()
     forces = scene.N @ PROFILE(np.maximum(voxel_depths(scene.voxmap), 0.0))
-    recorded = replace(scene.trajectory, force=forces.reshape(-1, 3))
-    made = replace(scene, trajectory=recorded)
-    found = least_squares_profile(made)
+    found = least_squares_profile(with_wrenches(scene, forces))
     coefficients = dict(zip(found.exponents, found.coefficients, strict=True))
     assert coefficients[1.0] == pytest.approx(0.8, rel=1e-6)
     assert coefficients[2.0] == pytest.approx(0.3, rel=1e-6)

@@ -1,11 +1,9 @@
 """Huber's penalty of forces: eq. 10 where its limit is wide, unmoved by outliers."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
@@ -32,10 +30,7 @@ def test_huber_bends_less_than_squares_to_an_outlier():
     touched = int(np.argmax(np.linalg.norm(force, axis=1)))
     bad = force.copy()
     bad[touched] += 50.0
-    trajectory = replace(
-        SCENE.trajectory, force=bad, torque=np.zeros_like(SCENE.trajectory.torque)
-    )
-    scene = replace(SCENE, trajectory=trajectory)
+    scene = with_wrenches(SCENE, bad, np.zeros_like(SCENE.tau))
     others = np.delete(np.arange(len(force)), touched)
 
     def missed(name, **options):

@@ -8,6 +8,7 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
+from tests.conftest import with_wrenches
 from tests.dragging import dragged_scene
 from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.user_limits import INF, Rows, Within
@@ -38,10 +39,8 @@ TOLERANCE = 1e-6
 def contested(seed, *, scale=1.0, noise=2.0, mu=0.3, shape=(7, 14, 8)):
     """A sliding probe, its forces scaled (or reversed), with noise on them [N]."""
     scene = dragged_scene("contact", mu=mu, shape=shape)
-    trajectory = scene.trajectory
-    noisy = np.random.default_rng(seed).normal(0.0, noise, trajectory.force.shape)
-    force = scale * trajectory.force + noisy
-    return replace(scene, trajectory=replace(trajectory, force=force))
+    noisy = np.random.default_rng(seed).normal(0.0, noise, scene.f.shape)
+    return with_wrenches(scene, scale * scene.f + noisy)
 
 
 def coulomb(scene, weight, *constraints, **options):
@@ -205,12 +204,8 @@ def test_nothing_contested_is_what_was_put_in():
 
 def test_it_takes_a_share_of_nothing():
     scene = contested(1, noise=0.0, shape=(6, 12, 6)).with_boundary(0.0, 0.0)
-    trajectory = scene.trajectory
-    assert trajectory.torque is not None
-    none = replace(
-        trajectory, force=0.0 * trajectory.force, torque=0.0 * trajectory.torque
-    )
-    program = coulomb(replace(scene, trajectory=none), 1.0).compile()
+    silent = with_wrenches(scene, 0.0 * scene.f, 0.0 * scene.tau)
+    program = coulomb(silent, 1.0).compile()
     assert not STRUCTURED.refusal(program)
     candidate = solved(program)
     assert candidate.claim is Claim.DONE

@@ -8,6 +8,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.linalg import lstsq
 
+from tests.conftest import with_wrenches
 from tests.dragging import dragged_scene
 from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.problem import formulation
@@ -23,10 +24,8 @@ INF = np.inf
 def pair(weight, smoothness, share, hard):
     """Two hundred voxels, and measurements that do not fit the prior."""
     scene = dragged_scene("contact", shape=(5, 8, 5))
-    rng = np.random.default_rng(1)
-    trajectory = scene.trajectory
-    noisy = trajectory.force + rng.normal(0.0, 1.0, trajectory.force.shape)
-    scene = replace(scene, trajectory=replace(trajectory, force=noisy))
+    noise = np.random.default_rng(1).normal(0.0, 1.0, scene.f.shape)
+    scene = with_wrenches(scene, scene.f + noise)
     declared = formulation.load(
         "coulomb_drag",
         scene,

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
-from tests.conftest import some, torso
+from tests.conftest import some, torso, with_wrenches
 from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
@@ -222,12 +222,7 @@ def test_bounds_out_of_reach_push_the_whole_field():
 
 def test_no_field_and_no_force_is_no_field():
     scene = contested().with_boundary(0.0, 0.0)
-    trajectory = scene.trajectory
-    assert trajectory.torque is not None
-    none = replace(
-        trajectory, force=0.0 * trajectory.force, torque=0.0 * trajectory.torque
-    )
-    scene = replace(scene, trajectory=none)
+    scene = with_wrenches(scene, 0.0 * scene.f, 0.0 * scene.tau)
     candidate = solved(eq10(scene, 1.0, Sign(scene), Monotone(scene)).compile())
     assert candidate.claim is Claim.DONE
     assert not candidate.x.any()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, with_wrenches
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
@@ -69,11 +69,7 @@ def contested(
 def louder(scene: Scene, seed: int, scale: float = 1.0, noise: float = 2.0) -> Scene:
     """A scene with its forces scaled and noise on them [N]."""
     rng = np.random.default_rng(seed + 100)
-    trajectory = scene.trajectory
-    assert trajectory.force is not None
-    force = scale * trajectory.force
-    force = force + rng.normal(0.0, noise, force.shape)
-    return replace(scene, trajectory=replace(trajectory, force=force))
+    return with_wrenches(scene, scale * scene.f + rng.normal(0.0, noise, scene.f.shape))
 
 
 def eq10(scene: Scene, weight: float, *constraints: Constraint) -> Formulation:
