@@ -132,6 +132,10 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(scans, tmp_path, capsys):
             ["0.png", "--intrinsics", "camera.json", "--poses", "poses.csv"],
             "3 poses, there is 1 image",
         ),
+        (  # without advice by --columns, which is not an option here
+            ["0.png", "--intrinsics", "camera.json", "--poses", "camera.json"],
+            r"t,px,py,pz,qw,qx,qy,qz, got \S+$",
+        ),
         (
             ["0.png", "--intrinsics", "camera.json", "--noise", "loud"],
             "noise must be one",

@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
+from tests.sensors.test_stream_formats import SAMPLES
 from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.stitching import PoseUncertainty, read_camera_poses, stitch
+from ttus_opt.sensors.stream_files import read_poses
 from ttus_opt.sensors.unprojection import Unprojection
 
 CAMERAS = (
@@ -163,6 +165,12 @@ def test_poses_of_a_file(tmp_path):
         np.testing.assert_allclose(found, POSES, atol=1e-8)
     refuses(FileError, "has 2 poses, there are 3 images", read_camera_poses, file, 3)
     refuses(FileError, "has 2 poses, there is 1 image:", read_camera_poses, file, 1)
+
+
+def test_poses_of_a_tracker(tmp_path):
+    file = SAMPLES["press.trc"](tmp_path / "press.trc")
+    found = read_camera_poses(file, 6)
+    np.testing.assert_allclose(found[:, :3, 3], read_poses(file).position)
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])

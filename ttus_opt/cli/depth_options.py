@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +12,7 @@ import typer
 
 from ttus_opt.cli.cloud_options import CloudOptions
 from ttus_opt.cli.options import numbers
-from ttus_opt.core.errors import InputError, located
+from ttus_opt.core.errors import FileError, InputError, located
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage
@@ -22,6 +23,9 @@ RECORDING = ".bag"
 
 #: Suffixes of files that can only be depth images
 IMAGES = (".png", ".tif", ".tiff")
+
+#: Advice of the readers of poses by options that are not here
+ABSENT = re.compile(r"(; map them by columns|, or read it with repair=True).*")
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,8 @@ class DepthOptions:
         noise: Noise of the camera, from which the contour filter weights the points:
             structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or
             time-of-flight:STD [m].
-        poses: Poses from camera to scan, one line t,px,py,pz,qw,qx,qy,qz per image.
+        poses: Poses from camera to scan, one line t,px,py,pz,qw,qx,qy,qz per image, or
+            a recording of another device with one pose per image.
         pose_quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         refine: Refine the poses by GICP (extra sensors: small_gicp).
         pose_std: Accuracy of the measured poses, for --refine.
@@ -104,7 +109,10 @@ class DepthOptions:
         uncertainty = self._uncertainty() if self.refine else None
         if self.poses is not None:
             order: Any = self.pose_quaternion  # checked there
-            poses = read_camera_poses(self.poses, len(scans), order=order)
+            try:
+                poses = read_camera_poses(self.poses, len(scans), order=order)
+            except FileError as error:
+                raise FileError(ABSENT.sub("", str(error))) from error
         elif len(scans) == 1:
             poses = np.eye(4)[None]
         else:

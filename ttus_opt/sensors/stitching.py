@@ -27,11 +27,13 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
+from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, moved, rigid_motion
-from ttus_opt.probe.trajectory_csv import read_trajectory_columns
 from ttus_opt.sensors.depth import DepthCloud, DepthImage
 from ttus_opt.sensors.depth_bag import Frame
 from ttus_opt.sensors.depth_noise import NoiseModel
+from ttus_opt.sensors.stream_files import raw_stream
+from ttus_opt.sensors.stream_format import Wanted
 
 #: Cell size to which scans are downsampled [m]
 CELL = 0.005
@@ -140,14 +142,15 @@ def read_camera_poses(
     """Poses of cameras, one per image in order, shape (n, 4, 4) [–, m].
 
     Args:
-        path: A trajectory's CSV: ``t,px,py,pz,qw,qx,qy,qz``, camera to scan [s, m].
+        path: A recording of any format (`ttus_opt.sensors.stream_files`), such as a
+            table ``t,px,py,pz,qw,qx,qy,qz``: camera to scan [s, m].
         n: Number of images.
         order: Actual order of the four columns named ``qw,qx,qy,qz``.
 
     Raises:
         FileError: Missing, damaged, or another number of poses.
     """
-    read = read_trajectory_columns(path)
+    read = checked(raw_stream(path, Wanted(kind="poses")))
     found = len(read.time)
     if found != n:
         raise FileError(
