@@ -67,7 +67,9 @@ def test_an_export_of_ros(tmp_path):
 def test_columns_are_told(tmp_path):
     header = ",".join(["tip_x" if n == "px" else n for n in OURS])
     file = write(tmp_path, header, lines(","))
-    refuses(FileError, r"no column px: .*got t,tip_x,.* px=x", tt.read_trajectory, file)
+    refuses(
+        FileError, r"no column px: .*got t,tip_x,.* px=NAME", tt.read_trajectory, file
+    )
     read = tt.read_trajectory(file, columns={"px": "tip_x"})
     np.testing.assert_array_equal(read.position[:, 0], 0.1)
 

@@ -58,7 +58,8 @@ class MissingColumnsError(FileError):
     def _told(self, file: Path, names: str) -> str:
         return (
             f"{file} has no column {', '.join(self.missing)}: the header must name "
-            f"{names}, got {self._got}; map them by columns, for instance px=x"
+            f"{names}, got {self._got}; map them by columns, for "
+            f"instance {self.missing[0]}=NAME"
         )
 
     def either(self, other: MissingColumnsError) -> FileError:
