@@ -144,7 +144,7 @@ def test_the_best_beside_two_fields_is_that_of_least_squares():
 
 
 def system_of(of, own):
-    laplace = of.subproblem(own).system.laplace
+    laplace = of.subproblem(own)._solver.system.laplace
     assert isinstance(laplace, BlockSystem)
     return laplace
 

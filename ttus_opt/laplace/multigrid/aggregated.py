@@ -12,7 +12,11 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.threads import in_parts
+from ttus_opt.laplace.multigrid import refinement
 from ttus_opt.laplace.multigrid.coarsening import Grounds
 from ttus_opt.laplace.multigrid.pcg import Vectors
 from ttus_opt.laplace.multigrid.pooled_blocks import PooledBlocks
@@ -67,32 +71,17 @@ class AggregatedMultigrid(Multigrid):
         make = partial(AggregatedMultigrid, screening=screening, grounds=grounds)
         return make, built
 
-    def apply(self, x: Array) -> Array:
-        """PᵀA P z, shape (V,)."""
-        x, _ = self._vector(x, "z")
-        self._blocks.prolong(x)
-        out = self._operate(x)
-        self._blocks.restrict(out)
-        return out
-
-    def solve(
-        self,
-        rhs: Array,
-        *,
-        rtol: float = 1e-12,
-        x0: Array | None = None,
-        max_iterations: int = 500,
-    ) -> MultigridResult:
+    def solve(self, rhs: Array, *, rtol: float = 1e-12) -> MultigridResult:
         """Solve PᵀA P z = b; as `Multigrid.solve`."""
-        answer = super().solve(rhs, rtol=rtol, x0=x0, max_iterations=max_iterations)
+        answer = super().solve(rhs, rtol=rtol)
         answer.x[self._blocks.followers] = 0.0
         return answer
 
     def _vectors(self) -> Vectors:
         return Vectors(self.hierarchy, self._blocks)
 
-    def _vector(self, values: Array, name: str) -> tuple[Array, float]:
-        vector, _ = super()._vector(values, name)
+    def _vector(self, values: Array) -> tuple[Array, float]:
+        vector, _ = super()._vector(values)
         vector[self._blocks.followers] = 0.0
         return vector, largest_size(vector)
 
@@ -101,6 +90,12 @@ class AggregatedMultigrid(Multigrid):
     ) -> float:
         if x is not None:
             self._blocks.prolong(x)
-            b = b - self._operate(x)
+            b = b - self._product(x)
             self._blocks.restrict(b)
         return super()._residual(work, None, b, scale)
+
+    def _product(self, x: Array) -> Array:
+        """A x for a vector that is zero at fixed voxels."""
+        out = np.zeros_like(x)
+        in_parts(partial(refinement.operate, out, x, self._operator), self._parts)
+        return out

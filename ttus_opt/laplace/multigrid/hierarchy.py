@@ -174,12 +174,6 @@ class Hierarchy:
         cuts = _cuts(levels[0].layout, free, None if added is None else added.grounds)
         return cls(tuple(levels), places, inverse, *packed, *cuts)
 
-    @property
-    def memory_bytes(self) -> int:
-        """Size of its arrays."""
-        own = self.fields.nbytes + self.inverse.nbytes + self.table.nbytes
-        return own + sum(levels.memory_bytes for levels in self.boxes.copy().values())
-
 
 def _cuts(
     layout: Layout, free: NDArray[np.bool_], grounds: Grounds | None

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
-from ttus_opt.core.threads import in_parts, parts_of
+from ttus_opt.core.threads import parts_of
 from ttus_opt.laplace.multigrid import refinement
 from ttus_opt.laplace.multigrid.coarsening import Added, Grounds, conductances
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
@@ -33,8 +33,8 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 REDUCTION = 1e-4
 #: Right-hand sides between its inverse and this are not rescaled.
 MODERATE = 1e100
-#: Consecutive corrections that may fail to halve the residual [–]
-PATIENCE = 3
+#: Consecutive corrections that may fail to halve the residual, and most V-cycles [–]
+PATIENCE, MOST_CYCLES = 3, 500
 
 
 @dataclass(frozen=True)
@@ -131,29 +131,6 @@ class Multigrid:
         make = partial(Multigrid, screening=self.screening, grounds=self.grounds)
         return make, built
 
-    @property
-    def memory_bytes(self) -> int:
-        """Size of the levels and of the scratch arrays kept for the next solve."""
-        return (
-            self.hierarchy.memory_bytes
-            + self.free.nbytes
-            + sum(work.memory_bytes for work in list(self._idle))
-        )
-
-    def apply(self, x: Array) -> Array:
-        """A x.
-
-        Args:
-            x: Values, shape (V,); those at fixed voxels count as zero.
-
-        Returns:
-            A x, zero at fixed voxels, shape (V,).
-
-        Raises:
-            InputError: x has another shape or is not finite.
-        """
-        return self._operate(self._vector(x, "x")[0])
-
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """A preconditioner of one V-cycle, with arrays of its own and without copies.
 
@@ -165,14 +142,7 @@ class Multigrid:
         whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
         return VCycle.near(near, *whole)
 
-    def solve(
-        self,
-        rhs: Array,
-        *,
-        rtol: float = 1e-12,
-        x0: Array | None = None,
-        max_iterations: int = 500,
-    ) -> MultigridResult:
+    def solve(self, rhs: Array, *, rtol: float = 1e-12) -> MultigridResult:
         """Solve A x = b.
 
         It ends when ‖b - A x‖ ≤ rtol ‖b‖, or when the residual is down to rounding:
@@ -182,78 +152,58 @@ class Multigrid:
         Args:
             rhs: b, shape (V,); values at fixed voxels are left out.
             rtol: Relative residual asked for; 0 for what rounding allows [–].
-            x0: Where to start, shape (V,); by default zero.
-            max_iterations: Most V-cycles [–].
 
         Returns:
             Solution, V-cycles and relative residual.
 
         Raises:
-            InputError: A vector has another shape or is not finite, rtol is negative,
-                or x0 is out of all proportion.
+            InputError: b has another shape or is not finite, or rtol is negative.
             NumericalError: The residual was not reached.
         """
         if not 0.0 <= rtol < 1.0:
             raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
-        b, largest = self._vector(rhs, "the right-hand side")
-        start = None if x0 is None else self._vector(x0, "x0")
+        b, largest = self._vector(rhs)
         if largest == 0.0:
             return MultigridResult(b, 0, 0.0)
         unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
-        if start is None and 1.0 / MODERATE < largest < MODERATE:
-            return self._refine(b, None, rtol, max_iterations, 1.0 / unit)
+        if 1.0 / MODERATE < largest < MODERATE:
+            return self._refine(b, rtol, 1.0 / unit)
         b /= unit  # squares neither overflow nor vanish
-        x = None
-        if start is not None:
-            x, farthest = start
-            x /= unit
-            if not farthest / unit < 1e150:
-                raise InputError(
-                    f"x0 is {farthest / unit:.1e} times the right-hand side: start "
-                    "nearer or from zero"
-                )
-        result = self._refine(b, x, rtol, max_iterations)
+        result = self._refine(b, rtol)
         return replace(result, x=result.x * unit)
 
     def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Solve Aᵀ x = b: the same, as A is symmetric."""
         return self.solve(rhs, rtol=rtol)
 
-    def _refine(
-        self, b: Array, x: Array | None, rtol: float, limit: int, scale: float = 1.0
-    ) -> MultigridResult:
+    def _refine(self, b: Array, rtol: float, scale: float = 1.0) -> MultigridResult:
         """Iterative refinement for a right-hand side whose squares are numbers.
 
         Args:
             b: Right-hand side, zero at fixed voxels, shape (V,).
-            x: Where to start, shape (V,); None for zero. Overwritten.
             rtol: As in `solve`.
-            limit: Most V-cycles [–].
-            scale: What brings b near 1, for single precision; from zero only [–].
+            scale: What brings b near 1, for single precision [–].
         """
-        work = self._borrow()
+        try:  # scratch arrays that no other thread has
+            work = self._idle.pop()
+        except IndexError:
+            work = self._vectors()
         now = size = self._residual(work, None, b, scale)
-        norm_x = 0.0
-        if x is None:
-            x = np.zeros_like(b)
-        else:
-            norm_x = math.sqrt(float(np.sum(x * x)))
-            scale = 1.0 / max(self.norm_bound * norm_x, size)
-            now = self._residual(work, x, b, scale)
+        x, norm_x = np.zeros_like(b), 0.0
         iterations, failures = 0, 0
         while True:
             floor = np.finfo(float).eps * (self.norm_bound * norm_x + size)
             target = max(rtol * size, floor)
             if now <= target:
                 break
-            if failures == PATIENCE or iterations >= limit:
+            if failures == PATIENCE or iterations >= MOST_CYCLES:
                 raise NumericalError(
                     f"multigrid reached a relative residual of {now / size:.1e} after "
-                    f"{iterations} cycles, {rtol:.1e} was requested: allow more "
-                    "cycles or a larger rtol"
+                    f"{iterations} cycles, {rtol:.1e} was requested: allow a larger "
+                    "rtol"
                 )
             goal = max(REDUCTION, 0.5 * target / now)
-            iterations += work.correct(goal, limit - iterations)
+            iterations += work.correct(goal, MOST_CYCLES - iterations)
             part = work.answer, 1.0 / scale, self._operator
             norm_x = math.sqrt(refinement.add(x, *part, parts=self._parts))
             before, scale = now, 1.0 / now
@@ -262,7 +212,7 @@ class Multigrid:
         self._idle.append(work)
         return MultigridResult(x, iterations, now / size)
 
-    def _vector(self, values: Array, name: str) -> tuple[Array, float]:
+    def _vector(self, values: Array) -> tuple[Array, float]:
         """A copy with zeros at fixed voxels, and its largest absolute value.
 
         Raises:
@@ -271,28 +221,16 @@ class Multigrid:
         vector = np.asarray(values, dtype=float)
         if vector.shape != self.free.shape:
             raise InputError(
-                f"{name} must have shape {self.free.shape}, got {vector.shape}"
+                f"the right-hand side must have shape {self.free.shape}, got "
+                f"{vector.shape}"
             )
         kept = np.where(self.free, vector, 0.0)
         largest = largest_size(kept)
         if not math.isfinite(largest):
-            raise InputError(f"{name} must be finite at free voxels, got NaN or inf")
+            raise InputError(
+                "the right-hand side must be finite at free voxels, got NaN or inf"
+            )
         return kept, largest
-
-    def _borrow(self) -> Vectors:
-        """Scratch arrays no other thread has."""
-        try:
-            return self._idle.pop()
-        except IndexError:
-            return self._vectors()
-
-    def _operate(self, x: Array) -> Array:
-        """A x for a vector that is zero at fixed voxels."""
-        out = np.zeros_like(x)
-        in_parts(
-            lambda part: refinement.operate(out, x, self._operator, part), self._parts
-        )
-        return out
 
     def _vectors(self) -> Vectors:
         """New scratch arrays."""

@@ -88,11 +88,6 @@ class Workspace:
         """The part of ``values`` that begins somewhere."""
         return self.values[start : start + math.prod(shape)].reshape(shape)
 
-    @property
-    def memory_bytes(self) -> int:
-        """Size of the vectors."""
-        return self.values.nbytes
-
     def v_cycle(self, *, sweeps: int = 1, has_red: bool = True, n: int = 0) -> None:
         """Set ``x`` to one V-cycle's answer for ``b``.
 

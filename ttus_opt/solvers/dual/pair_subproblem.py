@@ -231,11 +231,6 @@ class PairSubproblem:
         size = float(np.linalg.norm(column))
         return np.array([size, float(column @ target) / size if size > 0.0 else 0.0])
 
-    @property
-    def system(self) -> DualSystem:
-        """The dual system."""
-        return self._solver.system
-
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
         """The minimiser of the working set, c started from that of the last one."""
         near = 0.0 if last is None else self._whole.parameter(last)

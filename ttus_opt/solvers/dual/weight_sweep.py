@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import is_late
@@ -97,7 +97,13 @@ class SweepAnswer:
 
 
 class WeightSweep:
-    """A reduced basis of one problem, which grows with the weights solved for."""
+    """A reduced basis of one problem, which grows with the weights solved for.
+
+    Attributes:
+        informative: Which rows of the data depend on the field, shape (m,).
+        misfit: d = t - D p₀ of these rows, without weights, shape (rows,).
+        base: The prior's mean p₀, shape (V,).
+    """
 
     def __init__(
         self,
@@ -120,14 +126,14 @@ class WeightSweep:
         assert not data.columns.shape[1]
         system = data.system
         # rows without an entry do not depend on the field
-        self._informative = np.diff(system.rows.indptr) > 0
-        root = system.root_weights[self._informative]
+        self.informative = np.diff(system.rows.indptr) > 0
+        root = system.root_weights[self.informative]
         self._system = replace(
-            system, rows=system.rows[self._informative], root_weights=root
+            system, rows=system.rows[self.informative], root_weights=root
         )
-        self._base = system.laplace.solve(data.b)
-        said = np.asarray(self._system.rows @ self._base)
-        self._misfit: Array = data.t[self._informative] / root - said
+        self.base = system.laplace.solve(data.b)
+        said = np.asarray(self._system.rows @ self.base)
+        self.misfit: Array = data.t[self.informative] / root - said
         self._count = 0
         #: Multipliers and their images, with room for more
         self._stored = np.empty((2, BLOCK, len(root)))
@@ -144,35 +150,16 @@ class WeightSweep:
         return self._stored[0, : self._count]
 
     @property
-    def _images(self) -> Array:
-        return self._stored[1, : self._count]
-
-    @property
-    def informative(self) -> Mask:
-        """Which rows of the data depend on the field, shape (m,)."""
-        return self._informative
-
-    @property
-    def misfit(self) -> Array:
-        """Misfit d = t - D p₀ of these rows, without weights, shape (rows,)."""
-        return self._misfit
-
-    @property
     def images(self) -> Array:
         """K, measurements of the response fields, shape (k, rows)."""
-        return self._images
-
-    @property
-    def base(self) -> Array:
-        """The prior's mean p₀, shape (V,)."""
-        return self._base
+        return self._stored[1, : self._count]
 
     def take_fields(self) -> NDArray[np.floating]:
         """Hand over the response fields at the stored voxels, shape (k, n).
 
         They take most of the memory, so the basis does not keep a copy of them.
         """
-        out = np.empty((len(self), len(self._base[self._voxels])), self._kept_as)
+        out = np.empty((len(self), len(self.base[self._voxels])), self._kept_as)
         for start in range(0, len(self), BLOCK):
             block = self._fields.pop(0)
             out[start : min(start + BLOCK, len(self))] = block[: len(self) - start]
@@ -192,7 +179,7 @@ class WeightSweep:
         Returns:
             Whether it was reached.
         """
-        root, random = root_weights[self._informative], np.random.default_rng(0)
+        root, random = root_weights[self.informative], np.random.default_rng(0)
         recent: list[float] = []
         most = min(len(root), options.MAX_DIRECTIONS)
         while (begun := len(self)) < most:
@@ -216,7 +203,7 @@ class WeightSweep:
             rtol: Largest relative error in the energy norm, √(ρᵀC ρ / objective) [–].
             deadline: `time.perf_counter` at which to stop [s]; None for never.
         """
-        root = root_weights[self._informative]
+        root = root_weights[self.informative]
         self._system = replace(self._system, root_weights=root)
         if self._approximate is None and len(root):
             self._approximate = ApproximateSchur(self._system)
@@ -229,7 +216,7 @@ class WeightSweep:
             if self._approximate is not None:
                 self._approximate.root_weights = root
                 error = float(y @ (self._approximate.apply(y) - y))
-            left = root * (self._misfit - c @ self._images)
+            left = root * (self.misfit - c @ self.images)
             objective = float(c @ c + left @ left)
             settled = error <= rtol**2 * objective
             if error < least:
@@ -243,12 +230,12 @@ class WeightSweep:
             wanted = root * precondition(y)
             if not self._extend(self._without(wanted), _size(wanted)):
                 break
-        p = self._base + self._combined(best)
+        p = self.base + self._combined(best)
         return SweepAnswer(p, len(self) - before, settled)
 
     def _best(self, root: Array) -> tuple[Array, Array]:
         """Coefficients of the best combination, and ρ, shape (rows,)."""
-        weighted, misfit = self._images * root, root * self._misfit
+        weighted, misfit = self.images * root, root * self.misfit
         c = ByImages.of(weighted, misfit).coefficients(misfit)
         return c, root * (misfit - c @ weighted) - c @ self._multipliers
 
@@ -256,7 +243,7 @@ class WeightSweep:
         """Multipliers less their part in the basis from ``since`` on, (..., rows)."""
         z = multipliers
         for _ in range(2):  # twice is enough
-            z = z - (z @ self._images[since:].T) @ self._multipliers[since:]
+            z = z - (z @ self.images[since:].T) @ self._multipliers[since:]
         return z
 
     def _extend(self, z: Array, size: float) -> float:
@@ -298,7 +285,7 @@ class WeightSweep:
 
     def _combined(self, c: Array) -> Array:
         """Σ cⱼ times the response fields, shape (V,)."""
-        out = np.zeros_like(self._base)
+        out = np.zeros_like(self.base)
         for start, fields in zip(range(0, len(c), BLOCK), self._fields, strict=False):
             part = c[start : start + BLOCK]
             out += part @ fields[: len(part)]
