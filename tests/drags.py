@@ -14,6 +14,14 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
+
+
+def end_share(grid, z):
+    """Share of a depth that counts, 0 at both ends of a grid, 1 a voxel away."""
+    voxels = np.minimum(z - grid.z_min, grid.z_max - z) / grid.z_step
+    return np.clip(voxels, 0.0, 1.0)
+
+
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)
 
 # the reference stands off the frame's origin, as a tool's does
@@ -130,7 +138,7 @@ def drag_by_hand(
     points = shell.points @ R.T + at
     r, theta, z = cylindrical(points)
     grid = VOXMAP.grid
-    depth = (SURFACE.radius_at(theta, z) - r) * grid.end_share(z)
+    depth = (SURFACE.radius_at(theta, z) - r) * end_share(grid, z)
     inside = (depth > 0) & (z >= grid.z_min) & (z <= grid.z_max)
     weight = np.where(inside, shell.areas * depth, 0.0)
     if not inside.any():

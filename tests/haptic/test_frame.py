@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, torso
+from tests.drags import end_share
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.haptic.frame import touch
 from ttus_opt.haptic.kernel_data import FrameData
@@ -44,7 +45,7 @@ def by_definition(R, at):
     grid = VOXMAP.grid
     r, theta, z = cylindrical(shell().points @ R.T + at)
     within = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
-    depth = (SURFACE.radius_at(theta, z) - r) * grid.end_share(z)
+    depth = (SURFACE.radius_at(theta, z) - r) * end_share(grid, z)
     inside = np.flatnonzero(within & (depth > 0))
     beyond = int((r[inside] < grid.r_inner).sum())
     return Expected(inside, depth, bool(within.any()), beyond)

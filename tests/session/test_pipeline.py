@@ -14,6 +14,7 @@ from tests.session.recordings import (
     copied,
     described,
     made,
+    perfect,
 )
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.phantom.example_data import frame
@@ -23,7 +24,7 @@ from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.session.model import fit_model, judge
 from ttus_opt.session.pipeline import run_session
 from ttus_opt.session.results import STEPS, complete_steps
-from ttus_opt.session.synthetic import Truth, perfect, write_recording
+from ttus_opt.session.synthetic import Truth, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
@@ -45,7 +46,8 @@ def forces_perfect(result, seconds):
     recordings = {k: v.transformed(back, own) for k, v in calibrated(seconds).items()}
     shell = PointShell.from_spec(result.session.probe)
     model = fit_model(result.session, result.skin.surface, shell, recordings)
-    found = judge(result.session, model, shell, recordings)
+    fields = model.before.field, model.after.field
+    found = judge(fields, shell, recordings, result.session.fitted)
     errors = [c.after.errors for c in found if not c.seen]
     return float(np.mean([e.force_magnitude_error_N for e in errors]))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
+from tests.drags import end_share
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
@@ -58,7 +59,7 @@ def test_a_field_that_grows_linearly_with_depth_is_exact(shape):
     values = np.where(below > voxmap.grid.r_step / 2, 100.0 * below, 1e6)
     depth = rng.uniform(0.0, 0.04, 800)
     places, _, z = places_below(voxmap.surface, depth, rng)
-    depth *= voxmap.grid.end_share(z)
+    depth *= end_share(voxmap.grid, z)
     found = sampled(voxmap, values, places)
     np.testing.assert_allclose(found, 100.0 * depth, atol=1e-11)
 
@@ -79,7 +80,7 @@ def test_second_order_on_a_bumpy_skin():
         grid = voxmap.grid
         values = field(depths_of_voxels(voxmap), grid.theta[:, None], grid.z)
         miss = sampled(voxmap, values, places)
-        miss -= field(depth * grid.end_share(z), theta, z)
+        miss -= field(depth * end_share(grid, z), theta, z)
         errors.append(np.sqrt((miss**2).mean()))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(order, 2.0, atol=0.2)
@@ -187,7 +188,7 @@ def test_voxel_mean_is_the_voxels_value_away_from_the_skin():
     grid = voxmap.grid
     values = rng.normal(size=grid.shape)
     places, _, z = places_below(voxmap.surface, rng.uniform(0.02, 0.05, 300), rng)
-    places = places[grid.end_share(z) == 1.0]
+    places = places[end_share(grid, z) == 1.0]
     r, theta, z = cylindrical(places)
     i = np.abs(grid.r - r[:, None]).argmin(axis=1)
     j = np.abs(np.exp(1j * grid.theta) - np.exp(1j * theta)[:, None]).argmin(axis=1)

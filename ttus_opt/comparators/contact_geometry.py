@@ -146,7 +146,6 @@ class Touch:
         index: Numbers of the shell's points, shape (k,).
         arm: Vectors from the shell's reference to the points, shape (k, 3) [m].
         depth: Below the surface, shape (k,) [m].
-        normals: Normals of the surface, outwards, shape (k, 3) [–].
         inward: The probe's normals, into the probe, shape (k, 3) [–].
         areas: Shape (k,) [m²].
         reference: The shell's reference point, shape (3,) [m].
@@ -155,7 +154,6 @@ class Touch:
     index: IntArray = field(repr=False)
     arm: Array = field(repr=False)
     depth: Array = field(repr=False)
-    normals: Array = field(repr=False)
     inward: Array = field(repr=False)
     areas: Array = field(repr=False)
     reference: Array
@@ -253,14 +251,13 @@ class ContactGeometry:
         points = reference + arm
         # exact distances are only needed near and below the surface
         near = np.flatnonzero(self._may_touch(points))
-        depth, normals = self.surface.depth(points[near])
+        depth, _ = self.surface.depth(points[near])
         inside = depth > 0.0
         index = near[inside]
         return Touch(
             index,
             arm[index],
             depth[inside],
-            normals[inside],
             self.shell.normals[index] @ R.T,
             self.shell.areas[index],
             reference,

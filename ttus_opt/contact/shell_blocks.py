@@ -48,28 +48,28 @@ class ShellBlocks:
     reach: Array = field(repr=False)
 
     @classmethod
-    def of(cls, shell: PointShell, *, size: int = BLOCK) -> ShellBlocks:
-        """Sort a shell into blocks of ``size`` points (the last may be smaller)."""
+    def of(cls, shell: PointShell) -> ShellBlocks:
+        """Sort a shell into blocks of `BLOCK` points (the last may be smaller)."""
         order = np.arange(len(shell))
-        _sort(order, shell.points, size)
-        start = np.append(np.arange(0, len(shell), size), len(shell))
+        _sort(order, shell.points)
+        start = np.append(np.arange(0, len(shell), BLOCK), len(shell))
         # a smaller last block is filled up with its last point
-        places = np.minimum(start[:-1, None] + np.arange(size), start[1:, None] - 1)
+        places = np.minimum(start[:-1, None] + np.arange(BLOCK), start[1:, None] - 1)
         centre, radius = _spheres(shell.points[order][places])
         return cls(order, start.astype(np.int64), centre, radius + MARGIN)
 
 
-def _sort(order: NDArray[np.intp], points: Array, size: int) -> None:
+def _sort(order: NDArray[np.intp], points: Array) -> None:
     """Split at a whole number of blocks along the longest axis, in place."""
-    blocks = -(-len(order) // size)
+    blocks = -(-len(order) // BLOCK)
     if blocks < 2:
         return
-    cut = size * (blocks // 2)
+    cut = BLOCK * (blocks // 2)
     here = points[order]
     axis = int(np.ptp(here, axis=0).argmax())
     order[:] = order[np.argpartition(here[:, axis], cut)]
-    _sort(order[:cut], points, size)
-    _sort(order[cut:], points, size)
+    _sort(order[:cut], points)
+    _sort(order[cut:], points)
 
 
 def _spheres(blocks: Array) -> tuple[Array, Array]:

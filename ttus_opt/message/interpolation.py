@@ -67,11 +67,6 @@ class Scheme:
     divisors: tuple[int, ...] = (1,)
     sides: NDArray[np.int8] | None = field(default=None, repr=False, compare=False)
 
-    @property
-    def size(self) -> int:
-        """Number of differences."""
-        return math.prod(self.shape)
-
     def passes(self) -> Iterator[_Pass]:
         """The passes from coarse to fine; the first has no prediction."""
         step = 1

@@ -53,15 +53,12 @@ class FaceOrientation:
 
     Attributes:
         flip: Faces whose winding must be reversed to point outwards, (k,).
-        vote: Vote of each face alone that its winding points outwards, −2 to 2, shape
-            (k,) [–].
         exposure: Fraction of the sky seen by the outer side, cosine-weighted, 0 to 1,
             shape (k,) [–].
         patch: Number of the patch whose faces are decided together, shape (k,) [–].
     """
 
     flip: NDArray[np.bool_]
-    vote: Array
     exposure: Array
     patch: IntArray
 
@@ -105,7 +102,7 @@ def orient_faces(mesh: TriangleMesh, rng: np.random.Generator) -> FaceOrientatio
         )
         own[which] = again[:, 0]
         exposure = own[group]
-    return FaceOrientation(flip, vote, exposure, patch)
+    return FaceOrientation(flip, exposure, patch)
 
 
 def _voters(

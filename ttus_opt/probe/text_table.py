@@ -99,22 +99,10 @@ class TextTable:
         """What was taken for granted of the columns."""
         return self.header.notes
 
-    def numbers(self, wanted: Sequence[str]) -> Array:
-        """Some columns as numbers, shape (T, len(wanted)).
-
-        Raises:
-            FileError: A cell is not a number; the message names its line.
-        """
-        values, unread = self.readable(wanted)
-        if unread:
-            row, what = min(unread.items())
-            raise FileError(
-                f"{self.file}, line {self.line[row]}: {what}: repair or remove the line"
-            )
-        return values
-
     def readable(self, wanted: Sequence[str]) -> tuple[Array, dict[int, str]]:
-        """The same in SI units with NaN for what is not a number, and why, by row.
+        """Some columns in SI units, (T, len(wanted)), NaN for what is not a number.
+
+        Also why it is none, by row.
 
         Raises:
             FileError: A wanted column has an unknown unit.

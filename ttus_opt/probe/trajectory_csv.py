@@ -13,35 +13,20 @@ from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import ROTATION_VECTOR
 from ttus_opt.probe.pose import rotation_vectors_to_quaternions
 from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
-from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.text_table import TextTable, read_text_table, seconds
 
 TIME, POSITION, QUATERNION, FORCE, TORQUE = COMPONENTS.values()
 SEGMENT = "segment"
 
 
-def read_trajectory_columns(
+def raw_trajectory(
     path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
 ) -> RawRecording:
-    """Read and check the columns of a trajectory file.
+    """The columns of a trajectory file, as it has them, with its holes.
 
     Args:
         path: The CSV file.
         columns: The file's own names of columns, by the package's.
-
-    Returns:
-        The columns; see `ttus_opt.probe.trajectory.read_trajectory` for the rules.
-
-    Raises:
-        FileError: Anything that is not a usable trajectory.
-    """
-    return checked(raw_trajectory(path, columns))
-
-
-def raw_trajectory(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
-) -> RawRecording:
-    """The same as the file has it, with its holes.
 
     Raises:
         FileError: Not a table of poses.

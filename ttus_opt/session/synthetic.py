@@ -13,9 +13,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -117,10 +116,6 @@ class Truth:
     torque_bias: Array = field(default_factory=lambda: np.array([0.03, -0.04, 0.02]))
     offset: float = 0.83
 
-    def as_dict(self) -> dict[str, Any]:
-        """The truth by name, for JSON."""
-        return {name: np.asarray(v).tolist() for name, v in asdict(self).items()}
-
 
 #: The stated mounting of the sensor
 STATED_AXES = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_quat()
@@ -165,11 +160,6 @@ def write_recording(
     description = _description(truth, stretches, shape, cameras)
     _write_json(place / "session.json", description)  # last: the folder is whole
     return truth
-
-
-def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
-    """All recordings without errors, frame of the example's surface."""
-    return {name: recording(name, seconds) for name in RECORDINGS}
 
 
 def recording(name: str, seconds: float) -> Trajectory:

@@ -188,11 +188,6 @@ class CylindricalGrid:
         """Heights of the slices, shape (n_z,) [m]."""
         return self.z_min + self.z_step * np.arange(self.shape[2], dtype=float)
 
-    def end_share(self, z: Array) -> Array:
-        """Share of a depth that counts, 0 at both ends, 1 a voxel away (`depth_at`)."""
-        voxels = np.minimum(z - self.z_min, self.z_max - z) / self.z_step
-        return np.asarray(np.clip(voxels, 0.0, 1.0))
-
     @property
     def strides(self) -> tuple[int, int, int]:
         """Flat distance between neighbours in r, θ and z [–]."""

@@ -180,14 +180,13 @@ def with_estimates(
     )
 
 
-def warn_of_untold_friction(declared: Formulation, done: str, depth: int = 1) -> None:
+def warn_of_untold_friction(declared: Formulation, done: str) -> None:
     """Warn that friction of a formulation cannot be told from an elastic force.
 
     Args:
         declared: Nothing is said of formulations for which this is not so, or whose
             coefficient is given.
         done: What is done about it.
-        depth: Calls above the calling function to which the warning points.
     """
     unknowns = {name for term in declared.terms for name in term.assembled.blocks}
     if declared.search is None and unknowns == {"p"}:
@@ -199,5 +198,5 @@ def warn_of_untold_friction(declared: Formulation, done: str, depth: int = 1) ->
             f"{declared.name}: {named} cannot be told from an elastic force "
             f"({ONE_SENSE}): {done}; record the release of every press too, or slide "
             "the probe along the skin",
-            depth + 1,
+            2,
         )

@@ -25,12 +25,12 @@ def coarse_shape(shape: tuple[int, ...], most: int = MOST_VOXELS) -> tuple[int, 
     return tuple(2 * max(round(share * n / 2), 4) for n in shape)
 
 
-def coarser(scene: Scene, most: int | None = None) -> Scene:
-    """The scene on about ``most`` voxels (`MOST_VOXELS`); itself where it has no more.
+def coarser(scene: Scene) -> Scene:
+    """The scene on about `MOST_VOXELS` voxels; itself where it has no more.
 
     A fitted boundary scale is fitted again, as the coarse surface lies elsewhere.
     """
-    shape = coarse_shape(scene.voxmap.grid.shape, most or MOST_VOXELS)
+    shape = coarse_shape(scene.voxmap.grid.shape, MOST_VOXELS)
     if shape == scene.voxmap.grid.shape:
         return scene
     fitted = BOUNDARY_SCALE in scene.parameters

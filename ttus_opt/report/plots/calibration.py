@@ -21,14 +21,11 @@ _SHADES = (AFTER, BEFORE, "#b5651d", "0.55")
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 
-def calibration_picture(
-    curves: Mapping[str, CalibrationCurve], title: str = ""
-) -> Figure:
+def calibration_picture(curves: Mapping[str, CalibrationCurve]) -> Figure:
     """Draw how well stated standard deviations agree with errors.
 
     Args:
         curves: Of recordings that were not fitted, by name.
-        title: Title of the figure.
 
     Returns:
         A figure with the share of force components within each central interval on the
@@ -59,7 +56,7 @@ def calibration_picture(
             label = f"{name}: {100.0 * curve.coverage:.0f} %"
             left.plot(100.0 * curve.level, 100.0 * curve.force, label=label, **style)
             right.plot(curve.stated_N, curve.error_N, marker="o", ms=3.5, **style)
-        left.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0), title=title)
+        left.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0))
         left.set(xlabel="stated share of force components [%]", ylabel="found [%]")
         right.set(xscale="log", yscale="log")
         for axis in (right.xaxis, right.yaxis):

@@ -14,27 +14,23 @@ from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
 
 def residual_histogram(
-    before: Sequence[Evaluation], after: Sequence[Evaluation], title: str = ""
+    before: Sequence[Evaluation], after: Sequence[Evaluation]
 ) -> Figure:
     """Histograms of the residual components, rendered minus measured.
 
     Args:
         before: Evaluations of the Laplace field alone.
         after: Evaluations of the fitted field on the same trajectories.
-        title: Title of the figure.
 
     Returns:
         A figure with forces [N] on the left and torques [mN m] on the right.
     """
     with look():
-        figure = new_figure(
-            7.2, 3.1, margins=(0.61, 0.06, 0.96, 0.25 if title else 0.06)
-        )
+        figure = new_figure(7.2, 3.1, margins=(0.61, 0.06, 0.96, 0.06))
         left, right = figure.subplots(1, 2, gridspec_kw={"wspace": 0.13})
         _draw(left, [_force(e) for e in before], [_force(e) for e in after], "N")
         left.set_xlabel("force residual, each component [N]")
         left.set_ylabel("share of residuals [%]")
-        left.set_title(title)
         _draw(right, [_torque(e) for e in before], [_torque(e) for e in after], "mN m")
         right.set_xlabel("torque residual, each component [mN m]")
     return figure
