@@ -75,7 +75,7 @@ def test_the_basis_is_orthonormal_and_its_error_is_what_it_says():
         found = program.objective(sweep.solve(root_weights(program), rtol).p)
         # a V-cycle stands for the solves in the estimate
         assert found - least < 2.0 * rtol**2 * found
-    energy = sweep._multipliers @ sweep._images.T
+    energy = sweep._multipliers @ sweep.images.T
     assert np.abs(energy - np.eye(len(sweep))).max() < 1e-8
 
 
