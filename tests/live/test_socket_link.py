@@ -16,7 +16,8 @@ from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.safety import State
 from ttus_opt.live.sealed_stream import UNPROVED
 from ttus_opt.live.sealing import SealedChannel
-from ttus_opt.live.socket_link import PROOF, STRANGERS, SocketLink
+from ttus_opt.live.session_stream import PROOF, STRANGERS
+from ttus_opt.live.socket_link import SocketLink
 
 KEY = bytes(range(32))
 
@@ -175,6 +176,11 @@ def test_an_unusable_address(links):
 
 
 def test_a_session_over_sockets_reaches_normal_and_survives_a_new_operator(links):
+    survives_a_new_operator(links)
+
+
+def survives_a_new_operator(links):
+    """A session becomes NORMAL, stops without its operator, and begins with another."""
     surface, shell, content = parts()
     there = links(port=0, calls=False)
     follower, patient, hand = Follower(3, surface, content), Spring(), Hand(path())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.optional import load
 from ttus_opt.example import PROBE
 
 if TYPE_CHECKING:  # needs the extra live
@@ -217,6 +218,7 @@ def follower(
     key: Path,
     host: str = "127.0.0.1",
     port: int = PORT,
+    link: str = "udp",
     prior: float = 1.6,
     friction: float = 0.0,
     recording: Path | None = None,
@@ -225,7 +227,7 @@ def follower(
     seconds: float = math.inf,
     json: bool = False,
 ) -> None:
-    """Be the patient's side over UDP, with a simulated patient or a recording.
+    """Be the patient's side of a link, with a simulated patient or a recording.
 
     A recording plays in time once the operator has its model: it obeys no pose, and
     the operator feels what is learned from it. Not a medical device. A robot takes the
@@ -234,7 +236,8 @@ def follower(
     Args:
         key: Session key, of ttus-opt live key.
         host: Own address to wait at; 0.0.0.0 for every one.
-        port: UDP and TCP port.
+        port: UDP and TCP port; by WebRTC TCP alone, UDP ports are agreed on.
+        link: udp, or webrtc (extra webrtc), on both sides.
         prior: Factor by which the first model is too stiff.
         friction: Coulomb coefficient of the simulated skin.
         recording: Recording (.csv) with force and torque that plays in time.
@@ -251,14 +254,12 @@ def follower(
     from ttus_opt.live.patient import Patient, RecordedPatient
     from ttus_opt.live.real_time import promptly, run_follower
     from ttus_opt.live.safety import State
-    from ttus_opt.live.sealing import read_key
-    from ttus_opt.live.socket_link import SocketLink
     from ttus_opt.live.subject import example_subject
     from ttus_opt.live.tissue import TORSO_LAW
     from ttus_opt.live.trial import Trial, prepared, simulated_patient, warm_up
     from ttus_opt.probe.trajectory import read_trajectory
 
-    _check_port(port)
+    secret = _checked(link, key, port)
     given = _subject(surface, probe, HELD)
     who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
@@ -272,11 +273,11 @@ def follower(
         patient = RecordedPatient(start, lambda: safety.state is State.NORMAL)
     warm_up()
     promptly()
-    link = SocketLink(read_key(key), host, port, calls=False)
+    opened = _open(link, secret, host, port, calls=False)
     try:
         ended = run_follower(
             side,
-            link,
+            opened,
             patient,
             start.rotation[0],
             start.position[0],
@@ -284,7 +285,7 @@ def follower(
             tell=_say("follower"),
         )
     finally:
-        link.close()
+        opened.close()
     _tell_end("follower", ended, side.peer, json)
 
 
@@ -292,6 +293,7 @@ def operator(
     key: Path,
     host: str = "127.0.0.1",
     port: int = PORT,
+    link: str = "udp",
     seconds: float = 20.0,
     surface: Path | None = None,
     probe: str = PROBE,
@@ -299,7 +301,7 @@ def operator(
     recording: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Be the operator's side over UDP, with a simulated hand that presses.
+    """Be the operator's side of a link, with a simulated hand that presses.
 
     Not a medical device. A haptic device takes the hand's place in Python, see
     docs/how-to/live.md.
@@ -308,6 +310,7 @@ def operator(
         key: Session key, of ttus-opt live key.
         host: Address of the follower.
         port: Its UDP and TCP port.
+        link: udp, or webrtc (extra webrtc), on both sides.
         seconds: Length of the session [s].
         surface: Skin (.nc) that the simulated hand presses, the follower's; by default
             the example's.
@@ -316,22 +319,19 @@ def operator(
         recording: Record the session here (.mcap), with every frame that was felt.
 
     Example:
-        ttus-opt live operator --key session.key --host 192.0.2.7
+        ttus-opt live operator --key session.key --host 192.0.2.7 --link webrtc
     """
-    from ttus_opt.live.sealing import read_key
-    from ttus_opt.live.socket_link import SocketLink
     from ttus_opt.live.subject import example_subject
     from ttus_opt.live.trial import warm_up
 
-    _check_port(port)
-    opened = read_key(key)
+    secret = _checked(link, key, port)
     who = _subject(surface, probe, probe_axes) or example_subject()
     warm_up()
-    link = SocketLink(opened, host, port, calls=True)
+    opened = _open(link, secret, host, port, calls=True)
     try:
-        side, ended = _operate(link, who, seconds, probe, recording)
+        side, ended = _operate(opened, who, seconds, probe, recording)
     finally:
-        link.close()
+        opened.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
 
 
@@ -417,9 +417,26 @@ def _subject(surface: Path | None, probe: str, probe_axes: str) -> Subject | Non
     return Subject(skin, shell_of(probe), held)
 
 
-def _check_port(port: int) -> None:
+def _checked(link: str, key: Path, port: int) -> bytes:
+    """The session's key, once it is sure that the link can be opened."""
+    from ttus_opt.live.sealing import read_key
+
+    if link not in ("udp", "webrtc"):
+        raise InputError(f"--link is udp or webrtc, got {link}")
     if not 1 <= port <= 65535:
         raise InputError(f"--port is a number from 1 to 65535, got {port}")
+    if link == "webrtc":
+        load("aiortc", "webrtc")
+    return read_key(key)
+
+
+def _open(link: str, key: bytes, host: str, port: int, *, calls: bool) -> Any:
+    """A side of the link that was asked for."""
+    from ttus_opt.live.socket_link import SocketLink
+    from ttus_opt.live.webrtc_link import WebRTCLink
+
+    kind = WebRTCLink if link == "webrtc" else SocketLink
+    return kind(key, host, port, calls=calls)
 
 
 def _epoch() -> int:

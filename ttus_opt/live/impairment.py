@@ -92,6 +92,11 @@ class ImpairedLink:
             arrived.append(heapq.heappop(self._queue)[2])
         return arrived
 
+    @property
+    def waits(self) -> bool:
+        """Whether a packet is on its way."""
+        return bool(self._queue)
+
     def cut(self) -> None:
         """Lose all that is on its way."""
         self._queue.clear()

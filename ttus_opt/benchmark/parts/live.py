@@ -2,16 +2,19 @@
 
 The loop runs in real time in its own process, as in a session: a simulated hand presses
 the example's model, and a new field arrives twenty times a second. The link is UDP on
-this machine, encrypted, with packets of a session's size at a session's rate. At last a
-whole session over that link, delayed, tells when a contact changes what the hand feels.
+this machine, encrypted, with packets of a session's size at twice a session's rate;
+then WebRTC, once more over a network that is slow and loses packets. At last a whole
+session over UDP, delayed, tells when a contact changes what the hand feels.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from ttus_opt.benchmark.cases import CaseSpec
@@ -23,7 +26,7 @@ from ttus_opt.core.errors import NumericalError
 from ttus_opt.scan.surface import Surface
 
 if TYPE_CHECKING:  # needs the extra live
-    from ttus_opt.live.real_time import Lateness
+    from ttus_opt.live.real_time import Lateness, Link
 
 #: Length of every measurement [s], and rate of new fields [Hz]
 SECONDS, FIELDS = 10.0, 20.0
@@ -34,6 +37,13 @@ TRIP, BEGUN, FELT = 0.2, 0.15, 0.6
 
 #: Packets a second, and their length [bytes]
 PACKETS, LENGTH = 100.0, 120
+
+#: Goal of WebRTC beyond the round trip [s]; share of packets that are lost each way
+#: where it is slow [–]; time in which it connects [s]
+BEYOND, LOST, MEET = 0.05, 0.01, 60.0
+
+#: Time between looks, in which the threads of WebRTC run [s]
+PAUSE = 1e-4
 
 
 def _ms(seconds: float) -> str:
@@ -47,11 +57,12 @@ class LivePart(Part):
     title = "The haptic loop and a link in real time"
     legend = (
         "Lateness of 1,000 frames a second in the loop's own process, with a new field "
-        "twenty times a second; and the time that packets take there and back over "
-        "UDP on this machine. From contact: until a model that knows of it is in the "
-        "hand's loop, without the way there; then until nine tenths of it are felt. "
-        "Late is beyond a period, or the goals of 150 and 600 ms. Other work on the "
-        "machine shows here."
+        "twenty times a second; and the time that packets take there and back on this "
+        "machine: over UDP, over WebRTC, and over WebRTC beyond a round trip of 200 ms "
+        "with 1 % lost each way. From contact: until a model that knows of it is in "
+        "the hand's loop, without the way there; then until nine tenths of it are "
+        "felt. Late is beyond a period, or the goals of 50 ms by WebRTC, 150 and 600 "
+        "ms. Other work on the machine shows here."
     )
     columns = (
         Column("what", "what"),
@@ -75,8 +86,10 @@ class LivePart(Part):
         loop = {"what": "haptic loop", **haptic_loop(seconds).as_dict()}
         begin("link")
         packets = {"what": "UDP there and back", **link(seconds).as_dict()}
+        begin("WebRTC")
+        web = [webrtc(seconds, trip) for trip in (0.0, TRIP)]
         begin("session")
-        return [loop, packets, *swaps(seconds)]
+        return [loop, packets, *web, *swaps(seconds)]
 
 
 def haptic_loop(seconds: float) -> Lateness:
@@ -115,29 +128,81 @@ def haptic_loop(seconds: float) -> Lateness:
 
 
 def link(seconds: float) -> Lateness:
-    """Send packets to and fro; their times as a lateness."""
-    from ttus_opt.live.peer import Outgoing
-    from ttus_opt.live.real_time import Lateness, Metronome
+    """Send packets to and fro over UDP; their times as a lateness."""
+    from ttus_opt.live.real_time import Lateness
     from ttus_opt.live.sealing import new_key
     from ttus_opt.live.socket_link import SocketLink
 
     key = new_key()
-    there = SocketLink(key, "127.0.0.1", 0, calls=False)
-    here = SocketLink(key, "127.0.0.1", there.port, calls=True)
-    took: list[float] = []
-    for number, now in enumerate(Metronome(PACKETS, seconds)):
-        data = number.to_bytes(LENGTH, "little")
-        here.send(now, [Outgoing(data)])
-        end = now + 0.9 / PACKETS
-        while time.monotonic() < end:
-            arrived = there.receive(time.monotonic())
-            there.send(time.monotonic(), [Outgoing(one) for one in arrived])
-            if data in here.receive(time.monotonic()):
-                took.append(time.monotonic() - now)
-                break
-    here.close()
-    there.close()
+    with closing(SocketLink(key, "127.0.0.1", 0, calls=False)) as there:
+        port = there.port
+        with closing(SocketLink(key, "127.0.0.1", port, calls=True)) as here:
+            took = echoes(here, there, seconds)
     return Lateness.of(took, 1.0 / PACKETS)
+
+
+def webrtc(seconds: float, trip: float) -> Row:
+    """The same over WebRTC, beyond a round trip [s]; where that is not 0, `LOST` too.
+
+    Raises:
+        NumericalError: The two sides did not connect.
+    """
+    from ttus_opt.live.impairment import Impairment
+    from ttus_opt.live.real_time import Lateness
+    from ttus_opt.live.sealing import new_key
+    from ttus_opt.live.webrtc_link import WebRTCLink
+
+    what = f"WebRTC beyond {1e3 * trip:.0f} ms" if trip else "WebRTC there and back"
+    if find_spec("aiortc") is None:
+        what += ': left out, needs pip install "ttus-opt[webrtc]"'
+        return {"what": what, **Lateness.of([], BEYOND).as_dict(), "rate": 0.0}
+    key = new_key()
+    ways = (Impairment(0.5 * trip, loss=LOST, seed=seed) for seed in (1, 2))
+    back, forth = ways if trip else (None, None)
+    with closing(
+        WebRTCLink(key, "127.0.0.1", 0, calls=False, impairment=back)
+    ) as there:
+        port = there.port
+        with closing(
+            WebRTCLink(key, "127.0.0.1", port, calls=True, impairment=forth)
+        ) as here:
+            took = echoes(here, there, seconds, PAUSE)
+    found = Lateness.of([one - trip for one in took], BEYOND)
+    return {"what": what, **found.as_dict(), "rate": len(took) / seconds}
+
+
+def echoes(here: Link, there: Link, seconds: float, pause: float = 0.0) -> list[float]:
+    """Times that packets take there and back, from the first that does [s].
+
+    Raises:
+        NumericalError: None came back for `MEET`.
+    """
+    from ttus_opt.live.peer import Outgoing
+    from ttus_opt.live.real_time import Metronome
+
+    def looked(now: float) -> list[bytes]:
+        arrived = there.receive(now)
+        there.send(now, tuple(Outgoing(one) for one in arrived))
+        if pause:
+            time.sleep(pause)
+        return here.receive(now)
+
+    first = time.monotonic()
+    while not looked(now := time.monotonic()):
+        here.send(now, (Outgoing(bytes(LENGTH)),))
+        if now > first + MEET:
+            raise NumericalError("the two sides of a link did not meet")
+        time.sleep(1.0 / PACKETS)
+    sent: dict[bytes, float] = {}
+    took: list[float] = []
+    for number, now in enumerate(Metronome(PACKETS, seconds), start=1):
+        data = number.to_bytes(LENGTH, "little")
+        sent[data] = now
+        here.send(now, (Outgoing(data),))
+        while time.monotonic() < now + 0.9 / PACKETS:
+            arrived = [one for one in looked(time.monotonic()) if one in sent]
+            took += [time.monotonic() - sent.pop(one) for one in arrived]
+    return took
 
 
 def swaps(seconds: float) -> list[Row]:
