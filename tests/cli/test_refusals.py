@@ -297,6 +297,19 @@ def test_a_package_of_an_extra_is_named(run, output, monkeypatch):
     assert (told.status, told.errors) == (2, [install])
 
 
+def test_links_that_cannot_be_opened(run, output, monkeypatch):
+    pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
+    key = output / "session.key"
+    key.write_text(bytes(32).hex())
+    monkeypatch.setitem(sys.modules, "aiortc", None)
+    for side in ("operator", "follower"):
+        words = f"live {side} --key {key} --link"
+        refused(run(f"{words} wifi"), "--link is udp or webrtc, got wifi")
+        told = run(f"{words} webrtc")
+        install = 'error: aiortc is not installed: pip install "ttus-opt[webrtc]"'
+        assert (told.status, told.errors) == (2, [install])
+
+
 def test_a_terminated_command_leaves_nothing_behind(tmp_path):
     code = (
         "import os, signal, sys, typer\n"

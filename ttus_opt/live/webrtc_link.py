@@ -85,7 +85,7 @@ class WebRTCLink:
         self._arrived: deque[bytes] = deque(maxlen=ARRIVED)
         self._newest: bytes | None = None  # waits for the one before to leave
         self._room, self._sent = BURST, -math.inf
-        self._offered, self._heard, self._on = 0, -math.inf, 0.0
+        self._offered, self._heard = 0, -math.inf
         self._connection: Any = None
         self._channel: Any = None
         # asyncio has its own thread, so that neither loop waits for the other; begun by
@@ -102,7 +102,7 @@ class WebRTCLink:
         for packet in packets:
             if packet.reliable:
                 stream.append(packet.data)
-            elif self._room >= 1.0:
+            elif self._room >= 1.0 and self._thread.is_alive():
                 self._room -= 1.0
                 self._loop.call_soon_threadsafe(self._put, packet.data)
         while self._signals:
