@@ -11,7 +11,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
-from ttus_opt.scan.supporting_plane import find_supporting_plane
+from ttus_opt.scan.supporting_plane import find_supporting_plane, planes_through
 
 #: Larger scans are of a room [m], larger ones in another unit
 ROOM, LARGEST_ROOM = 2.2, 10.0
@@ -108,11 +108,8 @@ def _planes(centres: Array) -> Mask:
         if len(rest) < 100:
             break
         some = centres[rng.choice(rest, min(3000, len(rest)), replace=False)]
-        a, b, c = centres[rest[rng.integers(len(rest), size=(3, 500))]]
-        normals = np.cross(b - a, c - a)
-        length = np.linalg.norm(normals, axis=1)
-        normals = normals[length > 1e-4] / length[length > 1e-4, None]
-        offsets = np.einsum("ij,ij->i", normals, a[length > 1e-4])
+        triples = centres[rest[rng.integers(len(rest), size=(3, 500))]]
+        normals, offsets = planes_through(*triples)
         if not len(offsets):
             break
         near = np.abs(normals @ some.T - offsets[:, None]) < PLANE_DISTANCE

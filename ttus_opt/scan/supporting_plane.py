@@ -124,13 +124,17 @@ def _trial_planes(sample: Array, rng: np.random.Generator) -> tuple[Array, Array
     _, found = cKDTree(sample).query(sample[index[0, :n]], k=min(100, len(sample)))
     near = np.asarray(found)
     index[1:, :n] = near[np.arange(n), rng.integers(near.shape[1], size=(2, n))]
-    a, b, c = sample[index]
+    normals, offsets = planes_through(*sample[index])
+    return np.concatenate([normals, -normals]), np.concatenate([offsets, -offsets])
+
+
+def planes_through(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Unit normals (k, 3) and offsets (k,) of the planes through points (n, 3) [m]."""
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     good = length > 1e-4  # m²; three points in a row span nothing
     normals = normals[good] / length[good, None]
-    offsets = np.einsum("ij,ij->i", normals, a[good])
-    return np.concatenate([normals, -normals]), np.concatenate([offsets, -offsets])
+    return normals, np.einsum("ij,ij->i", normals, a[good])
 
 
 def _refine(sample: Array, normal: Array, offset: float) -> tuple[Array, float]:
