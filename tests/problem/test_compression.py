@@ -1,5 +1,7 @@
 """Compression of measured rows against dense algebra; what is left alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -75,6 +77,10 @@ def test_only_squares_with_many_rows_are_compressed(monkeypatch):
     assert short.terms[1:] == made.terms[1:]
     assert short.terms[0].weight == 2.0
     assert compress(made).terms[0].matrix is short.terms[0].matrix  # kept
+    first, *others = made.terms
+    thrice = replace(made, terms=(replace(first, matrix=3.0 * first.matrix), *others))
+    R, M = (of.terms[0].matrix for of in (compress(thrice), thrice))
+    np.testing.assert_allclose((R.T @ R).toarray(), (M.T @ M).toarray(), atol=1e-9)
 
 
 @pytest.mark.parametrize(

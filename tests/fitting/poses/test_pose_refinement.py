@@ -151,7 +151,7 @@ def test_exact_poses_stay_as_reported():
         found = refine_poses(scene, NOISE)
     assert found.gain < 0.0 < refined().gain
     assert found.trajectory is scene.trajectory
-    assert not found.errors.any() and found.check is None
+    assert not found.errors.any() and found.check is None and found.steps == 1
     np.testing.assert_array_equal(found.std, np.tile(NOISE.sizes, (len(true), 1)))
     np.testing.assert_array_equal(found.trajectory.position, true.position)
 
