@@ -71,6 +71,16 @@ def test_select():
     refuses(InputError, r"shape \(21,\)", whole.select, np.array([True, False]))
 
 
+def test_recordings_are_told_apart_in_their_order():
+    first, second = made(5), made(8, start=3.0)
+    joined = Trajectory.concatenate([first, second])
+    turned = joined.select(np.r_[5:13, 0:5])  # the second one's number is larger
+    assert turned.parts == [slice(0, 8), slice(8, 13)]
+    for own, source in zip(turned.recordings, (second, first), strict=True):
+        np.testing.assert_array_equal(own.time, source.time)
+        np.testing.assert_array_equal(own.force, source.force)
+
+
 def test_concatenate_refuses():
     refuses(InputError, "at least one", Trajectory.concatenate, [])
     with pytest.raises(InputError, match="only some of the trajectories have wrenches"):

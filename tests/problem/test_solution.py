@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +43,18 @@ def test_no_solution_carries_program_and_candidate():
     assert caught.value.solution.program.variables["p"].stop == SCENE.n_voxels
     assert caught.value.solution.candidate is not None
     assert set(solution.variables) == {"p"}
+
+
+def test_what_was_found_goes_into_json():
+    declared = load("eq10", SCENE)
+    solved = json.loads(json.dumps(fit(SCENE, declared).as_dict()))
+    assert solved["status"] == "solved" and solved["advice"] == ""
+    assert solved["voxels"] == SCENE.n_voxels and solved["attempts"] == []
+    assert sum(solved["costs"].values()) == pytest.approx(solved["objective"])
+    assert solved["kkt"]["gap"] <= 1e-6
+    arguments = "by hand", Candidate(None), Request(), Timings(0.0, 0.0, 0.0)
+    nothing = judged(declared, reduce(declared.compile()), *arguments).as_dict()
+    assert nothing["advice"] == Status.FAILED.value and nothing["kkt"] is None
 
 
 def test_a_solution_shows_itself_in_one_line_and_in_a_table():
