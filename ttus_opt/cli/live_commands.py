@@ -264,7 +264,7 @@ def follower(
     who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
     content = prepared(prior, law, who.surface, who.shell)
-    side, start = Follower(_epoch(), who.surface, content), who.examination()
+    side, start = Follower(_epoch(calls=False), who.surface, content), who.examination()
     patient: Patient
     if recording is None:
         patient = simulated_patient(Trial(friction=friction), given)
@@ -349,7 +349,7 @@ def _operate(
     from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.subject import MEETING
 
-    path, shell, epoch = who.examination(), who.shell, _epoch()
+    path, shell, epoch = who.examination(), who.shell, _epoch(calls=True)
     start = path.rotation[0], path.position[0]
     plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
     with ExitStack() as opened:
@@ -439,8 +439,8 @@ def _open(link: str, key: bytes, host: str, port: int, *, calls: bool) -> Any:
     return kind(key, host, port, calls=calls)
 
 
-def _epoch() -> int:
-    """Seconds of the clock: grows with every start."""
+def _epoch(*, calls: bool) -> int:
+    """Seconds of the clock: it grows with every start; a bit tells the sides apart."""
     import time
 
-    return int(time.time()) % 2**32
+    return int(time.time()) % 2**31 + calls * 2**31

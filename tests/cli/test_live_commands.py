@@ -1,0 +1,49 @@
+"""Both sides of a session as commands, each in its process."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
+pytest.importorskip("cryptography", reason="needs ttus-opt[live]")
+
+from ttus_opt.cli.live_commands import _epoch
+from ttus_opt.live.messages import StateReport
+from ttus_opt.live.peer import Peer
+
+
+def test_sides_that_start_in_the_same_second_hear_each_other(monkeypatch):
+    monkeypatch.setattr(time, "time", lambda: 1.8e9)
+    sides = Peer(_epoch(calls=True)), Peer(_epoch(calls=False))
+    for one, other in (sides, sides[::-1]):
+        assert other.receive(0.0, one.pack(0.0, StateReport()).data) is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("link", ["udp", "webrtc"])
+def test_both_commands_meet(link, tmp_path):
+    if link == "webrtc":
+        pytest.importorskip("aiortc", reason="needs ttus-opt[webrtc]")
+    key = tmp_path / "session.key"
+    key.write_text(bytes(32).hex())
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = [*f"--key {key} --port {port} --link {link} --json --seconds".split()]
+    live = [sys.executable, "-m", "ttus_opt", "live"]
+    follower = subprocess.Popen(
+        [*live, "follower", *words, "60"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        command = [*live, "operator", *words, "10"]
+        told = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    finally:
+        follower.kill()
+        follower.wait()
+    assert told.returncode == 0, told.stderr
+    assert "NORMAL" in json.loads(told.stdout)["seen"]
