@@ -18,12 +18,6 @@ from ttus_opt.session.synthetic import Truth, write_recording
 SECONDS = 5.0
 
 
-def perfect(seconds: float) -> dict[str, Trajectory]:
-    """All recordings without errors, frame of the example's surface."""
-    names = synthetic.RECORDINGS
-    return {name: synthetic.recording(name, seconds) for name in names}
-
-
 @functools.cache
 def made() -> Path:
     """The recording, made once for a process."""

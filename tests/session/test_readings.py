@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.session.recordings import changed, perfect
+from tests.session.recordings import changed
 from tests.session.single_steps import SURFACE, streams
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
@@ -19,7 +19,7 @@ from ttus_opt.session.readings import (
 )
 from ttus_opt.session.recordings import cut
 from ttus_opt.session.registration import probe_poses, register
-from ttus_opt.session.synthetic import Truth
+from ttus_opt.session.synthetic import Truth, perfect
 
 
 def offset(session, later):
