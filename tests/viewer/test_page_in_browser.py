@@ -367,8 +367,13 @@ def test_a_live_session_is_stopped_armed_again_and_delayed(browser):
             return session.view().state == "NORMAL"
 
         visit.until(armed)
-        visit.slide(live.tab.delay, 0.8)
-        visit.until(lambda: abs(session.trial.round_trip - 0.8) < 0.05)
+
+        def delayed():  # the panel may still move below the pointer
+            visit.slide(live.tab.delay, 0.8)
+            visit.page.wait_for_timeout(500)
+            return abs(session.trial.round_trip - 0.8) < 0.05
+
+        visit.until(delayed)
         visit.until(lambda: abs(session.view().round_trip - 0.8) < 0.15)
         visit.page.get_by_text(re.compile(r"^[78]\d\d ms, 0 %")).wait_for()
         visit.page.close()
