@@ -126,15 +126,23 @@ class Visit:
 @pytest.fixture(scope="module")
 def visit(browser, viewer):
     opened = Visit(browser, viewer.url, DESK)
-    opened.until(lambda: len(viewer._server.get_clients()) > 0)
+    opened.until(lambda: cameras(viewer))
     yield opened
     opened.page.close()
 
 
-def pixel(viewer, point):
-    """Where a point of the scene is on the latest visitor's canvas [px]."""
-    *_, client = viewer._server.get_clients().values()
-    camera = client.camera
+def cameras(viewer, *, phone=False):
+    """Cameras of the desk's pages, or of a phone's, in the order in which they came.
+
+    The last visitor may be either: a page that was cut off comes back as a new one.
+    """
+    every = [one.camera for one in viewer._server.get_clients().values()]
+    return [one for one in every if (one.image_width <= PHONE["width"]) == phone]
+
+
+def pixel(viewer, point, *, phone=False):
+    """Where a point of the scene is on the latest canvas [px]."""
+    *_, camera = cameras(viewer, phone=phone)
     turn = Rotation.from_quat(camera.wxyz, scalar_first=True).as_matrix()
     x, y, z = turn.T @ (point - camera.position)
     focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
@@ -303,11 +311,11 @@ def test_a_phone_is_wide_enough(browser, viewer):
     phone = Visit(browser, viewer.url, PHONE)
     width = phone.page.evaluate("document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
-    phone.until(lambda: len(viewer._server.get_clients()) == 2)
+    phone.until(lambda: cameras(viewer, phone=True))
 
     def in_sight():  # beside and above the panel
         skin = viewer.page.stage.skin.vertices
-        x, y = np.transpose([pixel(viewer, point) for point in skin[::7]])
+        x, y = np.transpose([pixel(viewer, point, phone=True) for point in skin[::7]])
         seen = x.min() > 0 and x.max() < PHONE["width"] and y.min() > 0
         return bool(seen and y.mean() < 0.3 * PHONE["height"])
 
