@@ -73,7 +73,7 @@ class CaseSpec:
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
         perturbation: Perturbation of the measured wrenches, one of
-            `perturbation.PERTURBATIONS`; "" for none.
+            `PERTURBATIONS`; "" for none.
         boundary: ``subvoxel`` or ``staircase``.
     """
 
@@ -133,7 +133,7 @@ class CaseSpec:
         """The same with perturbed wrenches, and a name that says so.
 
         Raises:
-            InputError: Not in `perturbation.PERTURBATIONS`, nor "".
+            InputError: Not in `PERTURBATIONS`, nor "".
         """
         if not checked_perturbation(how):
             return self
