@@ -94,6 +94,30 @@ def test_a_side_that_starts_again_is_met_again():
     assert new.open(b.seal(b"hello")) == b"hello"
 
 
+def test_no_nonce_is_used_twice_where_an_old_greeting_is_replayed():
+    old, _ = pair()
+    a, b = met()
+    first = b.seal(b"first")
+    b.open(old.greeting())
+    b.open(a.greeting())
+    second = b.seal(b"second")
+    assert first[4:12] != second[4:12]
+    assert [a.open(first), a.open(second)] == [b"first", b"second"]
+
+
+def test_who_was_replaced_does_not_come_back():
+    a, b = met()
+    greeting, sealed = a.greeting(), a.seal(b"once")
+    assert b.open(sealed) == b"once"
+    new = SealedChannel(KEY, calls=True)
+    b.open(new.greeting())
+    new.open(b.greeting())
+    assert b.open(new.seal(b"new")) == b"new"
+    b.open(greeting)
+    assert b.open(sealed) is None
+    assert new.open(b.seal(b"hello")) == b"hello"
+
+
 def fuzzed(count):
     a, b = met()
     rng, good = np.random.default_rng(0), a.seal(b"x" * 60)

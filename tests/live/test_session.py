@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.conftest import some
 from tests.live.springy import PLAN, Spring, parts, path, session
+from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.impairment import Impairment
@@ -16,6 +18,7 @@ from ttus_opt.live.messages import (
     Hello,
     PoseCommand,
     Sample,
+    StateReport,
     pose_command,
 )
 from ttus_opt.live.model import LiveModel
@@ -241,6 +244,13 @@ def test_a_packet_counts_once_however_often_it_arrives():
     assert one.safety.judge(0.55) is State.STOP
 
 
+def test_sides_that_start_in_the_same_second_hear_each_other():
+    surface, shell, content = parts()
+    sides = Operator(7, shell).peer, Follower(7, surface, content).peer
+    for one, other in (sides, sides[::-1]):
+        assert other.receive(0.0, one.pack(0.0, StateReport()).data) is not None
+
+
 def test_a_session_goes_on_when_the_32_bits_of_its_clocks_are_full():
     surface, _, content = parts()
     operator, follower = Peer(9), Follower(3, surface, content)
@@ -286,6 +296,76 @@ def test_a_flood_of_damaged_packets_stops():
     )
     assert step.state is State.STOP
     assert "damaged" in step.cause
+
+
+def commanded(sender, now, rotation, position):
+    return [sender.pack(now, pose_command(rotation, position)).data]
+
+
+def test_the_follower_turns_no_faster_than_its_limit():
+    surface, _, content = parts()
+    follower, sender = Follower(3, surface, content), Peer(9)
+    position = np.array([0.13, 0.0, 0.15])
+    asked = Rotation.from_rotvec([0.0, 2.5, 1.0]).as_matrix()
+    last, steps = np.eye(3), []
+    for k in range(150):
+        now, follower._ready = 0.01 * k, True
+        sensed = Sample(now, last, position, np.zeros(6))
+        found = follower.step(now, commanded(sender, now, asked, position), sensed)
+        steps.append(Rotation.from_matrix(found.rotation @ last.T).magnitude())
+        last = found.rotation
+        follower._ready = True
+    assert max(steps) == pytest.approx(2.0 * 0.01, rel=1e-6)
+    # about one axis: it takes no longer than it must
+    assert sum(steps) == pytest.approx(np.hypot(2.5, 1.0), rel=1e-5)
+    np.testing.assert_allclose(last, asked, atol=1e-6)
+
+
+@pytest.mark.parametrize("which", ["rotation", "position", "skin"])
+def test_a_pose_that_is_not_a_number_stops_and_moves_nothing(which):
+    surface, _, content = parts()
+    follower, sender = Follower(3, surface, content), Peer(9)
+    good = {"rotation": np.eye(3), "position": np.array([0.13, 0.0, 0.15])}
+    for k in range(3):
+        follower._ready = True
+        sensed = Sample(0.01 * k, **good, wrench=np.zeros(6))
+        data = commanded(sender, 0.01 * k, np.eye(3), good["position"])
+        before = follower.step(0.01 * k, data, sensed, np.array([0.002, 0, 0]))
+    skin = np.full(3, np.nan) if which == "skin" else np.array([0.002, 0.0, 0.0])
+    bad = good if which == "skin" else good | {which: np.nan * good[which]}
+    found = follower.step(0.03, [], Sample(0.03, **bad, wrench=np.zeros(6)), skin)
+    assert found.state is State.STOP
+    assert "not a number" in found.cause
+    np.testing.assert_allclose(found.position, before.position, atol=2e-3)
+    np.testing.assert_allclose(found.rotation, before.rotation)
+
+
+def test_retraction_starts_where_the_probe_is_whatever_stopped_it():
+    surface, _, content = parts()
+    there = np.array([0.115, 0.0, 0.15])
+    stops = {
+        "button": lambda follower, sensed: follower.stop(),
+        "limit": lambda follower, sensed: sensed.wrench.fill(30.0),
+    }
+    for stop in stops.values():
+        follower, sender = Follower(3, surface, content), Peer(9)
+        for k in range(40):
+            follower._ready = True
+            sensed = Sample(0.01 * k, np.eye(3), there, np.full(6, 0.5))
+            data = commanded(sender, 0.01 * k, np.eye(3), there - [0.03, 0, 0])
+            found = follower.step(0.01 * k, data, sensed)
+        assert found.position[0] < there[0] - 0.02  # a robot that lags far behind
+        sensed = Sample(0.4, np.eye(3), there, np.full(6, 0.5))
+        stop(follower, sensed)
+        found = follower.step(0.4, [], sensed)
+        assert found.state is State.STOP
+        assert there[0] <= found.position[0] < there[0] + 1e-3
+
+
+def test_a_first_pose_that_is_not_a_number_is_refused():
+    surface, _, content = parts()
+    sensed = Sample(0.0, np.eye(3), np.full(3, np.nan), np.zeros(6))
+    refuses(InputError, "tracker", Follower(3, surface, content).step, 0.0, [], sensed)
 
 
 def test_the_follower_keeps_speed_and_workspace():

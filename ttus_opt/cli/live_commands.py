@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -264,7 +265,7 @@ def follower(
     who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
     content = prepared(prior, law, who.surface, who.shell)
-    side, start = Follower(_epoch(calls=False), who.surface, content), who.examination()
+    side, start = Follower(int(time.time()), who.surface, content), who.examination()
     patient: Patient
     if recording is None:
         patient = simulated_patient(Trial(friction=friction), given)
@@ -349,7 +350,7 @@ def _operate(
     from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.subject import MEETING
 
-    path, shell, epoch = who.examination(), who.shell, _epoch(calls=True)
+    path, shell, epoch = who.examination(), who.shell, int(time.time())
     start = path.rotation[0], path.position[0]
     plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
     with ExitStack() as opened:
@@ -437,10 +438,3 @@ def _open(link: str, key: bytes, host: str, port: int, *, calls: bool) -> Any:
 
     kind = WebRTCLink if link == "webrtc" else SocketLink
     return kind(key, host, port, calls=calls)
-
-
-def _epoch(*, calls: bool) -> int:
-    """Seconds of the clock: it grows with every start; a bit tells the sides apart."""
-    import time
-
-    return int(time.time()) % 2**31 + calls * 2**31

@@ -8,11 +8,13 @@ shown the target instead.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -30,7 +32,7 @@ from ttus_opt.live.messages import (
     measurement,
     pose_of,
 )
-from ttus_opt.live.peer import Outgoing, Peer
+from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
 from ttus_opt.live.safety import SafetyLimits, State
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.scan.surface import Surface
@@ -45,6 +47,7 @@ class FollowerLimits:
 
     Attributes:
         speed: Fastest motion of the target [m/s].
+        turn: Fastest turn of the target [rad/s].
         depth: Deepest position of the probe's origin below the skin [m].
         clearance: Largest distance from the skin [m].
         retreat: Speed of retraction [m/s].
@@ -53,6 +56,7 @@ class FollowerLimits:
     """
 
     speed: float = 0.25
+    turn: float = 2.0
     depth: float = 0.03
     clearance: float = 0.3
     retreat: float = 0.05
@@ -108,13 +112,14 @@ class Follower:
             limits: What it lets the operator do.
             deadband: What is worth sending.
         """
-        self.peer, self.surface = Peer(epoch, safety), surface
+        self.peer, self.surface = Peer(epoch % OPERATOR, safety), surface
         self.limits, self.deadband = limits or FollowerLimits(), deadband or Deadband()
         self._surface, self._model = content
         self._greeted, self._offered, self._ready = 0, -np.inf, False
         self._command: tuple[Array, Array] | None = None
         self._commanded = 0
         self._target: tuple[Array, Array] | None = None
+        self._skin, self._obeys = np.zeros(3), False
         self._retracted = 0.0
         self._index = 0
         self._samples: deque[Sample] = deque(maxlen=MOST_SAMPLES)
@@ -140,11 +145,13 @@ class Follower:
             sensed: Pose and wrench of the probe now.
             skin: Displacement of the skin now, patient frame, (3,) [m]; at rest when
                 not given.
+
+        Raises:
+            InputError: The clock went back, or the first pose is not a number.
         """
-        if skin is not None:
-            sensed = replace(sensed, position=sensed.position - skin)
         if not now >= self._now:
             raise InputError(f"the clock must not go back, got {now} s")
+        sensed = self._checked(sensed, skin)
         passed = min(now - self._now, 0.1) if np.isfinite(self._now) else 0.0
         self._now = now
         send: list[Outgoing] = []
@@ -152,21 +159,21 @@ class Follower:
             self._take(now, data, send)
         safety, force = self.peer.safety, float(np.linalg.norm(sensed.wrench[:3]))
         safety.check_wrench(force, float(np.linalg.norm(sensed.wrench[3:])))
-        before = safety.state
         state = safety.judge(now, self._missing)
         if self._target is None:
             self._target = sensed.rotation.copy(), sensed.position.copy()
         if state is State.NORMAL:
-            self._retracted = 0.0
+            self._obeys, self._retracted = True, 0.0
             self._obey(passed)
         else:
-            if before is State.NORMAL:  # start from where the probe is
+            if self._obeys:  # start from where the probe is
                 self._target = sensed.rotation.copy(), sensed.position.copy()
+            self._obeys = False
             self._retract(passed, force)
         self._report(now, sensed, send)
         self.peer.announce(now, send)
         rotation, position = self._target
-        position = position if skin is None else position + skin
+        position = position + self._skin
         return FollowerStep(tuple(send), rotation, position, state, safety.cause)
 
     def stop(self, cause: str = "the follower's button") -> None:
@@ -231,14 +238,34 @@ class Follower:
         """Whether what was sent to this operator seems to be lost with its stream."""
         return not self._ready and now - self._offered >= OFFER
 
+    def _checked(self, sensed: Sample, skin: Array | None) -> Sample:
+        """The sample of the patient at rest; what is not a number stops this side."""
+        skin = np.zeros(3) if skin is None else skin
+        if math.isfinite(float(skin.sum())):
+            self._skin = skin
+        else:
+            self.peer.safety.stop("the skin's motion is not a number")
+        rotation, position = sensed.rotation, sensed.position - self._skin
+        if not math.isfinite(float(rotation.sum() + position.sum())):
+            if self._target is None:
+                raise InputError("the probe's pose is not a number: mend its tracker")
+            self.peer.safety.stop("the probe's pose is not a number")
+            rotation, position = self._target
+        return replace(sensed, rotation=rotation, position=position)
+
     def _obey(self, passed: float) -> None:
-        """Move the target towards the command, within speed and workspace."""
+        """Move the target towards the command, within speeds and workspace."""
         assert self._command is not None and self._target is not None
         rotation, position = self._command
         way = self._within(position) - self._target[1]
         length, most = float(np.linalg.norm(way)), self.limits.speed * passed
         if length > most:
             way *= most / length
+        turn = Rotation.from_matrix(rotation @ self._target[0].T).as_rotvec()
+        angle, most = float(np.linalg.norm(turn)), self.limits.turn * passed
+        if angle > most:
+            part = Rotation.from_rotvec(turn * (most / angle)).as_matrix()
+            rotation = part @ self._target[0]
         self._target = rotation, self._target[1] + way
 
     def _within(self, position: Array) -> Array:

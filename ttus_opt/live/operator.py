@@ -35,7 +35,7 @@ from ttus_opt.live.messages import (
 )
 from ttus_opt.live.model import LiveModel
 from ttus_opt.live.model_codec import decode_model
-from ttus_opt.live.peer import Outgoing, Peer
+from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
 from ttus_opt.live.safety import SafetyLimits, State
 from ttus_opt.message import decode
 from ttus_opt.message.envelope import SURFACE, Reader
@@ -99,7 +99,8 @@ class Operator:
                 `ModelFeedback`.
             learns: Whether the model learns.
         """
-        self.peer, self.shell = Peer(epoch, safety), shell
+        self.peer = Peer(epoch % OPERATOR + OPERATOR, safety)
+        self.shell = shell
         self.deadband, self.learns = deadband or Deadband(), learns
         self.model: LiveModel | None = None
         self.feedback: Feedback | None = None

@@ -26,6 +26,9 @@ from ttus_opt.live.messages import (
 )
 from ttus_opt.live.safety import SafetyLimits, State, Supervisor
 
+#: Bit of an operator's epoch: the sides differ even if they start in the same second
+OPERATOR = 2**31
+
 #: Packets whose numbers are remembered, so that none counts twice
 REMEMBERED = 1024
 

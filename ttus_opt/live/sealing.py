@@ -49,8 +49,9 @@ def write_key(path: Path) -> None:
     """
     if path.exists():
         raise FileError(f"{path} exists: a session key is never replaced")
-    io.write_text(path, new_key().hex() + "\n")
-    path.chmod(0o600)
+    with io.replacing(path) as temporary:
+        temporary.chmod(0o600)  # while it is empty
+        temporary.write_text(new_key().hex() + "\n")
 
 
 def read_key(path: Path) -> bytes:
@@ -109,6 +110,7 @@ class SealedChannel:
         self._sends: Any = None
         self._opens: Any = None
         self._candidate: tuple[bytes, Any, Any] | None = None
+        self._left: set[bytes] = set()  # public keys of processes that are gone
         self._counter = self._newest = 0
         self._seen: set[int] = set()
         self.confirmed, self.refused, self.greetings = False, 0, 0
@@ -162,7 +164,7 @@ class SealedChannel:
         """Take a greeting: keys at once, or, once confirmed, as candidates."""
         public, tag = data[_HEAD.size : _HEAD.size + KEY], data[_HEAD.size + KEY :]
         held = self._candidate[0] if self._candidate else b""
-        if len(public) != KEY or public in (self._other, held):
+        if len(public) != KEY or public in (self._other, held, *self._left):
             return
         try:
             aad = data[: _HEAD.size] + public + self._role(False)
@@ -185,8 +187,15 @@ class SealedChannel:
             self._adopt(found)
 
     def _adopt(self, found: tuple[bytes, Any, Any]) -> None:
+        """Change keys. Who was confirmed and is replaced does not come back.
+
+        The counter of what is sent goes on: keys that were left for a replayed greeting
+        may be taken again, but no nonce twice.
+        """
+        if self.confirmed:
+            self._left.add(self._other)
         self._other, self._sends, self._opens = found
-        self._candidate, self._counter, self._newest = None, 0, 0
+        self._candidate, self._newest = None, 0
         self._seen.clear()
 
     def _opened(self, data: bytes) -> bytes | None:
