@@ -17,6 +17,7 @@ from ttus_opt.live.haptic_process import (
     TIME,
     WHOLE,
     HapticProcess,
+    Loop,
     LoopPlan,
 )
 from ttus_opt.live.messages import ModelMessage
@@ -36,7 +37,7 @@ class Still:
         self.rotation, self._depth = np.eye(3), depth
         self.position = np.array([RADIUS + BALL + 0.01, 0.0, 0.15])
 
-    def step(self, time, force, seconds):
+    def step(self, time, wrench, seconds):
         if time > 0.05:
             self.position[0] = RADIUS + BALL - self._depth
 
@@ -45,6 +46,18 @@ def plan(**options):
     _, shell, (sent, model) = parts()
     found = decode_model(ModelMessage(model).content, decode(sent), shell)
     return found, LoopPlan(shell, partial(Still), **options)
+
+
+def test_a_device_is_shown_force_and_torque():
+    model, given = plan()
+    device, shown = Still(), []
+    device.step = lambda time, wrench, seconds: shown.append(wrench)
+    loop = Loop(dataclasses.replace(given, device=lambda: device), model.field)
+    for k in range(10):
+        frame = loop.frame(1e-3 * k, stopped=False)
+        device.position[0] = RADIUS + BALL - 0.01
+    np.testing.assert_array_equal(shown[-1], frame[SHOWN])
+    assert np.linalg.norm(shown[-1][:3]) > 1.0
 
 
 def until(condition, loop, state=State.NORMAL, seconds=60.0):
@@ -118,7 +131,7 @@ def test_a_gate_that_is_still_falling_does_not_open_again_in_contact():
 def test_a_simulated_hand_is_a_device():
     hand = Hand(path())
     for k in range(100):
-        hand.step(1e-3 * k, np.zeros(3), 1e-3)
+        hand.step(1e-3 * k, np.zeros(6), 1e-3)
     assert hand.position[0] == pytest.approx(RADIUS + BALL + 0.005, abs=1e-6)
 
 

@@ -67,12 +67,12 @@ class Hand:
         self._speeds = self._ways / np.diff(path.time)[:, None]
         self._turned = -np.inf
 
-    def step(self, time: float, force: Array, seconds: float) -> None:
-        """Move for some seconds under a force (3,) [N], with time counted from 0."""
+    def step(self, time: float, wrench: Array, seconds: float) -> None:
+        """Move for some seconds under a force; see `real_time.HandDevice`."""
         wanted, speed = self.wanted(time)
         own = self._dynamics
         pull = own.stiffness * (wanted - self.position)
-        pull += own.damping * (speed - self.velocity) + force
+        pull += own.damping * (speed - self.velocity) + wrench[:3]
         self.velocity = self.velocity + seconds / own.mass * pull
         self.position = self.position + seconds * self.velocity
         away = self.position - wanted

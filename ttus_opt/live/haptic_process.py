@@ -316,5 +316,5 @@ class Loop:
         pose = device.rotation, device.position.copy()
         rendered = self._feedback.felt(now, *pose)
         shown = self.gate(now, rendered, stopped)
-        device.step(now - self._begun, shown[:3], 1e-3)
+        device.step(now - self._begun, shown, 1e-3)
         return np.concatenate([pose[0].ravel(), pose[1], rendered, shown])

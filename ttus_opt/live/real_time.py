@@ -53,13 +53,20 @@ class Link(Protocol):
 
 
 class HandDevice(Protocol):
-    """A haptic device: says where it is, and shows a force."""
+    """A haptic device: says where it is, and shows a wrench."""
 
     rotation: Array
     position: Array
 
-    def step(self, time: float, force: Array, seconds: float) -> None:
-        """Show a force [N] for some seconds, at a time from the start [s]."""
+    def step(self, time: float, wrench: Array, seconds: float) -> None:
+        """Show a wrench for some seconds.
+
+        Args:
+            time: From the start [s].
+            wrench: Force, then torque about the shell's reference, patient axes, shape
+                (6,) [N, N·m]; a device of three axes takes the force alone.
+            seconds: Until the next step [s].
+        """
 
 
 @runtime_checkable

@@ -111,7 +111,7 @@ class _Hand:
     rotation: Array
     position: Array
 
-    def step(self, time: float, force: Array, seconds: float) -> None:
+    def step(self, time: float, wrench: Array, seconds: float) -> None:
         """It moves with the next frame."""
 
 

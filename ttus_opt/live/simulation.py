@@ -104,7 +104,7 @@ class Simulation:
         step = operator.step(now, packets, *pose)
         self.there.send(now, step.send)
         felt = operator.feel(now, *pose).copy()
-        hand.step(now, felt[:3], HAPTIC)
+        hand.step(now, felt, HAPTIC)
         assert self.sensed is not None
         states = operator.peer.safety.state, self.follower.peer.safety.state
         return Moment(now, *pose, packets, felt, *states, self.sensed)
