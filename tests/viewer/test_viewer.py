@@ -14,10 +14,12 @@ import ttus_opt as tt
 from tests.conftest import torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.page import along_line, front_of
+from ttus_opt.viewer.patient_nodes import PatientNodes
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -86,6 +88,21 @@ def test_the_probe_goes_where_the_hand_is(viewer):
     arrow = viewer.page.stage.nodes[1]._force.points[0]
     force = viewer.state.touches[1].wrench.force
     np.testing.assert_allclose(arrow[1] - arrow[0], 0.008 * force, atol=1e-6)
+
+
+def test_arrows_are_drawn_from_what_can_be_felt(viewer):
+    skin, touch = viewer.page.stage.skin, viewer.state.touches[0]
+    mesh = TriangleMesh(probe().points, np.arange(3)[None])
+    at = np.zeros(3), np.array([0.0, 1.0, 0.0])
+    # apart from those that the page moves
+    nodes = PatientNodes(viewer._server.scene, "alone", skin, mesh, *at, (0, 0, 0))
+    for torque, is_shown in ((1e-4, False), (4e-4, True)):
+        wrench = replace(touch.wrench, torque=np.array([torque, 0.0, 0.0]))
+        nodes.show_touch(replace(touch, wrench=wrench), np.full(3, 0.01))
+        assert nodes._torque.visible is is_shown
+        assert not nodes._measured.visible
+    (arrow,) = nodes._torque.points
+    np.testing.assert_allclose(arrow[1] - arrow[0], [0.8 * 4e-4, 0, 0], atol=1e-6)
 
 
 def test_sections_follow_and_cut_the_skin_open(viewer):

@@ -151,19 +151,18 @@ class PatientNodes:
         self.probe.wxyz = to_quaternions(touch.rotation[None])[0]
         self.probe.position = touch.position
         wrench = touch.wrench
-        self._arrow(self._force, touch.centre, PER_FORCE * wrench.force, LEAST_FORCE)
-        torque = PER_TORQUE * wrench.torque
-        self._arrow(self._torque, touch.reference, torque, LEAST_TORQUE)
-        felt = np.zeros(3) if measured is None else PER_FORCE * measured
-        self._arrow(self._measured, touch.centre, felt, LEAST_FORCE)
-
-    @staticmethod
-    def _arrow(arrow: Any, start: Array, way: Array, least: float) -> None:
-        long = bool(np.linalg.norm(way) > least * PER_FORCE)
-        if arrow.visible != long:
-            arrow.visible = long
-        if long:
-            arrow.points = np.stack([start, start + way])[None].astype(np.float32)
+        felt = np.zeros(3) if measured is None else measured
+        for arrow, start, vector, scale, least in (
+            (self._force, touch.centre, wrench.force, PER_FORCE, LEAST_FORCE),
+            (self._torque, touch.reference, wrench.torque, PER_TORQUE, LEAST_TORQUE),
+            (self._measured, touch.centre, felt, PER_FORCE, LEAST_FORCE),
+        ):
+            is_felt = bool(np.linalg.norm(vector) > least)
+            if arrow.visible != is_felt:
+                arrow.visible = is_felt
+            if is_felt:
+                ends = np.stack([start, start + scale * vector])
+                arrow.points = ends[None].astype(np.float32)
 
     def _paint(self, colours: Pixels | None, faces: IntArray | None) -> None:
         """Draw the skin with other colours or faces, None for those it has."""
