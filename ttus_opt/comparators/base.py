@@ -69,7 +69,6 @@ class Comparator(ABC):
         needs_fit: Whether `render` needs a `fit` before.
         continuous: Whether the force is continuous in the pose.
         turns: Whether turning the scene about z turns the wrench, to rounding.
-        on_surface: Whether contact begins at the surface; otherwise at another shape.
         surface: The patient.
         shell: The probe.
         cloud: Points of the surface, patient frame, shape (n, 3) [m].
@@ -80,7 +79,6 @@ class Comparator(ABC):
     needs_fit: ClassVar[bool] = True
     continuous: ClassVar[bool] = True
     turns: ClassVar[bool] = True
-    on_surface: ClassVar[bool] = True
 
     def __init__(
         self, *, surface: Surface, shell: PointShell, cloud: Array | None = None

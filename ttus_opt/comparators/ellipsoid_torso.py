@@ -45,7 +45,6 @@ class EllipsoidTorso(OneStiffness):
 
     name = "ellipsoid_torso"
     summary = "the torso as one ellipsoid, fitted stiffness (Yeung and others 2025)"
-    on_surface = False
 
     def __init__(self, **given: Unpack[Given]) -> None:
         super().__init__(**given)

@@ -12,11 +12,13 @@ from ttus_opt.fitting.path.weight_grid import WeightGrid
 TERMS = ("laplace", "force", "torque")
 
 
-def test_every_point_comes_once():
-    grid = WeightGrid.of({"force": [1, 2, 3], "torque": [5, 7, 11, 13]}, TERMS)
-    every = set(itertools.product(range(3), range(4)))
+@pytest.mark.parametrize("shape", [(3, 4), (2, 5), (1, 2)])
+def test_every_point_comes_once(shape):
+    force, torque = (np.arange(1, n + 1) for n in shape)
+    grid = WeightGrid.of({"force": force, "torque": torque}, TERMS)
+    every = set(itertools.product(*map(range, shape)))
     for order in (grid.from_both_ends(), grid.from_the_prior()):
-        assert len(order) == grid.size == 12
+        assert len(order) == grid.size == shape[0] * shape[1]
         assert set(order) == every
 
 

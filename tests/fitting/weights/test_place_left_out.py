@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from ttus_opt.fitting.weights import place_left_out
 from ttus_opt.fitting.weights.place_left_out import PlaceLeftOut, criteria
@@ -111,6 +112,29 @@ def test_the_search_may_start_at_given_weights():
     start = judge()._steps(given, 3)
     np.testing.assert_allclose(judge().values(start)[0], given)
     assert log_posterior(steps) >= log_posterior(start)
+
+
+def test_criteria_are_those_of_dense_algebra():
+    rows = judge().rows
+    root = np.sqrt(WEIGHTS[rows.term] * rows.every)
+    found, m = criteria(rows, root), len(root)
+    covariance = np.diag(root**-2) + rows.images.T @ rows.images
+    misfit = rows.target - rows.base
+    square = misfit @ np.linalg.solve(covariance, misfit)
+    normal = multivariate_normal(np.zeros(m), covariance * square / m)
+    assert found["log_evidence"] == pytest.approx(normal.logpdf(misfit))
+    # ‖(I − H) y‖² over (tr(I − H))², H = K (K + R)⁻¹, in units of the noise's mean
+    rest = np.linalg.inv(covariance) / root / root[:, None]
+    y = root * misfit
+    unit = np.exp(2.0 * np.log(root).mean())
+    expected = m * np.sum((rest @ y) ** 2) / np.trace(rest) ** 2 / unit
+    assert found["gcv"] == pytest.approx(expected)
+    first, off = rows.term == 0, refitted(1.0)
+    forces = rows.target[first], (rows.target - off)[first]
+    told, predicted = (np.linalg.norm(f.reshape(-1, 3), axis=1) for f in forces)
+    assert found["left_out_force_error"] == pytest.approx(
+        np.abs(told - predicted).mean()
+    )
 
 
 def test_without_rows_there_is_nothing_to_tell():
