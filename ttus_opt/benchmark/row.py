@@ -42,7 +42,7 @@ class RunSpec:
     @property
     def title(self) -> str:
         """A readable name: the case, and the options that distinguish its runs."""
-        shown = ("formulation", "solver", "sampling", "voxel")
+        shown = ("formulation", "solver", "sampling", "voxel", "what")
         words = [str(self.options[name]) for name in shown if name in self.options]
         return " ".join([self.case_name, *(words or [self.part])])
 

@@ -5,7 +5,36 @@ import pytest
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 pytest.importorskip("cryptography", reason="needs ttus-opt[live]")
 
-from ttus_opt.benchmark.parts.live import PACKETS, haptic_loop, link, webrtc
+from ttus_opt.benchmark import Settings, Suite
+from ttus_opt.benchmark.parts import live
+from ttus_opt.benchmark.parts.live import (
+    MEASUREMENTS,
+    PACKETS,
+    haptic_loop,
+    link,
+    webrtc,
+)
+from ttus_opt.core.errors import TtusWarning
+
+
+def test_a_folder_from_before_a_measurement_existed_gets_its_rows(
+    monkeypatch, tmp_path
+):
+    made = []
+
+    def isolated(spec, *_):
+        made.append(spec.options["what"])
+        return [{"key": spec.key, "status": "measured"}]
+
+    monkeypatch.setattr("ttus_opt.benchmark.suite.run_isolated", isolated)
+    fewer = {name: MEASUREMENTS[name] for name in list(MEASUREMENTS)[:-1]}
+    with monkeypatch.context() as before:
+        before.setattr(live, "MEASUREMENTS", fewer)
+        Suite([], tmp_path, Settings(), ("live",)).run()
+    with pytest.warns(TtusWarning, match="of an earlier call"):
+        found = Suite([], tmp_path, Settings(), ("live",)).run()
+    assert made == list(MEASUREMENTS)
+    assert len(found["live"]) == len(MEASUREMENTS)
 
 
 @pytest.mark.slow
@@ -26,10 +55,3 @@ def test_packets_come_back_by_webrtc_beyond_the_round_trip():
     found = webrtc(1.0, 0.1)
     assert 0 < found["frames"] <= PACKETS
     assert 0.0 < found["median"] <= found["p99"] <= found["worst"]
-
-
-def test_without_the_package_a_row_says_so(monkeypatch):
-    monkeypatch.setattr("ttus_opt.benchmark.parts.live.find_spec", lambda name: None)
-    found = webrtc(1.0, 0.0)
-    assert "ttus-opt[webrtc]" in found["what"]
-    assert found["frames"] == 0
