@@ -26,8 +26,8 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.part_noise import TURN
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ from ttus_opt.problem.constraints.drag_limit import (
     MeanFriction,
     check_coefficient,
 )
-from ttus_opt.problem.constraints.drag_sign import DragSign
+from ttus_opt.problem.constraints.signs import DragSign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import CoulombField
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.drag_smoothness import DragSmoothnessTerm
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 def build(

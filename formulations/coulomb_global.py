@@ -24,9 +24,9 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.problem.constraints.drag_limit import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.part_noise import PartNoise
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 def build(

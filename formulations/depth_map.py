@@ -18,8 +18,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -16,7 +16,7 @@ from ttus_opt.problem.constraints.drag_limit import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 def build(

@@ -14,9 +14,8 @@ Learning (2006), section 2.7.
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace_residual import LaplaceResidualTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceResidualTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

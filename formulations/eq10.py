@@ -12,10 +12,9 @@ normal forces (`ttus_opt.problem.terms.part_noise`); the paper's rows have error
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.part_noise import PartNoise
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

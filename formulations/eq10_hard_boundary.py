@@ -9,9 +9,8 @@ Source: Yeung, Black, Salcudean (2025), eq. 10, whose Dirichlet rows are soft.
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -7,11 +7,10 @@ Source: Yeung, Black, Salcudean (2025), eq. 10; the sign is that of eqs. 6-8.
 """
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

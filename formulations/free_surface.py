@@ -8,11 +8,10 @@ like depth¹ to depth^1.5. Source: eq. 10 of Yeung, Black, Salcudean (2025).
 """
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.nonnegative import NonNegative
+from ttus_opt.problem.constraints.signs import NonNegative
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace_free_surface import LaplaceFreeSurfaceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceFreeSurfaceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -9,8 +9,7 @@ Location Parameter (1964).
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.robust_force import RobustForceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import RobustForceTerm, TorqueTerm
 
 
 def build(

@@ -7,9 +7,8 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with ∇²p = κ²p in place of
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.screened import ScreenedTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import ScreenedTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -12,9 +12,8 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import SparseSourcesTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -7,12 +7,12 @@ Yeung, Black, Salcudean (2025), with a column per drag coefficient.
 """
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.viscous_sign import ViscousSign
+from ttus_opt.problem.constraints.signs import ViscousSign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import Viscous
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 def build(

@@ -10,9 +10,8 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025), its sum over voxels as an inte
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
-from ttus_opt.problem.terms.volume_weighted import VolumeWeightedTerm
+from ttus_opt.problem.terms.laplace import VolumeWeightedTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(

@@ -108,9 +108,8 @@ CORE = {
     "laplace": "stencil system",
     "probe": "conventions orientation point_shell text_table tracker_noise",
     "problem/terms": "depth_map depth_map_estimate depth_profile distinct_drag "
-    "drag_estimate torque total_variation",
-    "problem/terms/penalties": "absolute groups huber linear squares",
-    "problem/verify": "gradient_blocks kkt violation",
+    "drag_estimate penalties total_variation wrench",
+    "problem/verify": "kkt relative_residuals",
     "report": "metrics",
     "scan": "contour_filter",
     "session": "readings registration",
@@ -122,7 +121,6 @@ CORE = {
 }
 
 PATCH = ("comparators/test_patch_model.py", "comparators/test_patch_law.py")
-PENALTIES = ("problem/terms/penalties/test_penalties.py",)
 
 #: What else than the tests of their stem is meant to tell
 FURTHER = {
@@ -141,15 +139,10 @@ FURTHER = {
     "haptic/point_drag.py": ("haptic/test_drag.py", "haptic/test_wrench.py"),
     "laplace/stencil.py": ("laplace/test_system.py",),
     "laplace/system.py": ("laplace/test_stencil.py",),
-    **{
-        f"problem/terms/penalties/{stem}.py": PENALTIES
-        for stem in CORE["problem/terms/penalties"].split()
-    },
     "problem/terms/depth_profile.py": ("problem/terms/test_depth_map_estimate.py",),
     "problem/terms/drag_estimate.py": ("problem/terms/test_distinct_drag.py",),
-    "problem/verify/gradient_blocks.py": ("problem/verify/test_kkt.py",),
     "problem/verify/kkt.py": ("problem/verify/test_absorption.py",),
-    "problem/verify/violation.py": ("problem/verify/test_kkt.py",),
+    "problem/verify/relative_residuals.py": ("problem/verify/test_kkt.py",),
     "session/registration.py": ("session/test_readings.py",),
     "solvers/dual/active_set.py": ("solvers/dual/test_primal_dual_active_set.py",),
     "solvers/dual/field_pair.py": ("solvers/dual/test_touched_limits.py",),

@@ -10,7 +10,7 @@ from tests import mutants
 
 #: A path and a name that users' files import
 KEPT = {
-    "ttus_opt.problem.constraints.sign": "Sign",
+    "ttus_opt.problem.constraints.signs": "Sign",
     "ttus_opt.report.metrics": "evaluate",
     "ttus_opt.report.plots": "overview",
     "ttus_opt.problem.formulation": "Formulation",

@@ -9,7 +9,7 @@ from tests.conftest import small_scene
 from tests.refusals import refuses
 from ttus_opt.benchmark.export import export_program
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
@@ -47,7 +47,7 @@ def test_exported_problem_is_the_same_problem(tmp_path):
 
 def test_group_norms_are_not_exported(tmp_path):
     from tests.solvers.problems import program, term
-    from ttus_opt.problem.terms.penalties.groups import Groups
+    from ttus_opt.problem.terms.penalties import Groups
 
     bent = program([term(np.eye(2), [0, 0], 1.0, Groups(2))])
     refuses(InputError, "not a QP", export_program, bent, tmp_path, "bent")

@@ -7,7 +7,7 @@ import pytest
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
-from ttus_opt.problem.terms.force import ForceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 
 
 def module(folder, text):

@@ -17,16 +17,14 @@ from ttus_opt.fitting.batch import Fitter, _better, fit, judged
 from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import WeightChoice
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, Search, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
 from ttus_opt.problem.terms.base import AffineRows
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
+from ttus_opt.problem.terms.penalties import Absolute, Penalty
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 

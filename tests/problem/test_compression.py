@@ -13,7 +13,7 @@ from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import compression
 from ttus_opt.problem.compression import Compression, compressed_rows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.terms.penalties import Huber
 
 RNG = np.random.default_rng(3)
 

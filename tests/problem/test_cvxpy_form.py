@@ -11,7 +11,7 @@ from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.members import ProgramCones
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.absolute import Absolute
+from ttus_opt.problem.terms.penalties import Absolute
 from ttus_opt.problem.verify.kkt import kkt_residuals
 
 

@@ -8,12 +8,10 @@ from tests.conftest import small_scene
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, Search, load
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
 

@@ -10,8 +10,8 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import formulation_module
 from ttus_opt.problem.formulation import Formulation, available, load
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
 

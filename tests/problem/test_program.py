@@ -11,15 +11,13 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program, QuadraticForm
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.linear import Linear
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.penalties import Absolute, Linear
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 TINY = small_scene(shape=(5, 6, 4), n_poses=5)
 RNG = np.random.default_rng(0)

@@ -11,12 +11,14 @@ import scipy.sparse as sp
 
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.penalties.linear import Linear
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import (
+    Absolute,
+    Groups,
+    Huber,
+    Linear,
+    Penalty,
+    Squares,
+)
 
 INF = np.inf
 SQUARES = Squares()

@@ -12,14 +12,13 @@ from tests.oracles.dense import minimiser
 from tests.solvers.own_terms import Differences, SkinGraph
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
 from ttus_opt.problem.terms.total_variation import difference_rows
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.primal import sparse_inverse

@@ -12,18 +12,14 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Penalty
 from ttus_opt.problem.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import augmented_lagrangian, registry
 from ttus_opt.solvers.base import Claim, Request

@@ -11,7 +11,7 @@ from tests.oracles.dense import enumerated, minimiser, stacked
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Request
 

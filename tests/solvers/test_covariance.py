@@ -9,15 +9,12 @@ from tests.oracles.dense import stacked
 from ttus_opt import fit
 from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.prior import square_root
-from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.constraints.viscous_sign import ViscousSign
+from ttus_opt.problem.constraints.signs import Sign, ViscousSign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 from ttus_opt.problem.terms.drag import Viscous
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm, ForceTerm, TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request

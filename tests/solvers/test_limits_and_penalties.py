@@ -12,15 +12,13 @@ from tests.solvers.own_terms import AlongZ, DepthWeighted, Differences, SkinGrap
 from tests.solvers.test_algebraic import Ridge
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.robust_force import RobustForceTerm
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, RobustForceTerm
 
 SCENE = contested(3, (5, 9, 5), scale=-1.0, noise=1.0, n_poses=8)
 FORCE = ForceTerm(SCENE, 1.0)

@@ -12,7 +12,7 @@ from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals

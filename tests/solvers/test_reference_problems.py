@@ -13,7 +13,7 @@ from tests.solvers.problems import (
     term,
 )
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 

@@ -12,12 +12,12 @@ from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
 from tests.solvers.taking import ALGEBRAIC, BENT
 from ttus_opt.core.errors import InputError, SolverUnavailableError
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties import Groups
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Capabilities, Claim, Request, Solver
 

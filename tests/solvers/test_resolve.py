@@ -5,7 +5,7 @@ import pytest
 
 from tests.conftest import small_scene, with_wrenches
 from tests.solvers import taking
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request

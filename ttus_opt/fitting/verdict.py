@@ -14,8 +14,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.solution import Solution, Status, Timings
-from ttus_opt.problem.verify.certificate import falling_ray
-from ttus_opt.problem.verify.conflict import conflicting
+from ttus_opt.problem.verify.certificate import conflicting, falling_ray
 from ttus_opt.problem.verify.kkt import KKT, Duals, kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.voxmap.field import PotentialField

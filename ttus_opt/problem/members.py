@@ -10,8 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Penalty, Squares
 from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
 
 

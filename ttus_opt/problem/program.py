@@ -31,8 +31,8 @@ from ttus_opt.problem.members import (
     StackedTerms,
 )
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.declared_rows import stacked
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
+from ttus_opt.problem.terms.rows import stacked
 from ttus_opt.problem.terms.structure import Tag
 
 #: Name and rows of a member

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import Duals
 
 

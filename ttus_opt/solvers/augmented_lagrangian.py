@@ -20,9 +20,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Absolute, Penalty, Squares
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 
 #: Most entries per row of first differences, split; split rows of L have nine and take
 #: longer

@@ -14,8 +14,8 @@ from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.fitting.parameters import parameter_search
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import NoSolutionError, Status
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7))
 SILENT = replace(SCENE, b=np.zeros_like(SCENE.b))  # then the cost grows with ‖f‖

@@ -21,8 +21,8 @@ from ttus_opt.fitting.weights import coarse_scene, tuning
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.base import AffineRows
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.voxmap import Voxmap
 
 NOISE, SCALE = 0.02, 1.4

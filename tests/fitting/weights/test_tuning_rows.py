@@ -18,7 +18,7 @@ from ttus_opt.fitting.weights import tuning_rows
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm
 
 MU = 0.3
 

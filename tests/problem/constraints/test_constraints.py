@@ -11,11 +11,8 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.drag_limit import DragLimit, MeanFriction
-from ttus_opt.problem.constraints.drag_sign import DragSign
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.nonnegative import NonNegative
-from ttus_opt.problem.constraints.sign import Sign
-from ttus_opt.problem.constraints.viscous_sign import ViscousSign
+from ttus_opt.problem.constraints.signs import DragSign, NonNegative, Sign, ViscousSign
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE
 
 SCENE = small_scene("trilinear", n_poses=30)

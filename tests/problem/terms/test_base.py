@@ -10,8 +10,7 @@ from tests.conftest import small_scene
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Groups, Squares
 
 SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
 V = SCENE.n_voxels

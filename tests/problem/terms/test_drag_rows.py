@@ -12,7 +12,7 @@ from tests.problem.terms.test_drag import (
     scene,
 )
 from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb
-from ttus_opt.problem.terms.drag_wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
 def test_the_residual_is_contact_and_drag_less_what_was_measured():

@@ -1,15 +1,45 @@
-"""The Laplace prior and the factor on its boundary values."""
+"""Laplace priors: what their rows are, and what their minimisers do."""
 
+from __future__ import annotations
+
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import spsolve
+from scipy.special import i0, k0
 
-from tests.conftest import small_scene
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, with_wrenches
+from tests.refusals import refuses
+from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.weights.tuning import tune
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.problem.solution import Status
+from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
+from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
+from ttus_opt.problem.terms.laplace import (
+    LENGTH,
+    AnisotropicTerm,
+    LaplaceFreeSurfaceTerm,
+    LaplaceResidualTerm,
+    LaplaceTerm,
+    ScreenedTerm,
+    SparseSourcesTerm,
+    VolumeWeightedTerm,
+    free_surface_layer,
+)
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
-SCENE = small_scene(shape=(6, 10, 6), n_poses=4)
+SCENE = small_scene("trilinear")
 
 
 def test_a_factor_scales_the_boundary_values_alone():
@@ -36,3 +66,283 @@ def test_the_boundary_scale_is_told_where_it_was_fitted():
     assert LaplaceTerm(fitted).with_factor(2.0).parameters({}) == {
         "boundary_scale": 6.0
     }
+
+
+def test_free_surface_drops_the_skin_and_nothing_else():
+    rows = LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
+    skin = free_surface_layer(SCENE.voxmap.on_surface).reshape(-1)
+    assert skin.any()
+    assert not skin.reshape(SCENE.voxmap.grid.shape)[:, :, 0].any()
+    assert abs(rows[~skin] - SCENE.L[~skin]).max() == 0.0
+    np.testing.assert_allclose(rows[skin].data, 0.5)
+    dropped = LaplaceFreeSurfaceTerm(SCENE, skin=0.0).rows().blocks["p"]
+    assert dropped[skin].nnz == 0
+
+
+def test_free_surface_lets_the_skin_push():
+    """Measured forces raise the skin under the probe, and leave it elsewhere."""
+    solution = fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
+    p = solution.field.values
+    skin = free_surface_layer(SCENE.voxmap.on_surface)
+    # points near the skin sample the layer below it: their spokes are what counts
+    touched = (np.abs(SCENE.N).sum(axis=0) > 0).reshape(p.shape).any(axis=0)
+    assert p[skin & touched].max() > 0.1
+    assert p[SCENE.voxmap.region >= 0].min() >= -1e-6
+    fixed = fit(SCENE, "eq10", force_weight=1.0, torque_weight=0.0)
+    assert solution.costs["force"] < fixed.costs["force"]
+    far = skin & (np.arange(p.shape[1]) * 2 * np.pi / p.shape[1] > np.pi + 0.6)[:, None]
+    assert np.abs(p[far]).max() < 0.05 * p[skin].max()
+
+
+PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
+WEIGHTS = {"force_weight": 2.0, "torque_weight": 0.5}
+
+
+@functools.cache
+def place():
+    return small_scene("trilinear", shape=(6, 12, 7), n_poses=8)
+
+
+def declared(profile):
+    force, torque = ForceTerm(place(), 2.0), TorqueTerm(place(), 0.5)
+    return tt.Formulation(
+        [LaplaceResidualTerm(place(), profile=profile), force, torque]
+    )
+
+
+def dense(mean):
+    """Minimum of ‖L (p − φ)‖² + 2 ‖N p − f‖² + ½ ‖(W p − τ)/ℓ‖² by dense algebra."""
+    scene = place()
+    length = scene.torque_length
+    L, N, W = (m.toarray() for m in (scene.L, scene.N, scene.W))
+    M = np.vstack([L, np.sqrt(2.0) * N, np.sqrt(0.5) * W / length])
+    own = np.sqrt(0.5) * scene.tau / length
+    target = np.concatenate([L @ mean, np.sqrt(2.0) * scene.f, own])
+    return np.linalg.solve(M.T @ M, M.T @ target)
+
+
+def profile_at_voxels(profile):
+    """φ voxel by voxel, zero on the surface layer."""
+    voxmap = place().voxmap
+    mean = np.zeros(place().n_voxels)
+    for v, depth in enumerate(voxel_depths(voxmap)):
+        powers = zip(profile.coefficients, profile.exponents, strict=True)
+        size = sum(c * (abs(depth) / 0.01) ** a for c, a in powers)
+        if not voxmap.on_surface.ravel()[v]:
+            mean[v] = np.sign(depth) * size
+    return mean
+
+
+@pytest.mark.parametrize("solver", ["structured", "clarabel", "closed_form"])
+def test_the_answer_is_that_of_dense_normal_equations(solver):
+    expected = dense(profile_at_voxels(PROFILE))
+    solution = tt.fit(place(), declared(PROFILE), solver=solver)
+    assert solution.status is Status.SOLVED
+    size = np.abs(expected).max()
+    assert np.abs(solution.field.values.ravel() - expected).max() < 1e-5 * size
+
+
+def test_without_a_profile_it_is_eq10_with_zero_boundary_values():
+    nothing = DepthProfile((1.0,), (1e-12,))
+    found = tt.fit(place(), declared(nothing)).field.values
+    zero = place().with_boundary(0.0, 0.0)
+    expected = tt.fit(zero, "eq10", **WEIGHTS).field.values
+    assert np.abs(expected).max() > 0.1
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_without_measurements_the_field_is_the_profile():
+    term = LaplaceResidualTerm(place(), profile=PROFILE)
+    field = tt.fit(place(), tt.Formulation([term])).field.values
+    mean = profile_at_voxels(PROFILE)
+    assert np.abs(field.ravel() - mean).max() < 1e-6 * np.abs(mean).max()
+    surface = place().voxmap.on_surface
+    assert np.abs(field[surface]).max() < 1e-6
+    assert (field[0] > 1.0).all() and (field[-1] < 0.0).all()
+
+
+def test_a_profile_that_made_the_forces_is_found():
+    scene = place()
+    forces = scene.N @ PROFILE(np.maximum(voxel_depths(scene.voxmap), 0.0))
+    found = least_squares_profile(with_wrenches(scene, forces))
+    coefficients = dict(zip(found.exponents, found.coefficients, strict=True))
+    assert coefficients[1.0] == pytest.approx(0.8, rel=1e-6)
+    assert coefficients[2.0] == pytest.approx(0.3, rel=1e-6)
+    assert coefficients[1.5] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_boundary_scale_is_neither_listed_nor_tuned():
+    fitted = tt.Scene.assemble(
+        place().voxmap, place().shell, place().trajectory, inner="fit"
+    )
+    assert "boundary_scale" in tt.fit(fitted, "eq10").parameters
+    assert "boundary_scale" not in tt.fit(fitted, "depth_map_residual").parameters
+    found = {
+        name: {h.name for h in tune(fitted, name).hyperparameters}
+        for name in ("eq10", "depth_map_residual")
+    }
+    assert found["eq10"] - found["depth_map_residual"] == {"boundary_scale"}
+    assert not found["depth_map_residual"] - found["eq10"]
+
+
+def tube(n, n_theta=8, n_z=5):
+    surface = Surface.from_radius(np.full((8, 3), 0.08), np.array([0.0, 0.1, 0.2]))
+    return Voxmap.from_surface(
+        surface, shape=(2 * n + 1, n_theta, n_z), r_inner=0.04, r_outer=0.12
+    )
+
+
+def orders(errors):
+    return np.log2(np.array(errors[:-1]) / errors[1:])
+
+
+def anisotropic_error(n):
+    """sin(πz/h) times the cylinder functions of π/h·√(k_z/k_r)."""
+    voxmap = tube(n, n_z=2 * n + 1)
+    system = LaplaceSystem.assemble(voxmap, conductivities=(0.5, 3.0, 2.0))
+    grid, kappa = system.grid, np.pi / 0.2 * np.sqrt(2.0 / 0.5)
+
+    def profile(r):
+        return i0(kappa * r) * k0(kappa * 0.08) - k0(kappa * r) * i0(kappa * 0.08)
+
+    exact = profile(grid.r)[:, None] * np.sin(np.pi / 0.2 * grid.z)[None]
+    exact = np.broadcast_to(exact[:, None, :], grid.shape)
+    b = np.where(system.free, 0.0, grid.flatten(exact.copy()))
+    p = grid.unflatten(spsolve(system.L.tocsc(), b))
+    return float(np.abs(p - exact).max() / np.abs(exact).max())
+
+
+def test_anisotropic_cylinder_converges_at_second_order():
+    assert np.abs(orders([anisotropic_error(n) for n in (4, 8, 16)])[1:] - 2) < 0.15
+
+
+def test_only_the_ratio_of_conductivities_matters():
+    one = AnisotropicTerm(SCENE, conductivities=(1.0, 0.5, 2.0)).rows()
+    two = AnisotropicTerm(SCENE, conductivities=(2.0, 1.0, 4.0)).rows()
+    first = spsolve(one.blocks["p"].tocsc(), one.target)
+    np.testing.assert_allclose(
+        spsolve(two.blocks["p"].tocsc(), two.target), first, atol=1e-10
+    )
+
+
+def screened_error(n, kappa):
+    """Largest error inside a tube, where p is a sum of I₀(κr) and K₀(κr)."""
+    voxmap = tube(n)
+    system = LaplaceSystem.assemble(voxmap, screening=kappa)
+    r = voxmap.grid.r
+    inside = r <= 0.08
+
+    def profile(s):
+        return i0(kappa * s) * k0(kappa * 0.08) - k0(kappa * s) * i0(kappa * 0.08)
+
+    exact = (profile(r) / profile(0.04))[inside]
+    p = spsolve(system.L.tocsc(), system.right_side(1.0, 1.0))
+    p = voxmap.grid.unflatten(p)[inside]
+    return float(np.abs(p - exact[:, None, None]).max())
+
+
+def test_screened_tube_converges_at_second_order():
+    errors = [screened_error(n, 60.0) for n in (8, 16, 32)]
+    assert np.abs(orders(errors) - 2.0).max() < 0.15
+    assert errors[-1] < 1e-3
+
+
+def test_screening_makes_the_deep_flatter():
+    plain = SCENE.laplace.solve(SCENE.b)
+    rows = ScreenedTerm(SCENE, screening=30.0).rows()
+    screened = spsolve(rows.blocks["p"].tocsc(), rows.target)
+    inside = SCENE.voxmap.inside.reshape(-1) & SCENE.laplace.free
+    assert (screened[inside] < plain[inside]).all()
+    assert (screened[inside] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        AnisotropicTerm(SCENE, conductivities=(1.0, 1.0, 1.0)),
+        ScreenedTerm(SCENE, screening=0.0),
+    ],
+)
+def test_nothing_changed_is_l(term):
+    rows = term.rows()
+    assert abs(rows.blocks["p"] - SCENE.L).max() == 0.0
+    np.testing.assert_array_equal(rows.target, SCENE.b)
+
+
+def test_values_that_are_none():
+    words = "screening must not be negative"
+    refuses(InputError, words, lambda: ScreenedTerm(SCENE, screening=-1.0).rows())
+    for bad in ((1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0)):
+        term = AnisotropicTerm(SCENE, conductivities=bad)
+        refuses(InputError, "three positive numbers", term.rows)
+
+
+LONG = small_scene("trilinear", n_poses=20)
+
+
+@pytest.mark.slow
+def test_sparse_sources_are_sparse():
+    """Squares spread sources over the voxels, absolute values put them into few."""
+    options = {"force_weight": 10.0, "torque_weight": 10.0}
+    spread = fit(LONG, "eq10_hard_boundary", **options)
+    few = fit(LONG, "sparse_sources", sparsity=1e-2, tolerance=1e-7, **options)
+    term = SparseSourcesTerm(LONG).rows()
+
+    def active(field):
+        source = np.abs(term.blocks["p"] @ field.values.reshape(-1) - term.target)
+        return int((source > 1e-4 * source.max()).sum())
+
+    assert 0 < active(few.field) < 0.2 * active(spread.field)
+
+
+def departures(name, refinements, weight):
+    """How far measured forces move rendered ones on unseen poses, per grid."""
+    surface = Surface.from_radius(np.full((60, 31), 0.09), np.linspace(0.0, 0.2, 31))
+    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1000)
+    rng = np.random.default_rng(0)
+    seen, unseen = (presses(surface, n, rng, depth=0.012) for n in (12, 10))
+    found = []
+    for n in refinements:  # the skin is a grid layer on each of them
+        voxmap = Voxmap.from_surface(
+            surface, shape=(6 * n + 1, 24 * n, 10 * n + 1), r_inner=0.03, r_outer=0.12
+        )
+        scene = Scene.assemble(
+            voxmap, shell, seen, inner=3.0, outer=3.0, sampling="trilinear"
+        )
+        solution = fit(scene, name, force_weight=weight, torque_weight=weight)
+        before = PotentialField(
+            voxmap, voxmap.grid.unflatten(scene.laplace.solve(scene.b)), "trilinear"
+        )
+        first, second = (
+            evaluate(field, shell, unseen).rendered_force
+            for field in (before, solution.field)
+        )
+        found.append(float(np.linalg.norm(second - first) / np.linalg.norm(first)))
+    return found
+
+
+@pytest.mark.slow
+def test_refining_the_grid_leaves_the_volume_weighted_answer():
+    fixed = departures("volume_weighted", (1, 2, 3), 1.0)
+    assert max(fixed) / min(fixed) < 1.05
+    assert abs(fixed[2] - fixed[1]) < 0.7 * abs(fixed[1] - fixed[0])
+    moving = departures("eq10_hard_boundary", (1, 2, 3), 1.0)
+    assert moving[2] / moving[0] > 1.4  # eq. 10 as printed does depend on the grid
+
+
+def test_squares_are_an_integral():
+    """∇² r²/4 = 1 exactly on the grid: a row's square is ℓ⁴ of its volume over ℓ³."""
+    surface = Surface.from_radius(np.full((24, 9), 0.09), np.linspace(0.0, 0.2, 9))
+    voxmap = Voxmap.from_surface(surface, shape=(13, 24, 9), r_inner=0.03, r_outer=0.12)
+    shell = PointShell.ellipsoid((0.02, 0.015, 0.015), 100)
+    poses = presses(surface, 3, np.random.default_rng(0), depth=0.012)
+    scene = Scene.assemble(voxmap, shell, poses, inner=1.0, sampling="trilinear")
+    grid, length = voxmap.grid, LENGTH
+    p = np.broadcast_to(grid.r[:, None, None] ** 2 / 4.0, grid.shape).reshape(-1)
+    found = np.abs(VolumeWeightedTerm(scene).rows().blocks["p"] @ p)
+    i, _, k = np.unravel_index(np.flatnonzero(scene.laplace.free), grid.shape)
+    inside = (grid.r[i] < 0.08) & (i > 1) & (k > 0) & (k < 8)
+    volume = grid.r[i] * grid.r_step * grid.theta_step * grid.z_step
+    expected = length**2 * np.sqrt(volume / length**3)
+    assert inside.sum() > 500
+    np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-9)

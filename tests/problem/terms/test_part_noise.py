@@ -8,7 +8,6 @@ import pytest
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.part_noise import (
     EARLIER,
     PartNoise,
@@ -16,7 +15,7 @@ from ttus_opt.problem.terms.part_noise import (
     independent,
 )
 from ttus_opt.problem.terms.structure import whitening
-from ttus_opt.problem.terms.torque import TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene("contact-size", n_poses=60)
 T = len(SCENE.trajectory)

@@ -6,7 +6,7 @@ import pytest
 from tests.conftest import small_scene, torso
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties import Groups
 from ttus_opt.problem.terms.total_variation import TotalVariationTerm, difference_rows
 from ttus_opt.voxmap.voxmap import Voxmap
 

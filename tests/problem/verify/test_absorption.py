@@ -11,11 +11,7 @@ from tests.conftest import small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import term
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Linear, Penalty
 from ttus_opt.problem.verify import absorption
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Request

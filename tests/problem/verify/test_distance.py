@@ -12,7 +12,7 @@ from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.distance import CLOSE, energy, field_of, held_by_equalities
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals

@@ -16,14 +16,11 @@ from ttus_opt.problem.members import (
     ProgramTerm,
 )
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Linear
 from ttus_opt.problem.verify import kkt
 from ttus_opt.problem.verify.distance import CLOSE
-from ttus_opt.problem.verify.gradient_blocks import _least_gradient
 from ttus_opt.problem.verify.kkt import Duals, _held, bound_duals, kkt_residuals
+from ttus_opt.problem.verify.relative_residuals import _least_gradient
 
 ZERO = np.zeros(1)
 LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace

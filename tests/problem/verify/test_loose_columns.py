@@ -16,7 +16,7 @@ from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.cvxpy_term import CvxpyTerm
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.problem.verify.loose_columns import exact_rows, loose_variables
 from ttus_opt.solvers.base import Claim, Request

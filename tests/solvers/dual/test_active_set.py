@@ -9,7 +9,7 @@ from tests.solvers.dual.test_field_pair import contested as contested_pair
 from tests.solvers.dual.test_field_pair import coulomb
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.laplace.system import RTOL
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.solvers.dual import active_set, options
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData

@@ -11,7 +11,7 @@ from tests.conftest import small_scene, some
 from tests.solvers.dual.user_limits import Rows, Steeper, Within
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries

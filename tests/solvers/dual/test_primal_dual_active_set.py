@@ -17,7 +17,7 @@ from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10
 from tests.solvers.test_structured import rough_surface
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.sign import Sign
+from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.solvers.problems import M, capped, minimum, program, rows, term
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.packages import splitting

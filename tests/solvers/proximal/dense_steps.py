@@ -10,7 +10,7 @@ import numpy as np
 from tests.conftest import small_scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)

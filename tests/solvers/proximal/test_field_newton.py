@@ -14,7 +14,7 @@ from tests.solvers.proximal.dense_steps import (
     slopes_of,
 )
 from ttus_opt.problem import formulation
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal import field_newton
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
 from ttus_opt.solvers.proximal.problem import PenalisedProblem

@@ -13,7 +13,7 @@ from tests.solvers.proximal.dense_steps import (
     problem_of,
     slopes_of,
 )
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 
 

@@ -11,8 +11,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.solvers.problems import program, rows, term
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Absolute, Squares
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import method_of_multipliers

@@ -6,10 +6,7 @@ import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
 
 from tests.solvers.problems import term
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Squares
 from ttus_opt.solvers.proximal.penalised_rows import (
     EXACT,
     Between,

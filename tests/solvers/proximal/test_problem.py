@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tests.solvers.problems import INF, bounds, program, rows, term
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.huber import Huber
+from ttus_opt.problem.terms.penalties import Absolute, Huber
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.proximal.penalised_rows import Between
 from ttus_opt.solvers.proximal.problem import BOX, PenalisedProblem

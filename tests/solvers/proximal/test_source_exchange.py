@@ -9,8 +9,8 @@ from tests.conftest import small_scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.force import ForceTerm
-from ttus_opt.problem.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.problem.terms.laplace import SparseSourcesTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request

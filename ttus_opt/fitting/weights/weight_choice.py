@@ -33,8 +33,8 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.force import ForceTerm
 from ttus_opt.problem.terms.part_noise import TURN
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.sampling import least_length, sized
 
 Word = Literal["auto", "own"]

@@ -11,11 +11,10 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
-from ttus_opt.problem.terms.declared_rows import uniform_blocks, uniform_vector
-from ttus_opt.problem.terms.member import Bounds as Bounds
-from ttus_opt.problem.terms.member import ConeRows as ConeRows
-from ttus_opt.problem.terms.member import LinearRows as LinearRows
-from ttus_opt.problem.terms.member import Member
+from ttus_opt.problem.terms.rows import Bounds as Bounds
+from ttus_opt.problem.terms.rows import ConeRows as ConeRows
+from ttus_opt.problem.terms.rows import LinearRows as LinearRows
+from ttus_opt.problem.terms.rows import Member, uniform_blocks, uniform_vector
 from ttus_opt.problem.terms.structure import check_structure
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.problem.constraints.base import Constraint, LinearRows
-from ttus_opt.problem.terms.declared_rows import unit_rows
+from ttus_opt.problem.terms.rows import unit_rows
 from ttus_opt.problem.terms.structure import Tag
 
 

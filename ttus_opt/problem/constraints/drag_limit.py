@@ -14,7 +14,7 @@ import numpy as np
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.problem.terms.declared_rows import unit_rows
+from ttus_opt.problem.terms.rows import unit_rows
 
 #: Least and largest μ_max: gel has some 0.05, rubber on skin 2 [–]
 COEFFICIENTS = (1e-3, 100.0)

@@ -16,11 +16,16 @@ from typing import ClassVar, Self
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
-from ttus_opt.problem.terms.declared_rows import uniform_blocks, uniform_vector
-from ttus_opt.problem.terms.member import AffineRows as AffineRows
-from ttus_opt.problem.terms.member import ConeRows, LinearRows, Member, replaced
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import Penalty, Squares
+from ttus_opt.problem.terms.rows import AffineRows as AffineRows
+from ttus_opt.problem.terms.rows import (
+    ConeRows,
+    LinearRows,
+    Member,
+    replaced,
+    uniform_blocks,
+    uniform_vector,
+)
 from ttus_opt.problem.terms.structure import check_structure
 
 

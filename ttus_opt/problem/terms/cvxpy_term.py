@@ -30,8 +30,8 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import user_errors
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.member import ConeRows, LinearRows, replaced
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
+from ttus_opt.problem.terms.rows import ConeRows, LinearRows, replaced
 
 
 @dataclass(frozen=True)

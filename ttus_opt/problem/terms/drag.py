@@ -1,7 +1,7 @@
 """Drag models: rows that drag adds to measured forces and torques.
 
 A model has its variables and rows (`ttus_opt.contact.friction`); the terms of
-`drag_wrench` combine them with N and W.
+`ttus_opt.problem.terms.wrench` combine them with N and W.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ttus_opt.problem.terms.distinct_drag import (
     distinct_drag,
 )
 from ttus_opt.problem.terms.drag_smoothness import MEAN_FRICTION
-from ttus_opt.problem.terms.member import replaced
+from ttus_opt.problem.terms.rows import replaced
 
 Blocks = dict[str, sp.csr_array]
 

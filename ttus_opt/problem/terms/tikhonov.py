@@ -11,7 +11,7 @@ import numpy as np
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.declared_rows import unit_rows
+from ttus_opt.problem.terms.rows import unit_rows
 
 REFERENCES = ("laplace", "zero")
 

@@ -18,9 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty
-from ttus_opt.problem.terms.penalties.groups import Groups
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Penalty
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 

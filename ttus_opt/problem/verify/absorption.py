@@ -35,7 +35,7 @@ from ttus_opt.core.errors import NumericalError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.distance import CLOSE, RTOL, field_of, steps
 
 _Map = Callable[[Array], Array]

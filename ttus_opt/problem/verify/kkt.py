@@ -47,14 +47,14 @@ from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.absorption import CLOSE_ENOUGH, absorbed
 from ttus_opt.problem.verify.distance import energy, held_by_equalities
-from ttus_opt.problem.verify.gradient_blocks import (
+from ttus_opt.problem.verify.loose_columns import exact_rows, loose_variables
+from ttus_opt.problem.verify.relative_residuals import (
     TINY,
     GradientBlocks,
     largest_of,
     quadratic_summands,
+    worst_violation,
 )
-from ttus_opt.problem.verify.loose_columns import exact_rows, loose_variables
-from ttus_opt.problem.verify.violation import worst_violation
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from scipy.sparse.linalg import splu
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramCones, ProgramConstraint
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties.linear import Linear
+from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.terms.structure import known_covariance
 
 _Member = ProgramConstraint | ProgramCones

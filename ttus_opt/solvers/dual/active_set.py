@@ -36,7 +36,7 @@ from scipy.ndimage import maximum_filter
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.verify.gradient_blocks import ROUNDING
+from ttus_opt.problem.verify.relative_residuals import ROUNDING
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (

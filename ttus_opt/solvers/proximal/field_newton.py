@@ -25,7 +25,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.conjugate_gradients import Map, to_residual
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem

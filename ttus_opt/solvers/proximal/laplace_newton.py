@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem

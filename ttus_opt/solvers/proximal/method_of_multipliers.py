@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request, is_late
 from ttus_opt.solvers.conjugate_gradients import inner_product, norm

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.penalties.base import Slope
+from ttus_opt.problem.terms.penalties import Slope
 
 #: σ over the weight of a smooth penalty; the difference to σ → ∞ is below rounding
 EXACT = 1e15
@@ -31,7 +31,7 @@ class Law(Protocol):
     """A penalty, or the indicator of limits, by its resolvent."""
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """As `ttus_opt.problem.terms.penalties.base.Penalty.resolvent`."""
+        """As `ttus_opt.problem.terms.penalties.Penalty.resolvent`."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.declared_rows import unit_rows
+from ttus_opt.problem.terms.rows import unit_rows
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.distance import held_by_equalities
 from ttus_opt.problem.verify.kkt import Duals

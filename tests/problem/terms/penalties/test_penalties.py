@@ -8,12 +8,15 @@ from scipy.optimize import minimize, minimize_scalar
 
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.terms.penalties.absolute import Absolute
-from ttus_opt.problem.terms.penalties.base import Penalty, Slope
-from ttus_opt.problem.terms.penalties.groups import Groups
-from ttus_opt.problem.terms.penalties.huber import Huber
-from ttus_opt.problem.terms.penalties.linear import Linear
-from ttus_opt.problem.terms.penalties.squares import Squares
+from ttus_opt.problem.terms.penalties import (
+    Absolute,
+    Groups,
+    Huber,
+    Linear,
+    Penalty,
+    Slope,
+    Squares,
+)
 
 PAIRS, HUBER = Groups(2), Huber(0.5)
 V = np.random.default_rng(0).normal(0.0, 2.0, 30)

@@ -1,6 +1,9 @@
-"""What a user's `rows()` may give, what is told of the rest, and where rows go."""
+"""Members and their declared rows."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,37 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.declared_rows import stacked
+from ttus_opt.problem.terms.rows import replaced, stacked
+
+
+@dataclass(frozen=True)
+class Square:
+    side: float
+    name: str = ""
+
+    @cached_property
+    def area(self):
+        return [self.side**2]
+
+    @cached_property
+    def title(self):
+        return f"a {self.name}"
+
+
+def test_only_what_is_named_is_handed_on():
+    first = Square(2.0, "tile")
+    area, title = first.area, first.title
+    other = replaced(first, "area", name="stone")
+    assert other.area is area
+    assert (other.title, title) == ("a stone", "a tile")
+    assert first.name == "tile"
+
+
+def test_what_was_not_computed_is_computed_when_asked_for():
+    other = replaced(Square(2.0), "area", side=3.0)
+    assert "area" not in vars(other)
+    assert other.area == [9.0]
+
 
 SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
 V = SCENE.n_voxels

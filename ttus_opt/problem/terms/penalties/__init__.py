@@ -1,1 +1,0 @@
-"""Penalties of a residual, one file each."""
