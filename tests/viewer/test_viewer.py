@@ -11,14 +11,13 @@ import pytest
 import trimesh
 
 import ttus_opt as tt
-from tests.conftest import torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
-from ttus_opt.viewer.page import along_line, front_of
+from ttus_opt.viewer.page import along_line
 from ttus_opt.viewer.patient_nodes import PatientNodes
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
@@ -255,13 +254,6 @@ def test_without_a_probe_one_looks_only():
 def test_names_are_as_many_as_fields():
     with pytest.raises(InputError, match="as many names"):
         tt.view([field(), field(2.0)], probe(), names=["one"], port=0)
-
-
-def test_the_front_is_what_was_seen():
-    assert front_of(torso()).tolist() == [0.0, 1.0, 0.0]
-    right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
-    one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
-    np.testing.assert_allclose(front_of(one_side), [1.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_a_pointer_is_followed_along_a_line():

@@ -14,6 +14,7 @@ from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.colour_map import RENDERED
+from ttus_opt.viewer.first_camera import FirstCamera
 from ttus_opt.viewer.jobs import Jobs
 from ttus_opt.viewer.patient_nodes import PatientNodes
 from ttus_opt.viewer.probe_tab import ProbeTab
@@ -32,13 +33,6 @@ if TYPE_CHECKING:
 
 #: Distance between two patients, of a body's length [–]
 APART = 1.15
-
-#: Distance of the camera, of what is shown [–]
-AWAY = 2.7
-
-#: The same on a page that is higher than wide, and how far up the picture what is
-#: shown is then moved, of its size: the panel covers the lower half [–]
-NARROW_AWAY, NARROW_UP = 5.0, 0.95
 
 #: Intensity of the even light; π shows a surface in its own colour
 LIGHT = 2.1
@@ -81,20 +75,26 @@ class Page:
     ) -> None:
         self._server, self.state = server, state
         self.jobs = Jobs(self.tell)
-        towards = self._look()
+        length = float(state.surface.z[-1] - state.surface.z[0])
+        offsets = [
+            np.array([0.0, 0.0, k * APART * length]) for k in range(len(state.fields))
+        ]
+        first = FirstCamera.of(state.surface, length + float(offsets[-1][2]))
+        first.show_on(server)
+        _light(server.scene, first.front)
+        _theme(server.gui)
         skin, shell = SkinMesh.of(state.surface), state.shell
         if shell is not None and mesh is None:
             # a hull does not look at faces
             mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
-        length = APART * float(state.surface.z[-1] - state.surface.z[0])
         self._nodes = [
             PatientNodes(
                 *(server.scene, f"patient{k}", skin, None if shell is None else mesh),
-                np.array([0.0, 0.0, k * length]),
-                towards,
+                offset,
+                first.away,
                 RENDERED[k],
             )
-            for k in range(len(state.fields))
+            for k, offset in enumerate(offsets)
         ]
         self.stage = Stage(
             server, state, names, skin, self._nodes, self.jobs, self.tell
@@ -147,41 +147,6 @@ class Page:
             self.probe.draw()
         if self.recording is not None:
             self.recording.draw()
-
-    def _look(self) -> Array:
-        """Set camera, light and panel; the direction to the camera, shape (3,)."""
-        scene, gui, surface = self._server.scene, self._server.gui, self.state.surface
-        front = front_of(surface)
-        low, high = float(surface.z[0]), float(surface.z[-1])
-        high += APART * (high - low) * (len(self.state.fields) - 1)
-        middle = np.array([0.0, 0.0, 0.5 * (low + high)])
-        size = max(high - low, 2.0 * float(surface.radius.max()))
-        scene.set_up_direction(tuple(front.tolist()))
-        scene.world_axes.visible = False
-        _light(scene, front)
-        camera = self._server.initial_camera
-        along = np.array([0.0, 0.0, 1.0])
-        away = 0.8 * front + 0.4 * np.cross(along, front) + 0.45 * along
-        camera.position = tuple(middle + AWAY * size * away)
-        camera.look_at = tuple(middle)
-        camera.fov = float(np.radians(35.0))
-
-        @self._server.on_client_connect
-        def connected(client: Any) -> None:
-            if client.camera.aspect < 1.0:
-                up = front - (front @ away) * away / (away @ away)
-                below = middle - NARROW_UP * size * up / np.linalg.norm(up)
-                with client.atomic():
-                    client.camera.position = below + NARROW_AWAY * size * away
-                    client.camera.look_at = below
-
-        gui.configure_theme(
-            show_logo=False, show_share_button=False, control_width="medium",
-            brand_color=(11, 79, 156),
-        )  # fmt: skip
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(WIDTH)
-        return away
 
     def _listen(self, tab: ProbeTab) -> None:
         """Take drags of the probe and clicks on the skin."""
@@ -247,8 +212,20 @@ class Page:
         nodes.probe.on_drag("left", modifier="shift")(pressed)
 
 
+def _theme(gui: viser.GuiApi) -> None:
+    """The panel: on the right, without a share button."""
+    gui.configure_theme(
+        show_logo=False, show_share_button=False, control_width="medium",
+        brand_color=(11, 79, 156),
+    )  # fmt: skip
+    gui.main_panel.dock_right()
+    gui.main_panel.set_width(WIDTH)
+
+
 def _light(scene: viser.SceneApi, front: Array) -> None:
-    """Mostly even light, so that colours are those of the legend."""
+    """The front up, and mostly even light, so that colours are the legend's."""
+    scene.set_up_direction(tuple(front.tolist()))
+    scene.world_axes.visible = False
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)
     scene.add_light_ambient("/light/even", intensity=LIGHT)
@@ -278,16 +255,6 @@ def along_line(point: Array, way: Array, ray: Array) -> float:
     missed = float(np.cross(ray, point) @ across)
     sine = float(np.cross(way, ray) @ across)
     return missed * sine / max(sine**2, STEEP)
-
-
-def front_of(surface: Surface) -> Array:
-    """Direction from the axis to the middle of what the scan saw; +y if all was."""
-    weight = surface.observed.mean(axis=1)
-    towards = np.array(
-        [weight @ np.cos(surface.theta), weight @ np.sin(surface.theta), 0.0]
-    )
-    size = float(np.linalg.norm(towards)) / len(weight)
-    return towards / np.linalg.norm(towards) if size > 0.02 else np.array([0, 1.0, 0])
 
 
 def _hit(

@@ -1,0 +1,71 @@
+"""The first camera fits the page's shape, whatever the page reports when."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import torso
+from ttus_opt.viewer.first_camera import FIELD_OF_VIEW, NARROW, FirstCamera, front_of
+from ttus_opt.viewer.skin import SkinMesh
+
+PHONE, DESK = (390, 700), (540, 560)  # the desk's panel leaves an almost square picture
+
+
+@dataclass
+class Camera:
+    """What a page reports."""
+
+    position: np.ndarray
+    look_at: np.ndarray
+    image_width: int
+    image_height: int
+
+
+@pytest.fixture(scope="module")
+def first():
+    return FirstCamera.of(torso(), float(np.ptp(torso().z)))
+
+
+def test_a_narrow_page_is_told_its_camera_until_it_has_it(first):
+    camera = Camera(np.full(3, 3.0), np.zeros(3), *PHONE)  # viser's, at first
+    first.settle(camera)
+    np.testing.assert_array_equal(camera.position, np.full(3, 3.0))
+    for _ in range(2):  # it may set the first one again
+        camera.position, camera.look_at = (one.astype(np.float32) for one in first.wide)
+        first.settle(camera)
+        assert (camera.position, camera.look_at) == first.narrow
+    camera.image_width, camera.image_height = reversed(PHONE)  # turned
+    first.settle(camera)
+    assert (camera.position, camera.look_at) == first.wide
+
+
+def test_a_page_that_was_turned_is_left_alone(first):
+    for size in (PHONE, DESK):
+        turned = first.wide[0] + [0.0, 0.01, 0.0]
+        camera = Camera(turned, first.wide[1], *size)
+        first.settle(camera)
+        assert camera.position is turned
+    camera = Camera(*first.wide, *DESK)
+    first.settle(camera)
+    assert camera.position is first.wide[0]
+
+
+@pytest.mark.parametrize(("name", "aspect"), [("wide", NARROW), ("narrow", 0.5)])
+def test_all_of_the_skin_is_in_the_picture(first, name, aspect):
+    position, middle = getattr(first, name)
+    forward = (middle - position) / np.linalg.norm(middle - position)
+    right = np.cross(forward, first.front)
+    right /= np.linalg.norm(right)
+    off = SkinMesh.of(torso()).vertices - position
+    half = np.tan(np.radians(0.5 * FIELD_OF_VIEW)) * (off @ forward)
+    x, y = off @ right / (aspect * half), off @ np.cross(right, forward) / half
+    assert max(np.abs(x).max(), np.abs(y).max()) < 1.0
+    assert (y.mean() > 0.4) == (name == "narrow")  # above the panel
+
+
+def test_the_front_is_what_was_seen():
+    assert front_of(torso()).tolist() == [0.0, 1.0, 0.0]
+    right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
+    one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
+    np.testing.assert_allclose(front_of(one_side), [1.0, 0.0, 0.0], atol=1e-6)
