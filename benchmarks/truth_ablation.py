@@ -14,7 +14,7 @@ from unittest import mock
 import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.blas_threads import one_blas_thread
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.weights.weight_choice import likely_sampling
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.base import Term

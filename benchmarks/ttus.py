@@ -21,7 +21,7 @@ from qpbenchmark.solver_settings import SolverSettings
 from qpbenchmark.tolerance import Tolerance
 
 from ttus_opt.benchmark import CaseSpec, reference_cases
-from ttus_opt.benchmark.settings import WEIGHTS
+from ttus_opt.benchmark.row import WEIGHTS
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.packages.quadratic import OneSided

@@ -87,9 +87,8 @@ class Target:
 #: Modules that are tried without being named, by room
 CORE = {
     "cli": "command",
-    "comparators": "contact_geometry ellipsoid_torso hunt_crossley_two_stage "
-    "kelvin_voigt patch_model perceptual_updates proxy_six_dof "
-    "stiffness_map voxmap_point_shell",
+    "comparators": "contact_geometry ellipsoid_torso patch_law patch_model "
+    "perceptual_updates proxy_six_dof stiffness_map voxmap_point_shell",
     "contact": "boundary_scale friction point_drag pose_rows row_kernels rows "
     "shell_blocks slip standing",
     "core": "compiled threads",
@@ -99,7 +98,7 @@ CORE = {
     "fitting/path": "weight_grid",
     "fitting/poses": "pose_error_step pose_refinement",
     "fitting/recursion": "dual_recursion low_rank_kernel "
-    "measured_rows pivots recursive triangular_factor",
+    "measured_rows recursive triangular_factor",
     "fitting/uncertainty": "contact_spread posterior posterior_draws presses "
     "skin_uncertainty wrench_noise",
     "fitting/weights": "place_left_out tuning_rows",
@@ -124,15 +123,16 @@ PATCH = ("comparators/test_patch_model.py", "comparators/test_patch_law.py")
 
 #: What else than the tests of their stem is meant to tell
 FURTHER = {
-    "comparators/hunt_crossley_two_stage.py": PATCH,
-    "comparators/kelvin_voigt.py": PATCH,
+    "comparators/patch_law.py": PATCH[:1],
     "comparators/patch_model.py": PATCH[1:],
     "contact/row_kernels.py": ("contact/test_rows.py", "voxmap/test_sector.py"),
     "contact/rows.py": ("contact/test_contact_size.py",),
     "contact/slip.py": ("contact/test_point_drag.py",),
     "fitting/batch.py": ("fitting/weights/test_tuning.py",),
     "fitting/recursion/measured_rows.py": ("fitting/recursion/test_dual_recursion.py",),
-    "fitting/recursion/pivots.py": ("fitting/recursion/test_low_rank_kernel.py",),
+    "fitting/recursion/triangular_factor.py": (
+        "fitting/recursion/test_low_rank_kernel.py",
+    ),
     "fitting/verdict.py": ("fitting/test_batch.py",),
     "haptic/blend.py": ("haptic/test_surface_swap.py",),
     "haptic/kernel_data.py": ("haptic/test_frame.py", "haptic/test_wrench.py"),

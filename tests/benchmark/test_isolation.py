@@ -10,7 +10,7 @@ from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Settings
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Request

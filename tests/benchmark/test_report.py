@@ -6,7 +6,7 @@ import pytest
 
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark.report import write_report
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Settings
 
 ROWS = [
     row("closed_form", 10.0, 8.0),

@@ -3,8 +3,10 @@
 import json
 from dataclasses import replace
 
+import pytest
+
 from ttus_opt.benchmark.cases import reference_cases
-from ttus_opt.benchmark.row import RunSpec
+from ttus_opt.benchmark.row import AUTO, CLOSED_FORM, RunSpec, Settings
 
 SPEC = RunSpec(
     "solvers",
@@ -34,3 +36,14 @@ def test_a_run_is_named_by_what_tells_it_apart():
     assert SPEC.title == "S eq10 osqp"
     assert RunSpec("recursion", SPEC.case, {"updates": 3}).title == "S recursion"
     assert RunSpec("ripple", None, {"voxel": 0.001}).title == "– 0.001"
+
+
+@pytest.mark.parametrize(
+    ("asked", "meant"), [(AUTO, CLOSED_FORM), ("", ""), ("structured", "structured")]
+)
+def test_the_reference(asked, meant):
+    assert Settings(closed_form=asked).reference == meant
+
+
+def test_by_default_it_is_the_closed_form_where_it_fits():
+    assert Settings().closed_form == AUTO

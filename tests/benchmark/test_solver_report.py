@@ -3,7 +3,7 @@
 import pytest
 
 from tests.benchmark.rows import row
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Settings
 from ttus_opt.benchmark.solver_report import FEWEST, MANY, sections, terminal
 from ttus_opt.report.document import Picture, text
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ttus_opt.benchmark import memory, worker
+from ttus_opt.benchmark import machine, worker
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import STAGES
@@ -40,7 +40,7 @@ class Mine(Part):
 @pytest.fixture
 def asked(tmp_path, monkeypatch):
     """Rows of a run of such a part, in this process."""
-    monkeypatch.setattr(memory, "end_this_first", lambda: None)
+    monkeypatch.setattr(machine, "end_this_first", lambda: None)
 
     def run(failure=None):
         monkeypatch.setattr(worker, "parts", lambda: {"mine": Mine(failure)})

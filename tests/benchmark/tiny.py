@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt.benchmark.cases import SMALL_SHAPE, CaseSpec, reference_cases
-from ttus_opt.benchmark.row import RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import RunSpec, Settings
 from ttus_opt.benchmark.suite import Suite
 
 TINY = replace(

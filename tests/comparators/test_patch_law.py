@@ -16,9 +16,15 @@ from tests.comparators.contacts import (
 from tests.comparators.recordings import facing, fitted
 from tests.conftest import torso
 from tests.refusals import refuses
-from ttus_opt.comparators.hunt_crossley_log import HuntCrossleyLog
-from ttus_opt.comparators.hunt_crossley_two_stage import HuntCrossleyTwoStage
-from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
+from ttus_opt.comparators.patch_law import (
+    AROUND,
+    HEIGHT,
+    HuntCrossleyLog,
+    HuntCrossleyTwoStage,
+    KelvinVoigt,
+    PatchGrid,
+    RecursiveLeastSquares,
+)
 from ttus_opt.comparators.patch_model import Contact
 from ttus_opt.core.errors import InputError
 
@@ -123,3 +129,61 @@ def test_the_first_sample_of_two_stages_is_weighed_against_what_is_known_of_tiss
     (K, B), *_ = np.linalg.lstsq(rows, np.array([5.0 / 50, 0.0, f]))
     x, y = np.array([1 / 5, np.log(h)]), np.array([1.5 / 5, np.log(f / (K + B * v))])
     np.testing.assert_allclose(found, [K, B, x @ y / (x @ x)], rtol=1e-12)
+
+
+def test_shares_of_patches_add_up_and_are_continuous_round_the_seam():
+    grid = PatchGrid(torso())
+    for place in ([0.1, -1e-12, 0.07], [0.1, 1e-12, 0.07], [-0.1, 0.0, 9.0]):
+        shares = grid.shares(np.array(place))
+        assert sum(share for _, share in shares) == pytest.approx(1.0)
+        assert all(0 <= patch < grid.n_patches for patch, _ in shares)
+    before, after = (
+        {p for p, w in grid.shares(np.array([0.1, y, 0.07])) if w > 1e-6}
+        for y in (-1e-12, 1e-12)
+    )
+    assert before == after
+    assert grid.n_patches % AROUND == 0
+
+
+def test_shares_interpolate_between_evenly_spread_patches():
+    """Angle and height, which are linear, come back; beyond the ends, the end's."""
+    surface, rng = torso(), np.random.default_rng(0)
+    grid = PatchGrid(surface)
+    heights = np.linspace(surface.z[0], surface.z[-1], grid.n_patches // AROUND)
+    assert 0.75 * HEIGHT < heights[1] - heights[0] < 1.5 * HEIGHT
+    for angle, z in zip(
+        rng.uniform(0.0, 2.0 * np.pi, 40), rng.uniform(-0.05, 0.25, 40), strict=True
+    ):
+        found = grid.shares(np.array([0.1 * np.cos(angle), 0.1 * np.sin(angle), z]))
+        patch, share = (np.array(each) for each in zip(*found, strict=True))
+        around, along = np.divmod(patch, len(heights))
+        assert share @ heights[along] == pytest.approx(np.clip(z, 0.0, 0.2))
+        turns = np.exp(1j * (2.0 * np.pi * around / AROUND - angle))
+        assert share @ np.angle(turns) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("weights", [np.ones(40), np.linspace(0.1, 1.0, 40)])
+def test_the_recursion_is_least_squares_with_a_prior(weights):
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(40, 3)), rng.normal(size=40)
+    first, spread = np.array([1.0, -1.0, 0.5]), np.array([2.0, 0.5, 1.0])
+    recursion = RecursiveLeastSquares.start(first, spread, 1.0)
+    for row, value, weight in zip(x, y, weights, strict=True):
+        recursion.update(row, value, weight)
+    root = np.sqrt(weights)
+    stacked = np.vstack([np.diag(1.0 / spread), root[:, None] * x])
+    target = np.concatenate([first / spread, root * y])
+    batch, *_ = np.linalg.lstsq(stacked, target, rcond=None)
+    np.testing.assert_allclose(recursion.estimate, batch, atol=1e-12)
+    assert recursion.samples == pytest.approx(weights.sum())
+
+
+def test_forgetting_weighs_old_samples_less():
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(size=(60, 2)), rng.normal(size=60)
+    recursion = RecursiveLeastSquares.start(np.zeros(2), np.full(2, 1e4), 0.9)
+    for row, value in zip(x, y, strict=True):
+        recursion.update(row, value)
+    root = 0.9 ** (0.5 * np.arange(59, -1, -1))
+    batch, *_ = np.linalg.lstsq(root[:, None] * x, root * y, rcond=None)
+    np.testing.assert_allclose(recursion.estimate, batch, atol=1e-6)

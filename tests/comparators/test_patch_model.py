@@ -11,7 +11,7 @@ from tests.comparators.recordings import facing, recordings
 from tests.comparators.walls import RADIUS, block, pressed, wall
 from tests.conftest import torso
 from ttus_opt.comparators.base import LEAST_FORCE
-from ttus_opt.comparators.kelvin_voigt import KelvinVoigt
+from ttus_opt.comparators.patch_law import KelvinVoigt
 from ttus_opt.comparators.patch_model import DEPTH_UNIT, FEWEST_FRAMES, LEAST_DEPTH
 from ttus_opt.core.errors import InputError
 

@@ -6,9 +6,9 @@ import pytest
 from tests.comparators.contacts import NO_PATCH, STILL, made
 from tests.comparators.recordings import facing, fitted, recordings
 from tests.conftest import torso
+from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
-from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.core.errors import InputError
 
 

@@ -6,8 +6,15 @@ import threading
 import time
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from ttus_opt.core.threads import in_parts, parts_of, side_by_side, usable_cores
+from ttus_opt.core.threads import (
+    in_parts,
+    one_blas_thread,
+    parts_of,
+    side_by_side,
+    usable_cores,
+)
 
 
 def test_results_stand_in_the_order_of_the_things():
@@ -99,3 +106,42 @@ def test_parts_in_a_forked_process():
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
     assert ended
+
+
+def threads():
+    """Of numpy's and scipy's libraries; those that solvers bring are their own."""
+    return {
+        one["num_threads"]
+        for one in threadpool_info()
+        if one["user_api"] == "blas"
+        and ("numpy" in one["filepath"] or "scipy" in one["filepath"])
+    }
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    with threadpool_limits(limits=2, user_api="blas"):
+        if threads() != {2}:
+            pytest.skip("one processor, or a BLAS without threads")
+        yield
+
+
+def test_one_thread_within_and_those_before_after():
+    with one_blas_thread():
+        assert threads() == {1}
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == {1}  # the outer one still wants it
+    assert threads() == {2}
+
+
+def test_a_function_that_fails_restores_them():
+    @one_blas_thread()
+    def fail():
+        assert threads() == {1}
+        raise ZeroDivisionError
+
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            fail()
+        assert threads() == {2}

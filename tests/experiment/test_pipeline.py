@@ -1,16 +1,19 @@
 """The whole experiment, coarse and small: what it writes, and that it goes on."""
 
+import contextlib
 import json
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.refusals import refuses
 from ttus_opt import experiment
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.core.errors import FileError, InputError, MissingPackageError
-from ttus_opt.experiment import recordings
+from ttus_opt.experiment import pipeline, recordings
 from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.fits import FITTED
 from ttus_opt.experiment.patients import PROBE_SPEC, patients
@@ -19,6 +22,7 @@ from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.experiment.tables import title
 from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.path.task_pool import task_pool
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.metrics import evaluate
 
@@ -264,3 +268,111 @@ def test_a_patient_named_twice_is_examined_once_and_the_order_is_kept():
     plan = experiment.Plan(patients=("stout", "lean", "stout"))
     assert _wanted(plan) == ("stout", "lean")
     assert _wanted(experiment.Plan()) == ("lean", "stout", "average")
+
+
+PARALLEL = experiment.Plan(
+    (16, 48, 24),
+    ("eq10",),
+    comparators=("kelvin_voigt",),
+    jobs=2,
+    weights="auto",
+    uncertainty=True,
+)
+
+
+@pytest.fixture
+def finished(monkeypatch):
+    """What is finished, by threads, that share this list; nothing is computed."""
+    joblib = pytest.importorskip("joblib")
+    seen: list[tuple[str, str]] = []
+
+    class Fits:
+        stamp = ""
+
+        def __init__(self, examination, folder, *_):
+            self.folder = folder
+
+        def fitted(self, setting):
+            seen.append((self.folder.name, setting.name))
+
+    @contextlib.contextmanager
+    def threads(jobs, address):
+        yield joblib.Parallel(jobs, "threading", return_as="generator_unordered")
+
+    def noted(name):
+        return lambda fits, *_: seen.append((fits.folder.name, name))
+
+    monkeypatch.setattr(pipeline, "task_pool", threads)
+    monkeypatch.setattr(pipeline, "PatientFits", Fits)
+    monkeypatch.setattr(pipeline, "boundary_errors", noted("boundary"))
+    monkeypatch.setattr(
+        pipeline,
+        "stated_uncertainty",
+        lambda fits, setting, *_: noted(f"uncertainty of {setting.name}")(fits),
+    )
+    monkeypatch.setattr(
+        pipeline.rivals, "rival", lambda fits, name, *_: noted(name)(fits)
+    )
+    monkeypatch.setattr(
+        pipeline, "examine", lambda who, *_: seen.append((who.name, "examined"))
+    )
+    return seen
+
+
+def test_every_task_of_every_patient_is_done_once(finished, tmp_path):
+    told: list[str] = []
+    everyone = patients()
+    pipeline.do_ahead(everyone, PARALLEL, tmp_path, told.append)
+    tasks = [s.name for s in PARALLEL.settings] + ["boundary", "kelvin_voigt"]
+    tasks.append("uncertainty of eq10_auto")
+    assert sorted(set(finished)) == sorted(
+        (who.name, task) for who in everyone for task in (*tasks, "examined")
+    )
+    assert sorted(one for one in finished if one[1] != "examined") == sorted(
+        (who.name, task) for who in everyone for task in tasks
+    )
+    assert {one for one in finished[: len(everyone)]} == {
+        (who.name, "examined") for who in everyone
+    }
+    assert len(told) == len(everyone) * (len(tasks) + 1)
+    assert len(told) < experiment.n_stages(PARALLEL)
+
+
+@pytest.mark.slow
+def test_tasks_reach_other_processes():
+    joblib = pytest.importorskip("joblib")
+    who, settings = patients()[0], PARALLEL.settings
+    with task_pool(2, "") as run:
+        found = run(joblib.delayed(_arrived)(who, PARALLEL, one) for one in settings)
+        assert sorted(found) == sorted(_arrived(who, PARALLEL, one) for one in settings)
+
+
+def _arrived(*task):
+    who, plan, setting = task
+    return f"{who.digest(2.0)} {plan} {setting.as_dict()}"
+
+
+def test_dask_is_asked_for_by_name(tmp_path):
+    plan = replace(PARALLEL, dask="127.0.0.1:1")
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        with pytest.raises(MissingPackageError, match=r"ttus-opt\[parallel\]"):
+            pipeline.do_ahead([], plan, tmp_path, str)
+    else:
+        with pytest.raises(InputError, match="no dask scheduler answers"):
+            pipeline.do_ahead([], plan, tmp_path, str)
+    refuses(InputError, "jobs must be at least 1", replace, PARALLEL, jobs=0)
+
+
+@pytest.mark.long
+def test_tasks_run_on_a_dask_cluster(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    joblib = pytest.importorskip("joblib")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        task_pool(1, cluster.scheduler_address) as run,
+    ):
+        assert sorted(run(joblib.delayed(abs)(x) for x in (-3, 2))) == [2, 3]

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.benchmark.memory import resident_bytes
+from ttus_opt.benchmark.machine import resident_bytes
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES
 from ttus_opt.benchmark.row import Row, RunSpec

@@ -1,15 +1,70 @@
-"""The machine and the packages of a measurement."""
+"""The machine, the packages and the memory of a measurement."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib.metadata
 import os
 import platform
+import resource
+import sys
 from pathlib import Path
 
-from ttus_opt.benchmark.memory import available_bytes
+import psutil
+
 from ttus_opt.core.threads import usable_cores
+
+
+def peak_bytes() -> int:
+    """Largest resident size since the start or the last `reset_peak` [byte]."""
+    # preferred over ru_maxrss, which starts at the parent's size after a fork
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return largest * (1 if sys.platform == "darwin" else 1024)
+
+
+def current_bytes() -> int:
+    """Resident size now [byte]."""
+    return int(psutil.Process().memory_info().rss)
+
+
+def resident_bytes(pid: int) -> int:
+    """Resident size of a process; 0 when it is gone or not reported [byte]."""
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0
+
+
+def available_bytes() -> int:
+    """Memory available without swapping [byte]."""
+    return int(psutil.virtual_memory().available)
+
+
+def reset_peak() -> None:
+    """Reset the peak, if the system can do that."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def trim() -> None:
+    """Return freed memory to the system, if the C library can do that.
+
+    Later allocations then show in the resident size, instead of reusing freed pages.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def end_this_first() -> None:
+    """Ask the system to end this process before others when memory runs out."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
 
 #: Packages whose version affects a measurement
 PACKAGES = (

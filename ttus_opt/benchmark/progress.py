@@ -6,7 +6,7 @@ import json
 import time
 from pathlib import Path
 
-from ttus_opt.benchmark import memory
+from ttus_opt.benchmark import machine
 
 #: In a run's folder: a line per stage, the residual reached, and files to keep
 STAGES, RESIDUAL, KEPT = "stages.jsonl", "residual.txt", "kept"
@@ -30,13 +30,13 @@ class Progress:
         self._current = stage
         with (self._folder / STAGES).open("a", encoding="utf-8") as file:
             file.write(json.dumps({"stage": stage, "time": time.time()}) + "\n")
-        memory.reset_peak()
+        machine.reset_peak()
 
     def end(self) -> None:
         """Store the memory peak of the current stage."""
         if self._current:
             before = self.peaks.get(self._current, 0)
-            self.peaks[self._current] = max(before, memory.peak_bytes())
+            self.peaks[self._current] = max(before, machine.peak_bytes())
             self._current = ""
 
     def reached(self, residual: float) -> None:

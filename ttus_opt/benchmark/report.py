@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.row import Row
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, Settings
 from ttus_opt.core import io
 from ttus_opt.report import document
 from ttus_opt.report.document import Block, Heading, Items, Text

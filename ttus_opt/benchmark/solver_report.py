@@ -10,8 +10,7 @@ from ttus_opt.benchmark.performance_profile import (
     profile_table,
     ranked,
 )
-from ttus_opt.benchmark.row import Row
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, Settings
 from ttus_opt.benchmark.solver_run import NONZERO
 from ttus_opt.benchmark.summary import (
     SHIFT,

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ttus_opt.benchmark import memory
+from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.own_solver import AUTO, solver_of
 from ttus_opt.benchmark.progress import Progress
@@ -78,7 +78,7 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     if solver == AUTO:  # it may have chosen another solver on the small case
         begin("warm-up")
         _warm_up(spec, _first_choice(both[0]), request)
-    base = memory.current_bytes()
+    base = machine.current_bytes()
     solves = _solved(spec, solver, request, both, begin)
     begin.end()
     assert solves.solution is not None

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.isolation import run_isolated
-from ttus_opt.benchmark.memory import available_bytes
+from ttus_opt.benchmark.machine import available_bytes
 from ttus_opt.benchmark.parts.registry import SOLVERS, parts
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.core import optional
 from ttus_opt.core.errors import InputError, warn
 from ttus_opt.core.saved_results import append_line, read_lines

@@ -11,7 +11,7 @@ import sys
 import warnings
 from pathlib import Path
 
-from ttus_opt.benchmark import memory
+from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
@@ -38,7 +38,7 @@ def run(spec: RunSpec, folder: Path) -> list[Row]:
         status, detail = "refused", str(error)
     begin.end()
     same = part.row(spec, status, detail) | {
-        "peak_memory_bytes": max(begin.peaks.values(), default=memory.peak_bytes()),
+        "peak_memory_bytes": max(begin.peaks.values(), default=machine.peak_bytes()),
         "memory_by_stage": begin.peaks,
     }
     return [same | row for row in rows]
@@ -46,7 +46,7 @@ def run(spec: RunSpec, folder: Path) -> list[Row]:
 
 def main(folder: Path) -> None:
     """Run the folder's input."""
-    memory.end_this_first()
+    machine.end_this_first()
     spec = RunSpec.from_dict(json.loads((folder / QUESTION).read_text("utf-8")))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

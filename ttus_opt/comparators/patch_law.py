@@ -1,13 +1,15 @@
-"""A contact law with a few parameters per patch, estimated recursively.
+"""Contact laws with a few parameters per patch, estimated recursively.
 
 A first recursion over all samples initialises every patch; each patch then continues
-with its own samples. Rendering interpolates the parameters between patches.
+with its own samples. Rendering interpolates the parameters between patches. h is the
+depth in 10 mm.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import Protocol, Self, Unpack
 
 import numpy as np
@@ -17,6 +19,59 @@ from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan.surface import Surface
+
+#: Weight of a patch's initial estimate, in samples [–]
+PRIOR_SAMPLES = 10.0
+
+
+@dataclass
+class RecursiveLeastSquares:
+    """Recursive least squares with forgetting for y = xᵀ φ.
+
+        k = P x / (λ/w + xᵀ P x),   φ ← φ + k (y − xᵀ φ),   P ← (P − k xᵀ P)/λ,
+
+    for a sample of weight w. Without forgetting, λ = 1, it is least squares with the
+    prior information P₀⁻¹ about φ₀.
+
+    Source: L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), §11.2.
+
+    Attributes:
+        estimate: φ, shape (n,).
+        covariance: P, over the noise's variance, shape (n, n).
+        forgetting: λ, in (0, 1] [–].
+        samples: Number of samples, by weight [–].
+    """
+
+    estimate: Array
+    covariance: Array
+    forgetting: float = 1.0
+    samples: float = 0.0
+
+    @classmethod
+    def start(
+        cls, estimate: Array, spread: Array, forgetting: float
+    ) -> RecursiveLeastSquares:
+        """The initial state: φ and its deviations over the noise's, shape (n,) each."""
+        return cls(
+            np.array(estimate, dtype=float),
+            np.diag(np.asarray(spread, dtype=float) ** 2),
+            forgetting,
+        )
+
+    def update(self, x: Array, y: float, weight: float = 1.0) -> None:
+        """Update with one sample: regressors x (n,), measurement y and weight [–]."""
+        spread = self.covariance @ x
+        gain = spread / (self.forgetting / weight + x @ spread)
+        self.estimate = self.estimate + gain * (y - x @ self.estimate)
+        reduced = self.covariance - np.outer(gain, spread)
+        self.covariance = 0.5 * (reduced + reduced.T) / self.forgetting
+        self.samples += weight
+
+    def as_prior(self) -> RecursiveLeastSquares:
+        """The same estimate with the weight of `PRIOR_SAMPLES`, to start a patch."""
+        widened = max(self.samples / PRIOR_SAMPLES, 1.0) * self.covariance
+        return RecursiveLeastSquares(self.estimate.copy(), widened, self.forgetting)
+
 
 #: Forgetting factor: after 400 frames the first has two thirds of its weight [–]
 FORGETTING = 0.999
@@ -118,3 +173,174 @@ class PatchGrid:
             (j + 1, k + 1, a * b),
         )
         return [(j % AROUND * self._along + k, w) for j, k, w in corners if w > 0.0]
+
+
+#: Initial K [N per 10 mm] and B [N s per 10 mm], and their deviations over the noise
+LINEAR_FIRST, LINEAR_SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])
+
+
+@dataclass
+class _Linear:
+    """f = K h + B ḣ."""
+
+    recursion: RecursiveLeastSquares
+
+    def take(self, sample: Sample, weight: float) -> None:
+        regressors = np.array([sample.contact.depth, sample.contact.rate])
+        self.recursion.update(regressors, sample.normal_force, weight)
+
+    def as_prior(self) -> _Linear:
+        return _Linear(self.recursion.as_prior())
+
+    @property
+    def parameters(self) -> Array:
+        return np.maximum(self.recursion.estimate, 0.0)
+
+
+class KelvinVoigt(PatchLaw):
+    """Stiffness and damping per patch: f = K h + B ḣ with K, B ≥ 0.
+
+    At first touch the damper makes the force jump, and when the probe leaves it would
+    pull: there the force is cut at zero.
+
+    Source: N. Diolaiti, C. Melchiorri, S. Stramigioli, Contact impedance estimation for
+    robotic systems, IEEE Trans. Robotics 21 (2005) 925–935, §II.
+    """
+
+    name = "kelvin_voigt"
+    summary = "spring and damper per patch, recursive least squares (Diolaiti 2005)"
+
+    def _estimator(self) -> Estimator:
+        return _Linear(
+            RecursiveLeastSquares.start(LINEAR_FIRST, LINEAR_SPREAD, self.forgetting)
+        )
+
+    def _law(self, parameters: Array, contact: Contact) -> float:
+        return float(parameters @ [contact.depth, contact.rate])
+
+
+#: Initial ln K, n and B/K [s/10 mm], and their deviations over the noise of ln f
+LOG_FIRST, LOG_SPREAD = np.array([math.log(5.0), 1.5, 0.0]), np.array([20.0, 5.0, 1.0])
+
+#: Lower limit of the exponent, below which force does not start from zero [–]
+LEAST_EXPONENT = 0.5
+
+
+@dataclass
+class _Logarithm:
+    """ln f = ln K + n ln h + (B/K) ḣ."""
+
+    recursion: RecursiveLeastSquares
+
+    def take(self, sample: Sample, weight: float) -> None:
+        contact = sample.contact
+        regressors = np.array([1.0, math.log(contact.depth), contact.rate])
+        self.recursion.update(regressors, math.log(sample.normal_force), weight)
+
+    def as_prior(self) -> _Logarithm:
+        return _Logarithm(self.recursion.as_prior())
+
+    @property
+    def parameters(self) -> Array:
+        log_stiffness, exponent, damping = self.recursion.estimate
+        return np.array(
+            [log_stiffness, max(exponent, LEAST_EXPONENT), max(damping, 0.0)]
+        )
+
+
+class HuntCrossleyLog(PatchLaw):
+    """ln K, n and B/K per patch, by one recursion on the logarithm of the force.
+
+        f = K hⁿ + B hⁿ ḣ,   ln f ≈ ln K + n ln h + (B/K) ḣ,
+
+    as long as the damping is small against the stiffness. The force never pulls:
+    1 + (B/K) ḣ is cut at zero.
+
+    Source: A. Haddadi, K. Hashtrudi-Zaad, Real-time identification of Hunt–Crossley
+    dynamic models of contact environments, IEEE Trans. Robotics 28 (2012) 555–566. The
+    contact law is K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440–445.
+    """
+
+    name = "hunt_crossley_log"
+    summary = "Hunt-Crossley per patch, recursion on ln f (Haddadi 2012)"
+
+    def _estimator(self) -> Estimator:
+        return _Logarithm(
+            RecursiveLeastSquares.start(LOG_FIRST, LOG_SPREAD, self.forgetting)
+        )
+
+    def _law(self, parameters: Array, contact: Contact) -> float:
+        log_stiffness, exponent, damping = parameters
+        spring = math.exp(log_stiffness) * contact.depth**exponent
+        return float(spring * max(1.0 + damping * contact.rate, 0.0))
+
+
+#: Initial n, and its deviation over the noise [–]; K and B begin as a spring and damper
+FIRST_EXPONENT, EXPONENT_SPREAD = np.array([1.5]), np.array([5.0])
+
+#: Upper limit of the exponent in the first stage [–]
+LARGEST_EXPONENT = 4.0
+
+#: Lower limit of K + B ḣ in the logarithm, over K [–]
+LEAST_SHARE = 0.2
+
+
+@dataclass
+class _TwoStages:
+    """K and B, then n."""
+
+    linear: RecursiveLeastSquares
+    exponent: RecursiveLeastSquares
+
+    @property
+    def _n(self) -> float:
+        n = float(self.exponent.estimate[0])
+        return min(max(n, LEAST_EXPONENT), LARGEST_EXPONENT)
+
+    def take(self, sample: Sample, weight: float) -> None:
+        contact, force = sample.contact, sample.normal_force
+        power = contact.depth**self._n
+        self.linear.update(power * np.array([1.0, contact.rate]), force, weight)
+        stiffness, damping = self.parameters[:2]
+        if stiffness <= 0.0:
+            return
+        level = max(stiffness + damping * contact.rate, LEAST_SHARE * stiffness)
+        self.exponent.update(
+            np.array([math.log(contact.depth)]), math.log(force / level), weight
+        )
+
+    def as_prior(self) -> _TwoStages:
+        return _TwoStages(self.linear.as_prior(), self.exponent.as_prior())
+
+    @property
+    def parameters(self) -> Array:
+        return np.append(np.maximum(self.linear.estimate, 0.0), self._n)
+
+
+class HuntCrossleyTwoStage(PatchLaw):
+    """K, B and n per patch, by two coupled recursions.
+
+        stage 1, n known:      f = hⁿ (K + B ḣ)              for K and B,
+        stage 2, K, B known:   ln(f / (K + B ḣ)) = n ln h    for n,
+
+    each sample goes through both. The force never pulls: K + B ḣ is cut at zero.
+
+    Source: N. Diolaiti et al. (2005), as of `KelvinVoigt`, §IV, where the two are shown
+    to converge when n begins near enough.
+    """
+
+    name = "hunt_crossley_two_stage"
+    summary = "Hunt-Crossley per patch, two recursions in turn (Diolaiti 2005)"
+
+    def _estimator(self) -> Estimator:
+        return _TwoStages(
+            RecursiveLeastSquares.start(LINEAR_FIRST, LINEAR_SPREAD, self.forgetting),
+            RecursiveLeastSquares.start(
+                FIRST_EXPONENT, EXPONENT_SPREAD, self.forgetting
+            ),
+        )
+
+    def _law(self, parameters: Array, contact: Contact) -> float:
+        stiffness, damping, exponent = parameters
+        factor = max(stiffness + damping * contact.rate, 0.0)
+        return float(factor * contact.depth**exponent)

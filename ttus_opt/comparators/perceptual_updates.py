@@ -25,8 +25,8 @@ import numpy as np
 
 from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.contact_geometry import wrench_of
+from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
-from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 

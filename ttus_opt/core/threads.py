@@ -1,12 +1,19 @@
-"""Parallel work on the processor's cores: on many items, or on parts of one item."""
+"""Threads: parallel work on many items or parts of one, and dense algebra by one.
+
+A BLAS wakes its threads even for a matrix of a hundred rows, and they keep every
+processor busy while they wait for the next one: choosing weights then takes several
+times the processor time, and longer.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -83,3 +90,43 @@ if hasattr(os, "register_at_fork"):  # a forked process has none of its parent's
 
 def _keep_whole() -> None:
     _here.keeps_whole = True
+
+
+@functools.cache
+def _libraries() -> Any:
+    """The BLAS libraries of numpy and scipy, which are searched for once."""
+    import scipy.linalg  # noqa: F401  # loads its own
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+@dataclass
+class _Users:
+    """Who wants one thread: the number is that of the process, not of a thread."""
+
+    count: int = 0
+    limit: Any = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+_users = _Users()
+
+
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let one thread do numpy's and scipy's dense algebra; also as a decorator.
+
+    The number of threads before is restored when the last user leaves.
+    """
+    with _users.lock:
+        if not _users.count:
+            _users.limit = _libraries().limit(limits=1)
+        _users.count += 1
+    try:
+        yield
+    finally:
+        with _users.lock:
+            _users.count -= 1
+            if not _users.count:
+                _users.limit.restore_original_limits()

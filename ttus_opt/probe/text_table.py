@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.probe.column_names import ROTATION_VECTOR, Header, named_columns
+from ttus_opt.probe.column_names import ROTATION_VECTOR, Header, any_unit, named_columns
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
-from ttus_opt.probe.units import any_unit
 
 #: Marks of a comment line
 COMMENT = re.compile(r"^\s*(#|%|//)\s*")

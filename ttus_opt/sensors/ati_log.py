@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from ttus_opt.core.errors import FileError
+from ttus_opt.probe.column_names import UNITS, factor
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.text_table import read_text_table
-from ttus_opt.probe.units import UNITS, factor
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
 
 SEQUENCE, STATUS = "RDT Sequence", "Status (hex)"

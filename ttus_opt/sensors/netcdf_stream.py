@@ -20,9 +20,9 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.core.io import shortened
+from ttus_opt.probe.column_names import UNITS
+from ttus_opt.probe.column_names import factor as factor_to_si
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.probe.units import UNITS
-from ttus_opt.probe.units import factor as factor_to_si
 from ttus_opt.sensors.column_map import ORDER, ORDERS
 from ttus_opt.sensors.netcdf_child import read_apart
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted

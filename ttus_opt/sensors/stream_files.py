@@ -11,21 +11,59 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError, warn
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.repair import repaired_aloud
+from ttus_opt.probe.text_table import MissingColumnsError
 from ttus_opt.probe.trajectory import Trajectory, trajectory_of
+from ttus_opt.probe.trajectory_csv import raw_trajectory
 from ttus_opt.sensors.ati_log import ATI
+from ttus_opt.sensors.column_map import table_columns
 from ttus_opt.sensors.motive_csv import MOTIVE
 from ttus_opt.sensors.ndi_csv import NDI
 from ttus_opt.sensors.netcdf_stream import NETCDF
 from ttus_opt.sensors.plus_sequence import PLUS
 from ttus_opt.sensors.ros_bag import ROS
 from ttus_opt.sensors.stream_format import HEAD, StreamFormat, Wanted, chosen
-from ttus_opt.sensors.stream_table import TABLE
-from ttus_opt.sensors.streams import WrenchStream, wrenches_of
+from ttus_opt.sensors.streams import WrenchStream, raw_wrenches, wrenches_of
 from ttus_opt.sensors.trc import TRC
 from ttus_opt.sensors.vicon_csv import VICON
+
+#: First letters of the columns of each kind of stream
+POSES, WRENCHES = ("p", "q", "rv"), ("f", "t")
+
+
+def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
+    """The table's stream of the wanted kind; of any kind, poses if it has them.
+
+    Raises:
+        FileError: Not such a table.
+    """
+    columns = table_columns(wanted.columns)
+    if wanted.kind == "wrenches":
+        return [raw_wrenches(io.existing_file(path, "wrench"), _of(columns, WRENCHES))]
+    if wanted.kind == "poses":
+        return [raw_trajectory(path, _of(columns, POSES))]
+    try:
+        return [raw_trajectory(path, columns)]
+    except MissingColumnsError as poses:
+        if wanted.kind:
+            raise
+        try:
+            return [raw_wrenches(io.existing_file(path, "wrench"), columns)]
+        except MissingColumnsError as wrenches:
+            raise poses.either(wrenches) from None
+
+
+def _of(columns: Mapping[str, str], kinds: tuple[str, ...]) -> Mapping[str, str]:
+    """The columns of one kind of stream, from a map for both."""
+    own = ("t", "segment", *(f"{kind}{x}" for kind in kinds for x in "wxyz"))
+    return {ours: theirs for ours, theirs in columns.items() if ours in own}
+
+
+TABLE = StreamFormat("table", lambda file, head: True, _read, has_columns=True)
+
 
 LOG = logging.getLogger(__name__)
 

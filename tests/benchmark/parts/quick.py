@@ -10,8 +10,7 @@ from tests.benchmark.tiny import TINY as TINIER
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import MEASURED, Row
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import MEASURED, Row, Settings
 
 TINY = replace(TINIER, n_poses=24, n_points=1500)
 

@@ -8,8 +8,7 @@ from tests.benchmark.parts.quick import QUICK, TINY, measured
 from ttus_opt.benchmark.parts import recursion
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import MEASURED
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import MEASURED, Settings
 
 
 @pytest.mark.slow

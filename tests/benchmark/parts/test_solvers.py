@@ -9,7 +9,7 @@ from tests.benchmark.rows import failed, row
 from tests.benchmark.tiny import TINY, tiny_suite
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Settings
 from ttus_opt.solvers import registry
 
 PART = parts()["solvers"]

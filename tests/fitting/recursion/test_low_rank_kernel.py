@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ttus_opt.fitting.recursion.low_rank_kernel import MORE, LowRankKernel
-from ttus_opt.fitting.recursion.pivots import JITTER
+from ttus_opt.fitting.recursion.triangular_factor import JITTER
 
 TOLERANCE = 1e-9
 

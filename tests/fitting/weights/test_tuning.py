@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 import ttus_opt as tt
 from tests.conftest import small_scene, three_presses, torso
-from tests.core.test_blas_threads import threads
+from tests.core.test_threads import threads
 from tests.refusals import refuses
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError

@@ -1,7 +1,5 @@
 """Laplace priors: what their rows are, and what their minimisers do."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

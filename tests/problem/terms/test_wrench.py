@@ -1,7 +1,5 @@
 """Measured forces and torques, by squares and by Huber's penalty."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

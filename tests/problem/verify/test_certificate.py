@@ -1,7 +1,5 @@
 """Certificates, and the constraints that they name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Residuals relative to their summands and limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

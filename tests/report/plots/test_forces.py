@@ -1,4 +1,4 @@
-"""Lines over time are the series that were given."""
+"""Lines are the series that were given, and residuals are counted in full."""
 
 import numpy as np
 import pytest
@@ -47,3 +47,13 @@ def test_force_of_different_trajectories_is_refused(evaluations, fields):
     with pytest.raises(InputError, match="different trajectories"):
         plots.force_over_time({"a": evaluations["fitted"], "b": other})
     refuses(InputError, "one or two", plots.force_over_time, {})
+
+
+def test_residuals_are_counted_in_full(evaluations):
+    before, after = evaluations.values()
+    figure = plots.residual_histogram([before], [after])
+    left, right = figure.axes
+    assert "[N]" in left.get_xlabel() and "[mN m]" in right.get_xlabel()
+    rms = np.sqrt(((after.rendered_force - after.measured_force) ** 2).mean())
+    texts = [text.get_text() for text in left.get_legend().get_texts()]
+    assert texts[1] == f"fitted: rms {rms:.2f} N"

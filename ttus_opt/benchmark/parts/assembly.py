@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar, get_args
 
-from ttus_opt.benchmark import memory
+from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
 from ttus_opt.benchmark.progress import Progress
@@ -85,9 +85,9 @@ def _measured(case: CaseSpec, repeats: int, begin: Callable[[str], None]) -> lis
 def _timed(make: Callable[[], object], repeats: int) -> Row:
     """Median seconds, and peak and growth of memory of the first call."""
     gc.collect()
-    memory.trim()
-    before = memory.current_bytes()
-    memory.reset_peak()
+    machine.trim()
+    before = machine.current_bytes()
+    machine.reset_peak()
     taken, peak = [], 0
     for _ in range(repeats):
         start = time.perf_counter()
@@ -95,7 +95,7 @@ def _timed(make: Callable[[], object], repeats: int) -> Row:
         taken.append(time.perf_counter() - start)
         del made
         # later calls reuse freed pages
-        peak = peak or memory.peak_bytes()
+        peak = peak or machine.peak_bytes()
     return {
         "seconds": statistics.median(taken),
         "peak_memory_bytes": peak,

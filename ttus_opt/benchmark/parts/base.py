@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import MEASURED, Row, RunSpec, Settings
 from ttus_opt.report.document import Block, Heading, Table, Text
 
 #: Points of the probe's shell in parts whose time depends on their number

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.scan.surface import Surface
 

@@ -13,8 +13,7 @@ from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.roofline import roofline, summary
-from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
-from ttus_opt.benchmark.settings import WEIGHTS
+from ttus_opt.benchmark.row import MEASURED, WEIGHTS, Row, RunSpec
 from ttus_opt.benchmark.summary import seconds
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError

@@ -10,12 +10,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ttus_opt.benchmark import memory
+from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import WEIGHTS
+from ttus_opt.benchmark.row import WEIGHTS, Row, RunSpec
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
@@ -94,7 +93,7 @@ class RecursionPart(Part):
         begin("updates")
         # updates stop at the time limit, keeping what was measured
         taken, made, fields = _updated(scene, {compared}, spec.time_limit)
-        peak = memory.peak_bytes()
+        peak = machine.peak_bytes()
         held = len(taken)
         row = _typical("early", taken[:WINDOW]) | _typical("late", taken[-WINDOW:])
         row |= _typical("field", made) | {

@@ -18,8 +18,7 @@ from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
 from ttus_opt.benchmark.plain_frame import numpy_frame
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
 from ttus_opt.contact.scene import Scene

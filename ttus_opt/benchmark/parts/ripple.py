@@ -18,8 +18,7 @@ import numpy as np
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
 from ttus_opt.core.arrays import Array

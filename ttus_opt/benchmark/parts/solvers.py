@@ -15,12 +15,13 @@ from ttus_opt.benchmark.own_solver import AUTO as AUTO_SOLVER
 from ttus_opt.benchmark.own_solver import options_of, solver_of, version
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import (
+from ttus_opt.benchmark.row import (
     ALL,
     AUTO,
     CLOSED_FORM,
     CLOSED_FORM_FITS,
+    Row,
+    RunSpec,
     Settings,
 )
 from ttus_opt.benchmark.solver_report import sections, terminal

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core import optional
-from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError, TtusWarning, warn
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.path.path_dataset import PathRecord
 from ttus_opt.fitting.path.path_file import PathFile, inputs_of
 from ttus_opt.fitting.path.path_solvers import PointSolver, point_solver

@@ -35,8 +35,8 @@ import numpy as np
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import FORCES, Scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError, MistakeWarning, NumericalError, warn
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.poses.pose_error_step import (
     LEAST_PLACES,
     Check,

@@ -34,7 +34,10 @@ from scipy.linalg import solve_triangular
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.fitting.recursion import triangular_factor
-from ttus_opt.fitting.recursion.pivots import incomplete_cholesky, replacements
+from ttus_opt.fitting.recursion.triangular_factor import (
+    incomplete_cholesky,
+    replacements,
+)
 
 #: Least growth of the rows and columns of N [–]
 MORE = 8

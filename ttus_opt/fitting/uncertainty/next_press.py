@@ -43,7 +43,7 @@ from ttus_opt.fitting.uncertainty.wrench_uncertainty import (
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import normal_rows
-from ttus_opt.scan.box import inside
+from ttus_opt.scan.cloud import inside
 from ttus_opt.voxmap.sector import Sector, checked_sector, holds
 
 #: Presses by default [–]

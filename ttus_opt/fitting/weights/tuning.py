@@ -19,8 +19,8 @@ import numpy as np
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.parameters.identification import warn_of_untold_friction
 from ttus_opt.fitting.weights.coarse_scene import coarser
 from ttus_opt.fitting.weights.place_left_out import (

@@ -18,8 +18,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
-from ttus_opt.core.blas_threads import one_blas_thread
 from ttus_opt.core.errors import InputError, warn
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights.tuning import tune

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from ttus_opt.cli.evaluate_command import _draw
-from ttus_opt.cli.recording_lines import RecordingLine
+from ttus_opt.cli.evaluate_command import RecordingLine, _draw
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
 
