@@ -27,8 +27,15 @@ import numpy as np
 import ttus_opt as tt
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.experiment.fits import FITTED
-from ttus_opt.experiment.patients import PROBE, PROBE_SPEC, Patient, patients
-from ttus_opt.experiment.recordings import Examination, examine, skin_file
+from ttus_opt.experiment.patients import (
+    PROBE,
+    PROBE_SPEC,
+    Examination,
+    Patient,
+    examine,
+    patients,
+    skin_file,
+)
 from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.phantom.elasticity import SkinPatch

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.benchmark.performance_profile import (
+from ttus_opt.benchmark.pictures import (
     LEGEND,
     profile_picture,
     profile_table,

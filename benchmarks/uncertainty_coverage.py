@@ -26,8 +26,13 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.saved_results import append_line, read_lines
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.patients import RECORDINGS, Patient, patients
-from ttus_opt.experiment.recordings import Examination, examine
+from ttus_opt.experiment.patients import (
+    RECORDINGS,
+    Examination,
+    Patient,
+    examine,
+    patients,
+)
 from ttus_opt.experiment.settings import AUTO, GIVEN, Setting, chosen, compared
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
     NORMAL,

@@ -89,7 +89,7 @@ CORE = {
     "cli": "command",
     "comparators": "contact_geometry ellipsoid_torso patch_law patch_model "
     "perceptual_updates proxy_six_dof stiffness_map voxmap_point_shell",
-    "contact": "boundary_scale friction point_drag pose_rows row_kernels rows "
+    "contact": "boundary_scale friction point_drag row_kernels rows "
     "shell_blocks slip standing",
     "core": "compiled threads",
     "fitting": "batch breakdown verdict",

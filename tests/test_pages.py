@@ -8,13 +8,16 @@ device, ROS): their options are looked up, their Python is compiled; so are opti
 """
 
 import contextlib
+import importlib
 import importlib.util
+import io
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,3 +192,80 @@ def test_quick_pages(page, tmp_path):
     for block in blocks(page):
         if block.language == "python":
             shell.run(block)
+
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+@pytest.mark.slow
+def test_the_transcript_is_what_the_commands_say(tmp_path, monkeypatch):
+    """Run anew; the same words, numbers aside, which differ by machine and version."""
+    pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
+    monkeypatch.setattr(sys, "path", [str(DOCS), *sys.path])
+    devices = importlib.import_module("devices")
+    monkeypatch.chdir(tmp_path)
+    lines = "\n".join([devices.HEAD, *devices.transcript(), ""])
+    assert words(lines) == words(devices.PAGE.read_text(encoding="utf-8"))
+
+
+def words(text):
+    """The text without numbers and the layout that follows from their widths."""
+    return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d,.]*(e[-+]?\d+)?", "#", text))
+
+
+@pytest.fixture(scope="module")
+def readme():
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def numbers(text):
+    return [float(n) for n in re.findall(r"-?\d+\.\d+", text)]
+
+
+def test_the_python_lines_print_what_is_said(readme):
+    found = re.search(r"```python\n(.*?)```\n\nprints\n\n```\n(.*?)\n```", readme, re.S)
+    code, said = found.groups()
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "README.md", "exec"), {})
+    assert printed.getvalue().startswith("SOLVED, unseen pushes: ")
+    (error, *force), (said_error, *said_force) = map(
+        numbers, (printed.getvalue(), said)
+    )
+    # to the digits that are printed, give or take one
+    assert error == pytest.approx(said_error, abs=0.011)
+    assert force == pytest.approx(said_force, abs=0.11)
+
+
+def test_files_and_folders_it_names_are_there(readme):
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    linked = re.findall(r"\]\(([\w./]+)\)", readme)
+    named = re.findall(r"`(ttus_opt/[\w./]+|formulations/)`", readme + page)
+    assert min(len(linked), len(named)) > 5
+    for path in linked + named:
+        assert (ROOT / path).exists(), path
+
+
+def test_the_picture_is_small():
+    assert (ROOT / "docs" / "overview.png").stat().st_size < 100_000
+
+
+def test_a_citation_names_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    for key, value in (
+        ("version", project["version"]),
+        ("license", project["license"]),
+        ("  - name", project["authors"][0]["name"]),
+    ):
+        assert f"\n{key}: {value}\n" in cited
+
+
+def test_a_package_index_gets_no_link_that_leads_nowhere(readme):
+    hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]
+    made = hooks["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]
+    for one in made:
+        readme = re.sub(one["pattern"], one["replacement"], readme)
+    links = re.findall(r"\]\(([^)]*)\)", readme)
+    assert not [link for link in links if not link.startswith("http")]
+    assert "A first hour goes" in readme and "```python\nimport ttus_opt" in readme

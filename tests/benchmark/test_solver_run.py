@@ -1,19 +1,90 @@
-"""One run of a solver: its row against dense algebra, and what is no answer."""
+"""A user's own solver: by path and as an object, to another process and back."""
 
+import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.benchmark.tiny import TINY
+import ttus_opt as tt
+from tests.benchmark.tiny import TINY, tiny_suite
 from tests.oracles.dense import minimiser
+from tests.refusals import refuses
+from tests.solvers import taking
+from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark import solver_run
-from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.benchmark.cases import reference_cases, with_new_values
 from ttus_opt.benchmark.progress import KEPT, Progress
 from ttus_opt.benchmark.row import RunSpec
+from ttus_opt.benchmark.solver_run import active_limits, options_of, solver_of
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import load
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Prepared
 from ttus_opt.solvers.packages.closed_form import ClosedForm
+
+FILE = """
+from ttus_opt.solvers.packages.closed_form import ClosedForm
+
+class Mine(ClosedForm):
+    name = "mine"
+
+SOLVERS = [Mine()]
+"""
+
+
+class Renamed(ClosedForm):
+    """An object of an importable class."""
+
+    name = "renamed"
+
+
+def own_file(folder):
+    path = folder / "mine.py"
+    path.write_text(FILE)
+    return path
+
+
+def test_a_file_and_an_object_come_back_from_json(tmp_path):
+    path = own_file(tmp_path)
+    for given, name in ((str(path), "mine"), (path, "mine"), (Renamed(), "renamed")):
+        options = json.loads(json.dumps(options_of(given)))
+        assert options["solver"] == name
+        found = solver_of(options)
+        assert found != "auto"
+        assert found.name == name
+    assert options_of("osqp") == {"solver": "osqp"}
+    before = options_of(path)
+    path.write_text(FILE + "# another version\n")
+    assert options_of(path) != before
+
+
+def test_auto_is_a_solver_of_its_own():
+    assert options_of("auto") == {"solver": "auto"}
+    assert solver_of({"solver": "auto"}) == "auto"
+
+
+def test_what_cannot_travel_is_refused(tmp_path):
+    class Local(ClosedForm):
+        name = "local"
+
+    refuses(InputError, "give its path", options_of, Local())
+    clash = tmp_path / "clash.py"
+    clash.write_text(FILE.replace('"mine"', '"osqp"'))
+    refuses(InputError, "another name", options_of, clash)
+    refuses(InputError, "not found", options_of, tmp_path / "gone.py")
+
+
+@pytest.mark.slow
+def test_both_are_measured(tmp_path):
+    own = [own_file(tmp_path), Renamed()]
+    found = tiny_suite(tmp_path / "out", solvers=own).run()["solvers"]
+    assert [(row["solver"], row["status"]) for row in found] == [
+        (name, "solved") for name in ("closed_form", "mine", "renamed")
+    ]
+    assert all(row["difference_from_closed_form"] < 1e-9 for row in found)
+
 
 CASE = replace(TINY, shape=(6, 9, 6), n_poses=5, n_points=200)
 
@@ -131,3 +202,54 @@ def test_an_answer_after_its_time_is_none(monkeypatch, tmp_path):
     assert row["status"] == "time limit"
     assert row["detail"].startswith("solved after ")
     assert len(row["seconds_each"]["first"]) == 1
+
+
+#: A small case whose limits hold back or not
+TINY = replace(
+    reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=24, n_points=300
+)
+
+
+def test_by_hand():
+    # ‖x - (-1, 2, -3e-9, 5)‖² with x ≥ 0, x₂ ≤ 1 and x₄ = 4: two bounds hold back, a
+    # third by nothing that counts; the equality is no limit
+    target = np.array([-1.0, 2.0, -3e-9, 5.0])
+    problem = program(
+        [term(np.eye(4), target)],
+        [rows("given", [[0, 0, 0, 1]], [4.0], [4.0])],
+        [bounds("box", np.zeros(4), [INF, 1.0, INF, INF])],
+    )
+    x = np.array([0.0, 1.0, 0.0, 4.0])
+    z = np.array([-2.0, 2.0, -6e-9, 0.0])
+    assert active_limits(problem, x, Duals({"given": np.array([2.0])}, z)) == 2
+    assert active_limits(problem, x, Duals({"given": np.array([2.0])})) == 0
+    # an interior point's remains where nothing holds back: they are all alike
+    remains = Duals({"given": np.array([2.0])}, np.full(4, -1e-8))
+    assert active_limits(problem, x, remains) == 0
+
+
+def test_inequality_rows_count():
+    problem = program(
+        [term(np.eye(2), [3.0, 3.0])],
+        [rows("most", [[1, 0], [0, 1], [1, 1]], [-INF] * 3, [1.0, 2.0, 9.0])],
+    )
+    duals = Duals({"most": np.array([4.0, 2.0, 0.0])})
+    assert active_limits(problem, np.array([1.0, 2.0]), duals) == 2
+
+
+@pytest.mark.slow
+@taking.over({"osqp", "scs", "clarabel"})
+def test_solvers_agree(solver):
+    name = solver.name
+    counts = {}
+    for how, weight in (("", 1e-2), ("reversed", 100.0)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = replace(TINY, perturbation=how).build()
+        weights = {"force_weight": weight, "torque_weight": weight}
+        for asked in ("structured", name):
+            found = tt.fit(scene, "eq10_sign", solver=asked, **weights)
+            x = found.candidate
+            counts[how, asked] = active_limits(found.program, x, found.duals)
+    assert counts["", "structured"] == counts["", name] == 0
+    assert counts["reversed", "structured"] == counts["reversed", name] > 0

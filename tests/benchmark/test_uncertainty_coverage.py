@@ -11,8 +11,7 @@ import pytest
 import ttus_opt as tt
 from ttus_opt import example
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.patients import RECORDINGS, patients
-from ttus_opt.experiment.recordings import Examination
+from ttus_opt.experiment.patients import RECORDINGS, Examination, patients
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "uncertainty_coverage.py"

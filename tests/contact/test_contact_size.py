@@ -5,7 +5,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
-from ttus_opt.benchmark.plain_frame import numpy_frame
+from ttus_opt.benchmark.parts.rendering import numpy_frame
 from ttus_opt.contact.contact_size import LEAST_LENGTH, REFERENCE_LENGTH, size_factors
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
 from ttus_opt.scan.surface import Surface

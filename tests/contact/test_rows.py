@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, presses, torso
+from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.refusals import refuses
-from ttus_opt.contact.rows import contact_rows
+from ttus_opt.contact.rows import PoseRows, contact_rows
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
@@ -187,3 +188,29 @@ def test_a_rotation_read_from_a_file_is_precise_enough():
 def test_unknown_sampling():
     with pytest.raises(InputError, match="voxel-mean, trilinear"):
         contact_rows(VOXMAP, SHELL, POSES.rotation, POSES.position, sampling="mean")
+
+
+@pytest.mark.parametrize("sampling", ["trilinear", "contact-size"])
+def test_rows_at_the_recorded_poses_are_those_of_contact(sampling):
+    scene = small_scene(sampling)
+    own = scene.trajectory
+    rows = PoseRows(scene.voxmap, scene.shell, sampling)
+    assert abs(rows.at(own.rotation, own.position) - scene.N).max() < 1e-14
+
+
+def test_derivatives_are_those_of_the_force():
+    """By a step a hundred times smaller, for a field without corners."""
+    scene = small_scene("trilinear", (9, 20, 10), 12)
+    own = scene.trajectory
+    rows = PoseRows(scene.voxmap, scene.shell, "trilinear")
+    p = scene.laplace.solve(scene.b)
+    noise, fine = TrackerNoise(1e-4, 2e-3), TrackerNoise(1e-6, 2e-5)
+    found = rows.derivatives(own.rotation, own.position, noise)
+    assert len(found) == 6
+    for j in range(6):
+        xi = np.zeros((len(own), 6))
+        xi[:, j] = 1.0
+        ahead = rows.at(*fine.moved(own.rotation, own.position, xi)) @ p
+        expected = 100.0 * (ahead - rows.at(own.rotation, own.position) @ p)
+        error = np.linalg.norm(found[j] @ p - expected)
+        assert error < 0.05 * np.linalg.norm(expected)

@@ -1,10 +1,18 @@
 """What a user's code raises is told with its line; what is ours passes as it is."""
 
 import importlib.util
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
 
 import pytest
 
+import ttus_opt.problem.constraints
+import ttus_opt.problem.terms
 from tests.refusals import refuses
+from ttus_opt.core import plugins
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.wrench import ForceTerm
@@ -40,3 +48,66 @@ def test_syntax_errors_and_exits_are_told_too(tmp_path):
 def test_our_own_errors_pass():
     with pytest.raises(InputError, match=r"^as it is$"), user_errors("anything"):
         raise InputError("as it is")
+
+
+def test_public_classes_by_the_file_they_stand_in():
+    found = plugins.classes_of(ttus_opt.problem.constraints)
+    assert found["Sign"].__module__ == "ttus_opt.problem.constraints.signs"
+    assert "Bounds" not in found  # imported there, defined elsewhere
+    assert not any(name.startswith("_") for name in found)
+    assert plugins.class_of(ttus_opt.problem.constraints, "Sign") is found["Sign"]
+
+
+@pytest.mark.parametrize("name", ["Sine", "sign", "_Sign"])
+def test_other_names_are_refused(name):
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
+        plugins.class_of(ttus_opt.problem.terms, name)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+SHOW = (
+    "from ttus_opt.problem.formulation import available; "
+    "print('eq10' in {f.name for f in available()})"
+)
+
+
+@pytest.mark.slow
+def test_a_users_own_file_of_that_name_changes_nothing(tmp_path):
+    (tmp_path / "formulations.py").write_text("raise SystemExit('not ours')\n")
+    script = tmp_path / "run.py"
+    script.write_text(SHOW)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.stdout == "True\n", done.stderr
+
+
+@pytest.mark.slow
+def test_a_wheel_carries_them_inside_the_package(tmp_path):
+    """Built and unpacked: no other top-level package, and eq10 is found."""
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
+    done = subprocess.run(
+        [*build, "--wheel-dir", str(tmp_path), str(ROOT)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        tops = {name.split("/")[0] for name in archive.namelist()}
+        archive.extractall(tmp_path / "site")
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"ttus_opt"}
+    shown = subprocess.run(
+        [sys.executable, "-c", SHOW],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
+        cwd=tmp_path,
+    )
+    assert shown.stdout == "True\n", shown.stderr

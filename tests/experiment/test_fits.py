@@ -6,7 +6,8 @@ import pytest
 
 from tests.refusals import refuses
 from ttus_opt.core.saved_results import write_json
-from ttus_opt.experiment import recordings, rivals
+from ttus_opt.experiment import patients as phantoms
+from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import patients
@@ -81,13 +82,13 @@ def test_recordings_of_two_makings_are_never_mixed(tmp_path, monkeypatch):
     patient.surface = lambda: SimpleNamespace(save=lambda file: None)
     stamp = tmp_path / "digest.txt"
     stamp.write_text(patient.digest(3.0))
-    for name in recordings.FILES:
+    for name in phantoms.FILES:
         (tmp_path / name).touch()
-    monkeypatch.setattr(recordings, "_skin", lambda *_: None)
-    monkeypatch.setattr(recordings, "_record", begin)
+    monkeypatch.setattr(phantoms, "_skin", lambda *_: None)
+    monkeypatch.setattr(phantoms, "_record", begin)
     with pytest.raises(BegunError):  # interrupted while the first is written
-        recordings.examine(patient, tmp_path, 2.0)
+        phantoms.examine(patient, tmp_path, 2.0)
     assert not stamp.exists()
     stamp.write_text(patient.digest(3.0))
     (tmp_path / "sweep_test_true.csv").unlink()
-    refuses(BegunError, "", recordings.examine, patient, tmp_path, 3.0)
+    refuses(BegunError, "", phantoms.examine, patient, tmp_path, 3.0)

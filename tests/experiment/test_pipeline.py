@@ -13,7 +13,8 @@ from tests.refusals import refuses
 from ttus_opt import experiment
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.core.errors import FileError, InputError, MissingPackageError
-from ttus_opt.experiment import pipeline, recordings
+from ttus_opt.experiment import patients as phantoms
+from ttus_opt.experiment import pipeline
 from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.fits import FITTED
 from ttus_opt.experiment.patients import PROBE_SPEC, patients
@@ -151,7 +152,7 @@ def test_a_second_call_computes_nothing_again(done, monkeypatch):
     def forbidden(*_, **__):
         raise AssertionError("computed again")
 
-    monkeypatch.setattr("ttus_opt.experiment.recordings.skin_compliance", forbidden)
+    monkeypatch.setattr("ttus_opt.experiment.patients.skin_compliance", forbidden)
     monkeypatch.setattr("ttus_opt.experiment.fits.fit", forbidden)
     monkeypatch.setattr("ttus_opt.experiment.boundary.fit", forbidden)
     again = experiment.run(folder, PLAN)
@@ -164,7 +165,7 @@ def test_a_second_call_computes_nothing_again(done, monkeypatch):
 def test_missing_finite_elements_are_told_by_name(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(MissingPackageError, match=r"skfem.*ttus-opt\[phantom\]"):
-        recordings.examine(patients()[0], tmp_path, 4.0)
+        phantoms.examine(patients()[0], tmp_path, 4.0)
     assert not (tmp_path / "digest.txt").exists()
 
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
-from ttus_opt.benchmark.plain_frame import plain_samples
+from ttus_opt.benchmark.parts.rendering import plain_samples
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell

@@ -14,7 +14,7 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.elasticity import ElasticBody
-from ttus_opt.phantom.mesh import graded
+from ttus_opt.phantom.torso import graded
 
 
 def box_mesh(x: Array, y: Array, z: Array) -> Any:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from tests.phantom.block import box_mesh
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
-from ttus_opt.phantom.mesh import graded, ring_mesh
+from ttus_opt.phantom.torso import graded, ring_mesh
 
 
 def volume(mesh):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
-from ttus_opt.phantom.unilateral import solve_unilateral
+from ttus_opt.phantom.press import solve_unilateral
 
 
 def problem(seed, n):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from ttus_opt.core.json_values import plain
+from ttus_opt.core.saved_results import plain
 from ttus_opt.report.calibration_curve import GROUPS, LEVELS, CalibrationCurve
 
 N = 20_000

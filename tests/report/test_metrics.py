@@ -1,3 +1,5 @@
+"""A spring gives back all of its work, with friction or damping less of it."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +11,16 @@ from tests.refusals import refuses
 from ttus_opt.contact.friction import Sliding, coulomb_rows
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.report.metrics import angles, as_rendered, compare, evaluate
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import (
+    angles,
+    as_rendered,
+    compare,
+    evaluate,
+    hysteresis_share,
+    noticeable,
+)
 from ttus_opt.voxmap.field import PotentialField
 
 SCENE = small_scene("trilinear", n_poses=20)
@@ -176,3 +187,74 @@ def test_some_frames_are_judged_as_if_recorded_alone():
     np.testing.assert_array_equal(part.time, alone.time)
     np.testing.assert_array_equal(part.rendered_force, alone.rendered_force)
     np.testing.assert_array_equal(part.rendered_torque, alone.rendered_torque)
+
+
+@pytest.mark.parametrize(
+    ("measured", "rendered", "degrees", "felt"),
+    [
+        (10.0, 10.69, 0.0, False),  # 6.9 % of 10 N
+        (10.0, 10.71, 0.0, True),
+        (10.0, 9.29, 0.0, True),
+        (2.0, 2.35, 0.0, False),  # 17 %, and below 0.36 N
+        (2.0, 2.37, 0.0, True),
+        (0.0, 0.37, 0.0, True),
+        (10.0, 10.0, 17.9, False),
+        (10.0, 10.0, 18.1, True),
+    ],
+)
+def test_limits_of_magnitude_and_direction(measured, rendered, degrees, felt):
+    force, force_hat = (np.array([[0.0, size, 0.0]]) for size in (measured, rendered))
+    found = noticeable(force, force_hat, np.array([degrees]))
+    assert found.tolist() == [felt]
+
+
+SHELL = PointShell.from_spec("sphere:0.01")
+STIFFNESS = 800.0
+TIME = np.arange(200) / 20.0
+DEPTH = 0.008 * np.sin(2.0 * np.pi * TIME / 5.0)  # two presses, lifted in between
+
+
+def presses(lost=0.0, depth=DEPTH):
+    """A spring along y, weaker by a share on the way out."""
+    touching = np.maximum(depth, 0.0)
+    leaving = np.gradient(depth) < 0.0
+    size = STIFFNESS * touching * np.where(leaving, 1.0 - lost, 1.0)
+    force = np.outer(size, [0.0, 1.0, 0.0])
+    position = np.outer(-depth, [0.0, 1.0, 0.0])
+    n = len(depth)
+    return Trajectory(TIME[:n], position, np.tile(np.eye(3), (n, 1, 1)), force)
+
+
+def test_a_spring_gives_everything_back():
+    assert hysteresis_share(presses(), SHELL, 0.5) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.4])
+def test_share_is_what_is_missing_on_the_way_out(lost):
+    found = hysteresis_share(presses(lost), SHELL, 0.5)
+    assert found == pytest.approx(lost, abs=0.03)
+
+
+def test_a_turn_against_a_torque_is_work_too():
+    recording = presses()
+    angle = 0.3 * np.sin(2.0 * np.pi * TIME / 5.0)
+    cos, sin, no = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    rotation = np.stack([cos, -sin, no, sin, cos, no, no, no, no + 1.0], axis=1)
+    rate = np.gradient(angle, TIME)
+    torque = np.outer(-0.05 * rate, [0.0, 0.0, 1.0])  # a damper alone
+    turned = Trajectory(
+        TIME,
+        np.zeros((len(TIME), 3)),
+        rotation.reshape(-1, 3, 3),
+        recording.force,
+        torque,
+    )
+    assert hysteresis_share(turned, SHELL, 0.5) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_nothing_is_told_where_no_press_is_complete():
+    middle = presses(0.4).select(slice(10, 40))
+    assert np.isnan(hysteresis_share(middle, SHELL, 0.5))
+    bare = Trajectory(middle.time, middle.position, middle.rotation)
+    with pytest.raises(InputError, match="forces"):
+        hysteresis_share(bare, SHELL, 0.5)

@@ -1,10 +1,59 @@
-"""Filling: exact where nothing is missing, an ellipse where half is, never through."""
+"""The outline: exact for conics, held by the plane, an ellipses from half of one."""
 
 import numpy as np
 import pytest
 
-from ttus_opt.scan.fill import fill_smoothly
-from ttus_opt.scan.outline import outline
+from ttus_opt.scan.fill import fill_smoothly, outline
+
+SPOKES, HEIGHTS = 72, 7
+ANGLES = np.arange(SPOKES)[:, None] * (2 * np.pi / SPOKES)
+ALL = np.ones((SPOKES, HEIGHTS), dtype=bool)
+
+
+def ellipses(a=0.16, b=0.11):
+    radius = 1.0 / np.sqrt((np.cos(ANGLES) / a) ** 2 + (np.sin(ANGLES) / b) ** 2)
+    return np.broadcast_to(radius, (SPOKES, HEIGHTS)).copy()
+
+
+def test_an_ellipse_is_its_own_outline():
+    np.testing.assert_allclose(outline(ellipses(), ALL), ellipses(), rtol=1e-9)
+    # off its centre it is a conic with linear terms
+    x, y = 0.13 * np.cos(ANGLES) + 0.02, 0.13 * np.sin(ANGLES) - 0.01
+    away = np.hypot(x, y)
+    turned = np.interp(ANGLES[:, 0], np.arctan2(y, x)[:, 0] % (2 * np.pi), away[:, 0],
+                       period=2 * np.pi)  # fmt: skip
+    radius = np.broadcast_to(turned[:, None], ALL.shape).copy()
+    np.testing.assert_allclose(outline(radius, ALL), radius, rtol=2e-3)
+
+
+def test_half_an_ellipse_is_enough():
+    seen = np.broadcast_to(np.sin(ANGLES) > -0.2, ALL.shape)
+    radius = np.where(seen, ellipses(), np.nan_to_num(np.nan, nan=7.0))
+    found = outline(radius, seen)
+    np.testing.assert_allclose(found[seen], ellipses()[seen], rtol=0.02)
+    np.testing.assert_allclose(found[~seen], ellipses()[~seen], rtol=0.1)
+
+
+def test_nothing_lies_beyond_the_plane_and_it_is_touched():
+    """A plane 9 cm under the axis, the back unseen: the outline reaches it."""
+    seen = np.broadcast_to(np.sin(ANGLES) > 0.0, ALL.shape)
+    down = -np.sin(ANGLES)
+    limit = np.where(down > 0.1, 0.09 / np.maximum(down, 0.1), np.inf)
+    limit = np.broadcast_to(limit, ALL.shape)
+    found = outline(np.where(seen, ellipses(), 1.0), seen, limit)
+    assert (found <= limit).all()
+    lowest = (found * down).max(axis=0)
+    np.testing.assert_allclose(lowest, 0.09, rtol=0.03)
+
+
+def test_it_stays_within_half_and_twice_the_median():
+    seen = np.zeros_like(ALL)
+    seen[:5] = True  # next to nothing was seen
+    wild = np.where(seen, np.linspace(0.05, 0.4, SPOKES)[:, None], 0.0)
+    median = float(np.median(wild[seen]))
+    found = outline(wild, seen)
+    assert (found >= 0.5 * median).all() and (found <= 2.0 * median).all()
+
 
 N_THETA, N_Z, Z_STEP = 90, 24, 0.012
 THETA = np.arange(N_THETA)[:, None] * (2 * np.pi / N_THETA)

@@ -7,8 +7,8 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.frame_estimate import camera_of
 from ttus_opt.scan.room import alone_in_room
-from ttus_opt.scan.viewpoint import camera_of
 
 
 def person(x=0.0):

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.sensors import test_depth_bag, test_ros_bag, test_ros_frames
+from tests.sensors import test_depth_bag, test_ros_bag
 from tests.sensors.test_intrinsics import FILE_STORAGE, OPEN3D, OPENCV, REALSENSE
 from tests.sensors.test_plus_sequence import apart, rough, sequence
 from tests.sensors.test_stream_formats import SAMPLES, plotjuggler, robotiq
@@ -125,8 +125,8 @@ ROWS = [
         "rosbags; PlotJuggler's CSV.",
     ),
     Sample("run.mcap", ros(test_ros_bag.recorded, "mcap")),
-    Sample("arm.bag", ros(test_ros_frames.recorded, "ros1")),
-    Sample("alone.db3", ros(test_ros_frames.recorded, "sqlite3")),
+    Sample("arm.bag", ros(test_ros_bag.recorded_frames, "ros1")),
+    Sample("alone.db3", ros(test_ros_bag.recorded_frames, "sqlite3")),
     Sample("plotjuggler.csv", plotjuggler),
     Sample(
         "press.igs.mha",

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import mutated
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, MissingPackageError, TtusError, TtusWarning
-from ttus_opt.sensors.stream_files import read_poses, read_wrenches
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.sensors.stream_files import raw_recordings, read_poses, read_wrenches
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
 
@@ -145,3 +146,124 @@ def test_mutations(tmp_path, kind, n):
         # sqlite leaves files of its own beside a damaged one
         for beside in sound.parent.glob(f"{sound.name}-*"):
             shutil.rmtree(beside, ignore_errors=True)
+
+
+TIME = 1.7e9 + 0.05 * np.arange(20)
+FIXED = homogeneous(Rotation.from_rotvec([0.2, 0, 1]).as_matrix(), [0.0, 0.0, 0.1])
+BACK = homogeneous(Rotation.from_rotvec([0, 0.4, 0]).as_matrix(), [1.0, 0.0, 0.0])
+
+
+def arm(t):
+    """The tool in the base, steady motion and turn."""
+    s = t - TIME[0]
+    return homogeneous(
+        Rotation.from_rotvec([0, 0, 0.5 * s]).as_matrix(), [0.1 * s, 0, 1]
+    )
+
+
+def recorded_frames(folder, kind):
+    """base → arm → probe (static), and base → camera (moving at half the rate)."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    ros1 = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        fields = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(fields, "tf2_msgs/msg/TFMessage"))
+    rooms = ("geometry_msgs", "builtin", "std_msgs/msg/Header", "nav_", "tf2_")
+    T = {
+        name.split("/")[-1]: known
+        for name, known in store.types.items()
+        if name.startswith(rooms)
+    }
+    if ros1:
+        path = folder / "r.bag"
+        writer = rosbag1.Writer(path)
+    else:
+        path = folder / kind
+        writer = rosbag2.Writer(path, version=9)
+
+    def header(t, frame):
+        stamp = T["Time"](sec=int(t), nanosec=round(1e9 * (t - int(t))))
+        return T["Header"](stamp=stamp, frame_id=frame, **({"seq": 0} if ros1 else {}))
+
+    def parts(motion):
+        x, y, z, w = Rotation.from_matrix(motion[:3, :3]).as_quat()
+        place = dict(zip("xyz", motion[:3, 3].tolist(), strict=True))
+        return place, T["Quaternion"](x=x, y=y, z=z, w=w)
+
+    def transform(t, parent, child, motion):
+        place, turn = parts(motion)
+        moved = T["Transform"](T["Vector3"](**place), turn)
+        return T["TransformStamped"](header(t, parent), child, moved)
+
+    tree, odometry = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+    with writer:
+        open_ = {
+            topic: writer.add_connection(topic, kind_, typestore=store)
+            for topic, kind_ in (
+                ("/tf", tree),
+                ("/tf_static", tree),
+                ("/odom", odometry),
+            )
+        }
+
+        def write(topic, t, message, kind_):
+            encode = store.serialize_ros1 if ros1 else store.serialize_cdr
+            writer.write(open_[topic], round(1e9 * t), encode(message, kind_))
+
+        static = T["TFMessage"]([transform(TIME[0], "arm", "probe", FIXED)])
+        write("/tf_static", TIME[0], static, tree)
+        for i, t in enumerate(TIME):
+            sent = [transform(t, "base", "arm", arm(t))]
+            if i % 2 == 0:
+                sent.append(transform(t, "base", "camera", BACK))
+            write("/tf", t, T["TFMessage"](sent), tree)
+            place, turn = parts(arm(t))
+            zero = T["Vector3"](0.0, 0.0, 0.0)
+            pose = T["Pose"](T["Point"](**place), turn)
+            still = T["TwistWithCovariance"](T["Twist"](zero, zero), np.zeros(36))
+            around = T["PoseWithCovariance"](pose, np.zeros(36))
+            odom = T["Odometry"](header(t, "base"), "arm", around, still)
+            write("/odom", t, odom, odometry)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
+def test_one_frame_in_another(tmp_path, kind):
+    """Through a static link, and upwards through one that moves."""
+    bag = recorded_frames(tmp_path, kind)
+    found = read_poses(bag, "base:probe")
+    expected = np.array([arm(t) @ FIXED for t in TIME])
+    np.testing.assert_allclose(found.time, TIME, atol=1e-6)
+    np.testing.assert_allclose(found.position, expected[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(found.rotation, expected[:, :3, :3], atol=1e-9)
+    found = read_poses(bag, "camera:probe")
+    inside = np.array([inverse(BACK) @ arm(t) @ FIXED for t in found.time])
+    assert len(found) == 19  # the camera's last stamp is one before the arm's
+    np.testing.assert_allclose(found.position, inside[:, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(found.rotation, inside[:, :3, :3], atol=1e-6)
+    with pytest.raises(FileError, match="the frames are arm, base, camera, probe"):
+        read_poses(bag, "base:needle")
+
+
+def test_a_topic_is_meant_before_a_frame(tmp_path):
+    bag = recorded_frames(tmp_path, "ros1")
+    found = read_poses(bag)  # Odometry, although /tf has two
+    np.testing.assert_allclose(found.position, [arm(t)[:3, 3] for t in TIME])
+    names = [raw.name for raw in raw_recordings(bag)]
+    assert names == ["/odom", "base:arm", "base:camera"]
+
+
+def test_a_database_without_metadata(tmp_path):
+    bag = recorded_frames(tmp_path, "sqlite3")
+    (file,) = bag.glob("*.db3")
+    alone = tmp_path / "alone.db3"
+    alone.write_bytes(file.read_bytes())
+    np.testing.assert_array_equal(
+        read_poses(alone, "/odom").position, read_poses(bag, "/odom").position
+    )
+    alone.write_bytes(file.read_bytes()[:3000])
+    with pytest.raises(FileError, match="cannot be read as a ROS recording"):
+        read_poses(alone)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ttus_opt.benchmark.performance_profile import LEGEND as PROFILE
-from ttus_opt.benchmark.performance_profile import (
+from ttus_opt.benchmark.pictures import LEGEND as PROFILE
+from ttus_opt.benchmark.pictures import (
     profile_picture,
     profile_table,
     ranked,

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import typer
 
 from ttus_opt.core.errors import TtusWarning
-from ttus_opt.core.json_values import plain
+from ttus_opt.core.saved_results import plain
 
 if TYPE_CHECKING:
     from ttus_opt.report.document import Block

@@ -135,7 +135,7 @@ def recording_lines(
         calibration_curve,
         check_uncertainty,
     )
-    from ttus_opt.report.hysteresis import hysteresis_share
+    from ttus_opt.report.metrics import hysteresis_share
 
     parts = recorded.parts
     names = recording_names(names, len(parts))
@@ -182,7 +182,7 @@ def evaluate(
     from ttus_opt.fitting.uncertainty.saved_uncertainty import read_uncertainty
     from ttus_opt.haptic.field_wrench import over_limits
     from ttus_opt.report import metrics
-    from ttus_opt.report.hysteresis import hysteresis_share
+    from ttus_opt.report.metrics import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
 
     pictures = [picture, calibration_picture]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.contact.place_errors import place_errors
+from ttus_opt.contact.places import place_errors
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 from ttus_opt.laplace.system import LaplaceSystem
@@ -84,7 +84,7 @@ def _boundary_scale(
 
     Returns:
         s and its standard error σ̂/‖N p₁‖ with σ̂² = ‖s N p₁ - f‖²/(m - 1), m force rows
-        in contact; inf where m = 1. That by places (`ttus_opt.contact.place_errors`)
+        in contact; inf where m = 1. That by places (`ttus_opt.contact.places`)
         where it is larger.
     """
     unit = N @ laplace.solve(laplace.right_side(1.0, outer))

@@ -18,8 +18,8 @@ from ttus_opt.core.compiled import compiled
 from ttus_opt.probe.cylindrical import TURN, turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
-from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.voxmap.grid import GridLimits, around, depth_at
+from ttus_opt.voxmap.sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Area to which the trilinear sampling refers, A₀ = 1 cm² [m²]

@@ -11,9 +11,10 @@ ways, all linear in p (docs/method/contact.md, Contact rows):
   ℓ₀ (`ttus_opt.contact.contact_size`, `ttus_opt.voxmap.sampling`).
 
 The rows here and the frames of `ttus_opt.haptic.renderer` sample by the same functions
-(`ttus_opt.voxmap.depth_sampling`), so ``render(pose) == N(pose) p``. Beyond the inner
-layer the field continues with that layer's values. Points outside the patient, or
-beyond the grid's ends in z or θ, sample nothing; depths fade over the last voxel in z.
+(`ttus_opt.voxmap.sampling`), so ``render(pose) == N(pose) p``. Beyond the inner layer
+the field continues with that layer's values. Points outside the patient, or beyond the
+grid's ends in z or θ, sample nothing; depths fade over the last voxel in z.
+`PoseRows` are force rows as functions of the poses, and their derivatives.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import turn_angle as turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import rotations
+from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.voxmap.sampling import check_sampling, least_length
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -168,3 +170,38 @@ def contact_rows(
     if not least:
         return found
     return found.scaled(size_factors(voxmap, shell, rotation, position, least))
+
+
+@dataclass(frozen=True)
+class PoseRows:
+    """Rows N of contact without drag.
+
+    Attributes:
+        voxmap: Grid and surface.
+        shell: The probe.
+        sampling: Of the field.
+    """
+
+    voxmap: Voxmap
+    shell: PointShell = field(repr=False)
+    sampling: str
+
+    def at(self, rotation: Array, position: Array) -> sp.csr_array:
+        """The rows at poses (T, 3, 3) and (T, 3), shape (3T, V)."""
+        at = self.voxmap, self.shell, rotation, position
+        return contact_rows(*at, sampling=self.sampling).N
+
+    def derivatives(
+        self, rotation: Array, position: Array, noise: TrackerNoise
+    ) -> list[sp.csr_array]:
+        """Change of the rows per component of ξ, by central differences of one σ.
+
+        A step as wide as the errors smooths the corners of the interpolation, as the
+        errors themselves do.
+        """
+        changes = []
+        for unit in np.eye(6):
+            ahead = self.at(*noise.moved(rotation, position, unit))
+            behind = self.at(*noise.moved(rotation, position, -unit))
+            changes.append(sp.csr_array(0.5 * (ahead - behind)))
+        return changes

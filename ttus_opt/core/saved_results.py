@@ -6,12 +6,31 @@ A result states what it was computed from, and is taken only where that is the s
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ttus_opt.core import io
-from ttus_opt.core.json_values import plain
+
+
+def plain(value: Any) -> Any:
+    """Convert to dicts, lists and Python numbers; NaN and infinity become None.
+
+    >>> import numpy as np
+    >>> plain({"error": np.float64("nan"), "shape": (2, np.int64(3))})
+    {'error': None, 'shape': [2, 3]}
+    """
+    if isinstance(value, Mapping):
+        return {str(name): plain(each) for name, each in value.items()}
+    if hasattr(value, "tolist"):  # NumPy, without importing it
+        value = value.tolist()
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
 
 Result = TypeVar("Result")
 

@@ -13,8 +13,7 @@ from typing import Any
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import NumericalError, TtusWarning, warn
 from ttus_opt.core.saved_results import computed_once
-from ttus_opt.experiment.patients import PROBE_SPEC
-from ttus_opt.experiment.recordings import Examination
+from ttus_opt.experiment.patients import PROBE_SPEC, Examination
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit

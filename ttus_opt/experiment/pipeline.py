@@ -21,8 +21,7 @@ from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.patients import Patient, names, patients
-from ttus_opt.experiment.recordings import examine
+from ttus_opt.experiment.patients import Patient, examine, names, patients
 from ttus_opt.experiment.result import (
     FIGURES,
     ITSELF,

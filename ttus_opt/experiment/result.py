@@ -11,8 +11,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError
 from ttus_opt.experiment.fits import Fitted
-from ttus_opt.experiment.patients import Patient
-from ttus_opt.experiment.recordings import Examination
+from ttus_opt.experiment.patients import Examination, Patient
 from ttus_opt.experiment.rivals import Rival
 from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import (

@@ -23,8 +23,7 @@ from ttus_opt.experiment.settings import (
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
-from ttus_opt.report.hysteresis import hysteresis_share
-from ttus_opt.report.metrics import FORCE_THRESHOLD
+from ttus_opt.report.metrics import FORCE_THRESHOLD, hysteresis_share
 from ttus_opt.report.tables import number
 
 Reading = Callable[[Score], float]

@@ -6,7 +6,7 @@ There are two passes over preallocated arrays, so a second field costs only the 
   skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the others go
   through branch-free loops, which the compiler vectorises.
 - `wrench_of` samples one field at those points and sums its wrench. The functions that
-  sample are those of the fit's rows (`ttus_opt.voxmap.depth_sampling`), so that both
+  sample are those of the fit's rows (`ttus_opt.voxmap.sampling`), so that both
   use the same voxels and weights.
 
 Arithmetic is float64 without fast-math: with reordered or fused operations a point near
@@ -28,8 +28,8 @@ from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.cylindrical import TURN, turn_angle
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
-from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
 from ttus_opt.voxmap.grid import GridLimits, around, depth_at
+from ttus_opt.voxmap.sampling import corner_sample, nearest_voxel, spoke_cell
 
 #: Index of ℓ₀ in `FrameData.limits`
 LENGTH = 11

@@ -15,7 +15,7 @@ from ttus_opt.contact.rows import shell_arrays
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.depth_sampling import spoke_table
+from ttus_opt.voxmap.sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Most blocks processed at once, so that their scratch stays in the L1 cache

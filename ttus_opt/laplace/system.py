@@ -40,8 +40,13 @@ from numpy.typing import NDArray
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.multigrid import Grounds, Multigrid, MultigridResult
-from ttus_opt.laplace.stencil import Stencil, change_links, operator, polar_ends
-from ttus_opt.laplace.variant_grid import VariantGrid
+from ttus_opt.laplace.stencil import (
+    Stencil,
+    VariantGrid,
+    change_links,
+    operator,
+    polar_ends,
+)
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import Voxmap
 

@@ -17,14 +17,18 @@ import numpy as np
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.message.envelope import FIELD, Reader, Writer
-from ttus_opt.message.integer_stream import read_integers, write_integers
+from ttus_opt.message.envelope import (
+    FIELD,
+    Reader,
+    Writer,
+    read_integers,
+    write_integers,
+)
 from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.message.surface_message import check_base, check_bound
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.sampling import FIELD_UNIT, SIZED, check_sampling
+from ttus_opt.voxmap.sampling import FIELD_UNIT, SIZED, check_sampling, spoke_table
 from ttus_opt.voxmap.sector import Sector, checked_sector
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 

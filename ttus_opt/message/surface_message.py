@@ -17,8 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError
-from ttus_opt.message.envelope import SURFACE, SURFACE_DELTA, Reader, Writer
-from ttus_opt.message.integer_stream import read_integers, write_integers
+from ttus_opt.message.envelope import (
+    SURFACE,
+    SURFACE_DELTA,
+    Reader,
+    Writer,
+    read_integers,
+    write_integers,
+)
 from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.frame import Axis

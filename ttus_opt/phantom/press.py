@@ -2,8 +2,8 @@
 
 Skin nodes move along their own normals. A node at x whose inward ray leaves the probe
 at depth s must be pushed in by at least s; the nodal forces f_i along the inward
-normals d_i solve the unilateral problem C f ≥ s (`ttus_opt.phantom.unilateral`). The
-probe is smooth, so its contact force acts along the PROBE's outward normal n_i at that
+normals d_i solve the unilateral problem C f ≥ s (`solve_unilateral`). The probe is
+smooth, so its contact force acts along the PROBE's outward normal n_i at that
 point and has the component f_i along d_i. The wrench on the probe is
 
     F = −Σ N_i n_i,   N_i = f_i / (n_i · d_i),   τ = Σ (x_i + s_i d_i − p) × (−N_i n_i).
@@ -15,6 +15,15 @@ where t_i is the direction in which the probe slides; it does not change N_i.
 Tissue resists more when pressed faster (Hunt and Crossley, J. Appl. Mech. 42, 1975): if
 the probe moves into the body with speed v_i at node i, N_i becomes
 N_i max(0, 1 + b v_i). The work of this additional force is dissipated.
+
+Forces push and never pull. The linear complementarity problem
+
+    f ≥ 0,   C f − s ≥ 0,   f · (C f − s) = 0
+
+for nodal forces f [N], compliance C [m/N] and probe depths s [m] has one solution if C
+is positive definite. With C = RᵀR it is the optimality condition of the nonnegative
+least-squares problem min ‖R f − R⁻ᵀs‖² over f ≥ 0 (Lawson and Hanson, Solving Least
+Squares Problems, 1974, chapter 23).
 """
 
 from __future__ import annotations
@@ -23,12 +32,41 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.probe import EllipsoidProbe
-from ttus_opt.phantom.unilateral import solve_unilateral
+
+
+def solve_unilateral(compliance: Array, depth: Array) -> Array:
+    """Find the nodal forces that keep the skin out of the probe.
+
+    Args:
+        compliance: Symmetric positive definite, shape (n, n) [m/N].
+        depth: How far the probe reaches below each node, shape (n,) [m].
+
+    Returns:
+        Inward nodal forces on the skin, zero where it does not touch, (n,) [N].
+
+    Raises:
+        InputError: The shapes disagree, or the compliance is not positive definite.
+    """
+    n = len(depth)
+    if compliance.shape != (n, n):
+        raise InputError(
+            f"compliance must be ({n}, {n}) for {n} depths, got {compliance.shape}"
+        )
+    try:
+        R = cholesky(compliance)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "compliance is not positive definite: compute it again"
+        ) from error
+    forces, _ = nnls(R, solve_triangular(R, depth, trans="T"))
+    return np.asarray(forces)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import FileError, warn
-from ttus_opt.probe.jumps import jumps
 from ttus_opt.probe.raw_recording import RawRecording, parts
-from ttus_opt.probe.recording_faults import bad_quaternions, missing, new_rows
+from ttus_opt.probe.recording_faults import bad_quaternions, jumps, missing, new_rows
 
 #: A pause longer than this [s], and than so many median steps, is a gap [–]
 PAUSE, STEPS = 0.1, 5.0

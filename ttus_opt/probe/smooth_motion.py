@@ -23,7 +23,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.compiled import compiled
-from ttus_opt.probe.jumps import unlike_neighbours
+from ttus_opt.probe.recording_faults import unlike_neighbours
 
 #: Fewest frames from which the noise can be estimated
 LEAST_FRAMES = 20

@@ -92,7 +92,7 @@ class Axis:
             flip: Take the opposite end for the head.
             prone: The patient lies on the front; without a support, the back was seen.
             camera: Where the scan was seen from, shape (3,) [m]; the scan's origin
-                when not given and the scan looks like it (`ttus_opt.scan.viewpoint`).
+                when not given and the scan looks like it (`frame_estimate.camera_of`).
             support: Look for the plane that the body lies on.
             rng: Draws trial planes; a fixed seed when not given.
 

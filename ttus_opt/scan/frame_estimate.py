@@ -6,8 +6,8 @@ lies in the plane along the body, and the origin is half-way between the support
 the ridge of the body, in the middle of its width: inside the body although only its
 upper half was seen. Without one, z comes from the surface normals alone, the origin is
 the centre of the circle that fits the cross-section best, and y points to the camera
-where the scan is one view (`ttus_opt.scan.viewpoint`), otherwise to the side that was
-seen or, on a body seen all around, along the shorter diameter.
+where the scan is one view (`camera_of`), otherwise to the side that was seen or, on a
+body seen all around, along the shorter diameter.
 
 z is the direction along the body's sides: surface normals are perpendicular to it, so
 it minimises the sum of (n·z)². The squares are clipped, because the ends of a torso (a
@@ -36,7 +36,50 @@ from ttus_opt.scan.supporting_plane import (
     across,
     find_supporting_plane,
 )
-from ttus_opt.scan.viewpoint import camera_of
+
+#: Half the widest field of view of a depth camera [rad], and its least distance [m]
+HALF_VIEW, LEAST_DISTANCE = np.radians(60.0), 0.2
+
+#: Width of a bundle of rays [rad], and the depth within it that a slope explains [m]
+BUNDLE, SLOPE = 0.01, 0.06
+
+#: Share of bundles that may be deeper: outlines, flying pixels, grazing surfaces
+DEEP_SHARE = 0.2
+
+
+def camera_of(cloud: Array) -> Array | None:
+    """The place from which a scan was seen, None if it is no single view.
+
+    A depth camera's points are in its own frame, with the camera at the origin. Such a
+    scan is told by its shape: it lies within the view of a camera, and each of its rays
+    meets the scene once. A body scanned all around, or from a place other than the
+    origin, has points of its front and of its back on one ray.
+
+    Args:
+        cloud: Scan, shape (n, 3) [m].
+
+    Returns:
+        The scan's origin, shape (3,) [m].
+    """
+    distance = np.linalg.norm(cloud, axis=1)
+    if not len(cloud) or np.quantile(distance, 0.01) < LEAST_DISTANCE:
+        return None
+    rays = cloud / np.maximum(distance, 1e-9)[:, None]
+    middle = rays.mean(axis=0)
+    middle /= max(float(np.linalg.norm(middle)), 1e-9)
+    if np.quantile(rays @ middle, 0.01) < np.cos(HALF_VIEW):
+        return None
+    cell = np.floor(rays / BUNDLE).astype(np.int64)
+    _, bundle, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    near, far = np.full(len(count), np.inf), np.zeros(len(count))
+    np.minimum.at(near, bundle, distance)
+    np.maximum.at(far, bundle, distance)
+    several = count > 1
+    if several.sum() < 10:  # too sparse to tell
+        return None
+    deep = (far - near)[several] > SLOPE
+    return np.zeros(3) if deep.mean() <= DEEP_SHARE else None
+
 
 _CELL = 0.012  # edge of the cells that equalise the density of points [m]
 _CUT = 0.25  # (n·z)² is clipped here, at 60° from the axis

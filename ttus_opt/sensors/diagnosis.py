@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.probe.jumps import jumps
 from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import (
     MOST_FORCE,
@@ -18,6 +17,7 @@ from ttus_opt.probe.recording_faults import (
     SLOW,
     bad_quaternions,
     faults,
+    jumps,
     missing,
 )
 from ttus_opt.probe.repair import gaps, repaired

@@ -19,11 +19,11 @@ from ttus_opt.session.model import Model, fit_model, judge
 from ttus_opt.session.readings import (
     Timing,
     contact_wrenches,
+    cut,
     joined_streams,
     read_forces,
     synchronise,
 )
-from ttus_opt.session.recordings import cut
 from ttus_opt.session.registration import Registration, probe_poses, register
 from ttus_opt.session.results import STEPS, Results
 from ttus_opt.session.skin import Skin, find_skin

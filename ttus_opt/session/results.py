@@ -10,8 +10,7 @@ from typing import Any
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, TtusError
-from ttus_opt.core.json_values import plain
-from ttus_opt.core.saved_results import read_json, write_json
+from ttus_opt.core.saved_results import plain, read_json, write_json
 
 #: Complete steps and their figures
 SUMMARY = "session.json"

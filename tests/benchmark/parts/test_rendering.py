@@ -1,4 +1,4 @@
-"""What the timing hands over; a time itself is never asserted."""
+"""Whole-array numpy agrees with the rows of the fit."""
 
 from dataclasses import replace
 
@@ -6,8 +6,24 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.benchmark.parts.rendering import frame_times, time_rendering
+from ttus_opt.benchmark.parts.rendering import frame_times, numpy_frame, time_rendering
 from ttus_opt.core.errors import InputError
+from ttus_opt.voxmap.field import PotentialField
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_a_numpy_frame_is_the_rows_of_the_fit(sampling):
+    scene = small_scene(sampling)
+    values = np.random.default_rng(1).normal(size=scene.voxmap.grid.shape)
+    field = PotentialField(scene.voxmap, values, sampling)
+    force = (scene.N @ values.reshape(-1)).reshape(-1, 3)
+    torque = (scene.W @ values.reshape(-1)).reshape(-1, 3)
+    poses = zip(scene.trajectory.rotation, scene.trajectory.position, strict=True)
+    for t, (R, at) in enumerate(poses):
+        expected = np.concatenate([force[t], torque[t]])
+        np.testing.assert_allclose(
+            numpy_frame(field, scene.shell, R, at), expected, atol=1e-11
+        )
 
 
 @pytest.mark.slow

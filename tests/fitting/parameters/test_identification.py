@@ -11,8 +11,7 @@ from tests.dragging import dragged_scene
 from tests.oracles.dense import least_squares, stacked
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.parameters.identification import noise_variance
-from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
+from ttus_opt.fitting.parameters.identification import PlaceRows, noise_variance
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.limited import Limited

@@ -8,7 +8,7 @@ import pytest
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
+from ttus_opt.fitting.parameters.identification import PlaceRows
 from ttus_opt.problem.formulation import load
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}

@@ -1,5 +1,7 @@
 """A path of weights: every point is the fit of its weights, in an annotated dataset."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.path import path_solvers
+from ttus_opt.fitting.path.solution_path import several_at_a_time
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Status
 
@@ -181,3 +184,19 @@ def test_a_searched_coefficient_is_found_at_every_point():
     alone = tt.fit(scene, "coulomb_global", force_weight=1.0)
     found = float(path["parameter_friction_coefficient"][1])
     assert found == pytest.approx(alone.parameters["friction_coefficient"], abs=1e-6)
+
+
+def warned(declared):
+    warnings.warn("of one place", TtusWarning, stacklevel=1)
+    warnings.warn(f"only of {declared}", TtusWarning, stacklevel=1)
+    return f"fit of {declared}"
+
+
+def test_a_warning_of_several_points_is_told_once():
+    points = [(0,), (1,), (2,)]
+    found = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")
+    with pytest.warns(TtusWarning) as told:
+        by_point = {index: fit for index, fit, _ in found}
+    assert by_point == {(i,): f"fit of {i % 2}" for i in range(3)}
+    messages = sorted(str(one.message) for one in told)
+    assert messages == ["of one place", "only of 0", "only of 1"]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.conftest import ellipsoid, torso
 from tests.refusals import refuses
-from ttus_opt.contact.pose_rows import PoseRows
+from ttus_opt.contact.rows import PoseRows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError, MistakeWarning, NumericalError, TtusWarning
 from ttus_opt.fitting.poses import pose_refinement

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.own_solver import AUTO as AUTO_SOLVER
-from ttus_opt.benchmark.own_solver import options_of, solver_of, version
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import (
@@ -25,7 +23,15 @@ from ttus_opt.benchmark.row import (
     Settings,
 )
 from ttus_opt.benchmark.solver_report import sections, terminal
-from ttus_opt.benchmark.solver_run import FIELDS, label, measured
+from ttus_opt.benchmark.solver_run import AUTO as AUTO_SOLVER
+from ttus_opt.benchmark.solver_run import (
+    FIELDS,
+    label,
+    measured,
+    options_of,
+    solver_of,
+    version,
+)
 from ttus_opt.benchmark.summary import row_table
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError

@@ -16,8 +16,8 @@ from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
 from ttus_opt.probe.conventions import Conventions
-from ttus_opt.probe.jumps import jumps
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.recording_faults import jumps
 from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface

@@ -30,8 +30,7 @@ from ttus_opt.fitting.checks.agreement import agreement, torque_offset
 from ttus_opt.fitting.checks.other_readings import Reading, other_readings
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.hysteresis import hysteresis_share
-from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
+from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate, hysteresis_share
 from ttus_opt.voxmap.field import PotentialField
 
 #: Most frames that are compared [–]

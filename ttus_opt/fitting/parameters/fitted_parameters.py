@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.contact.place_errors import UNKNOWN, PlaceErrors
+from ttus_opt.contact.places import UNKNOWN, PlaceErrors
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.parameters.identification import (
@@ -26,10 +26,10 @@ from ttus_opt.fitting.parameters.identification import (
     NOTHING_WEIGHS,
     SHARE,
     Estimate,
+    PlaceRows,
     judged_estimate,
     noise_variance,
 )
-from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact.place_errors import UNKNOWN, PlaceErrors
+from ttus_opt.contact.places import UNKNOWN, PlaceErrors
 from ttus_opt.core.arrays import Array
-from ttus_opt.fitting.parameters.identification import NO_SLOPE
-from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
+from ttus_opt.fitting.parameters.identification import NO_SLOPE, PlaceRows
 from ttus_opt.problem.solution import Solution, Status
 
 #: Relative rounding error of J [–]

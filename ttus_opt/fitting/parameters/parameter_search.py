@@ -21,11 +21,11 @@ from ttus_opt.fitting.parameters.identification import (
     NOTHING_WEIGHS,
     SHARE,
     Estimate,
+    PlaceRows,
     judged_estimate,
     noise_variance,
 )
 from ttus_opt.fitting.parameters.parabola import Parabola, UnsolvedError
-from ttus_opt.fitting.parameters.place_standard_errors import PlaceRows
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.contact.pose_rows import PoseRows
+from ttus_opt.contact.rows import PoseRows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByCovariance

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.posterior import Float32Array, kept_rows
-from ttus_opt.voxmap.depth_sampling import spoke_table
+from ttus_opt.voxmap.sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: No draws are kept deeper than this [m]
