@@ -7,8 +7,8 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.core.errors import InputError
-from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.problem.terms.depth_map import SCALE_DEVIATION, DepthMapTerm
+from ttus_opt.problem.terms.depth_map_estimate import PRIOR, DepthMapEstimate
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
 
 PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
@@ -40,6 +40,28 @@ def test_a_field_with_twice_the_deviation_costs_four_times_as_much():
     wider = term(deviation=0.8).assembled
     cost = np.sum((wider.blocks["p"] @ (one.mean * (1 + g)) - wider.target) ** 2)
     assert cost == pytest.approx(costs[0] / 4.0)
+
+
+def test_the_mean_drifts_by_its_scale_and_its_exponents():
+    """By differences: the prior of an exponent is one of its logarithm."""
+    one, h = term(), 1e-5
+    scale, *powers = one._uncertain_mean().drift.T
+    np.testing.assert_allclose(scale, SCALE_DEVIATION * one.mean)
+    assert len(powers) == len(PROFILE.exponents)
+    for j, power in enumerate(powers):
+        more, less = (
+            term_of(np.exp(sign * h * np.eye(len(powers))[j])) for sign in (1, -1)
+        )
+        slope = (more.mean - less.mean) / (2.0 * h)
+        np.testing.assert_allclose(
+            power, PRIOR["exponent"][1] * slope, rtol=1e-6, atol=1e-8 * abs(slope).max()
+        )
+
+
+def term_of(factors):
+    """A term whose exponents are times these."""
+    exponents = tuple(factors * PROFILE.exponents)
+    return replace(term(), profile=replace(PROFILE, exponents=exponents))
 
 
 @pytest.mark.parametrize("name", ["deviation", "surface_length", "depth_length"])
