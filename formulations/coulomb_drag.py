@@ -13,17 +13,16 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.drag_limit import (
+from ttus_opt.problem.constraints.signs import (
     DragLimit,
+    DragSign,
     MeanFriction,
     check_coefficient,
 )
-from ttus_opt.problem.constraints.signs import DragSign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import CoulombField
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.drag_smoothness import DragSmoothnessTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.laplace import DragSmoothnessTerm, LaplaceTerm
 from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 

@@ -21,7 +21,7 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
-from ttus_opt.problem.constraints.drag_limit import check_coefficient
+from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import LaplaceTerm

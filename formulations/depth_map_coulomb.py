@@ -12,7 +12,7 @@ Source: as `depth_map`, with Coulomb's law.
 
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
-from ttus_opt.problem.constraints.drag_limit import check_coefficient
+from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged

@@ -8,8 +8,8 @@ p_ref is the Laplace field L⁻¹b, or zero. Source: eq. 10 of Yeung, Black, Sal
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.tikhonov import TikhonovTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 

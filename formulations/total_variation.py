@@ -12,7 +12,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.total_variation import TotalVariationTerm
+from ttus_opt.problem.terms.departures import TotalVariationTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 

@@ -92,7 +92,7 @@ CORE = {
     "contact": "boundary_scale friction point_drag row_kernels rows "
     "shell_blocks slip standing",
     "core": "compiled threads",
-    "fitting": "batch breakdown verdict",
+    "fitting": "batch verdict",
     "fitting/checks": "agreement sanity",
     "fitting/parameters": "parabola",
     "fitting/path": "weight_grid",
@@ -107,7 +107,7 @@ CORE = {
     "laplace": "stencil system",
     "probe": "conventions orientation point_shell text_table tracker_noise",
     "problem/terms": "depth_map depth_map_estimate depth_profile distinct_drag "
-    "drag_estimate penalties total_variation wrench",
+    "departures drag_estimate penalties wrench",
     "problem/verify": "kkt relative_residuals",
     "report": "metrics",
     "scan": "contour_filter",
@@ -125,7 +125,7 @@ PATCH = ("comparators/test_patch_model.py", "comparators/test_patch_law.py")
 FURTHER = {
     "comparators/patch_law.py": PATCH[:1],
     "comparators/patch_model.py": PATCH[1:],
-    "contact/row_kernels.py": ("contact/test_rows.py", "voxmap/test_sector.py"),
+    "contact/row_kernels.py": ("contact/test_rows.py", "voxmap/test_grid.py"),
     "contact/rows.py": ("contact/test_contact_size.py",),
     "contact/slip.py": ("contact/test_point_drag.py",),
     "fitting/batch.py": ("fitting/weights/test_tuning.py",),

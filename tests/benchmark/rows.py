@@ -1,7 +1,7 @@
 """Rows of solvers as a run would give them."""
 
 from ttus_opt.benchmark.cases import reference_cases
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.row import Row, RunSpec
 
 KKT = {"primal": 0.0, "primal_relative": 0.0, "dual_relative": 2e-8}

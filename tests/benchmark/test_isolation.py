@@ -8,7 +8,7 @@ from tests.benchmark.tiny import TINY, trapped
 from tests.conftest import small_scene
 from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Settings
 from ttus_opt.fitting.batch import Fitter

@@ -9,7 +9,7 @@ import pytest
 from tests.benchmark.tiny import TINY, tiny_suite
 from tests.refusals import refuses
 from ttus_opt.benchmark import suite
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.contact.rows import Sampling
 from ttus_opt.core.errors import InputError, MissingPackageError, TtusWarning
 

@@ -8,7 +8,7 @@ import pytest
 
 from ttus_opt import example
 from ttus_opt.benchmark import suite
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.cli import main
 from ttus_opt.contact.rows import Sampling
 

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from ttus_opt.laplace.network import NeighbourRows, by_network
-from ttus_opt.problem.terms.total_variation import difference_rows
+from ttus_opt.problem.terms.departures import difference_rows
 
 SCENE = small_scene("trilinear")
 LAPLACE, GRID = SCENE.laplace, SCENE.voxmap.grid

@@ -4,7 +4,7 @@ import pytest
 from tests.refusals import refuses
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom import Torso
-from ttus_opt.phantom.scanned import ScannedTorso
+from ttus_opt.phantom.torso import ScannedTorso
 from ttus_opt.scan.surface import Surface
 
 

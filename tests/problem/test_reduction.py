@@ -10,9 +10,9 @@ from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.terms.departures import TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.penalties import Absolute
-from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 from ttus_opt.problem.terms.wrench import RobustForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry

@@ -10,7 +10,7 @@ from benchmarks.own_terms.along_z import AlongZ
 from benchmarks.own_terms.depth_weighted import DepthWeighted
 from benchmarks.own_terms.skin_graph import SkinGraph
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.total_variation import difference_rows
+from ttus_opt.problem.terms.departures import difference_rows
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.departures import difference_rows
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request

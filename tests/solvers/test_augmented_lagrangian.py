@@ -16,9 +16,9 @@ from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.terms.base import AffineRows, Term
+from ttus_opt.problem.terms.departures import TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Penalty
-from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import augmented_lagrangian, registry

@@ -15,9 +15,8 @@ from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
+from ttus_opt.problem.terms.departures import TikhonovTerm, TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
-from ttus_opt.problem.terms.tikhonov import TikhonovTerm
-from ttus_opt.problem.terms.total_variation import TotalVariationTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, RobustForceTerm
 
 SCENE = contested(3, (5, 9, 5), scale=-1.0, noise=1.0, n_poses=8)

@@ -14,7 +14,7 @@ from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.normal_equations import NormalEquations

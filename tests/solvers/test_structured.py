@@ -16,7 +16,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.scan.surface import Surface
 from ttus_opt.solvers import registry

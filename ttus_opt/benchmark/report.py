@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.row import Row, Settings
 from ttus_opt.core import io
 from ttus_opt.report import document

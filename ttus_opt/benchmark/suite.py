@@ -16,7 +16,7 @@ from pathlib import Path
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.machine import available_bytes
-from ttus_opt.benchmark.parts.registry import SOLVERS, parts
+from ttus_opt.benchmark.parts.base import SOLVERS, parts
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.core import optional
 from ttus_opt.core.errors import InputError, warn

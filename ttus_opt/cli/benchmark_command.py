@@ -139,7 +139,7 @@ def benchmark(
     """
     from ttus_opt.benchmark import Settings, Suite
     from ttus_opt.benchmark.machine import describe
-    from ttus_opt.benchmark.parts.registry import chosen
+    from ttus_opt.benchmark.parts.base import chosen
 
     names, machine = chosen(parts), describe()  # its load is that at the start
     cases = own.cases(case)
@@ -201,7 +201,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
     """Run with a bar on stderr, write the report, tell the figures."""
     from tqdm import tqdm
 
-    from ttus_opt.benchmark.parts.registry import parts
+    from ttus_opt.benchmark.parts.base import parts
     from ttus_opt.benchmark.report import write_report
     from ttus_opt.benchmark.row import MEASURED
 
@@ -248,7 +248,7 @@ def _export(suite: Suite, folder: Path, json: bool) -> None:
         InputError: No problem is asked for.
     """
     from ttus_opt.benchmark.export import export_program
-    from ttus_opt.benchmark.parts.registry import SOLVERS
+    from ttus_opt.benchmark.parts.base import SOLVERS
     from ttus_opt.benchmark.solver_run import declared, label
 
     runs = {

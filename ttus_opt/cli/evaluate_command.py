@@ -178,7 +178,7 @@ def evaluate(
         ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_test.csv --json
     """
-    from ttus_opt.contact.cut_off import cut_off
+    from ttus_opt.contact.scene_warnings import cut_off
     from ttus_opt.fitting.uncertainty.saved_uncertainty import read_uncertainty
     from ttus_opt.haptic.field_wrench import over_limits
     from ttus_opt.report import metrics

@@ -47,8 +47,8 @@ def render(
     """
     import numpy as np
 
-    from ttus_opt.contact.cut_off import cut_off
     from ttus_opt.contact.friction import FRICTION, PRESLIDING
+    from ttus_opt.contact.scene_warnings import cut_off
     from ttus_opt.core.errors import warn
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField

@@ -16,7 +16,7 @@ from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.contact.scene import ScenePlan
-    from ttus_opt.voxmap.sector import Sector
+    from ttus_opt.voxmap.grid import Sector
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def sector_of(text: str | None, option: str = "--sector") -> Sector | None:
     Raises:
         InputError: It is not two angles, or they leave no part of the turn.
     """
-    from ttus_opt.voxmap.sector import checked_sector
+    from ttus_opt.voxmap.grid import checked_sector
 
     if text is None:
         return None

@@ -12,8 +12,14 @@ own file with its source; a new one is a file in this folder with a subclass of
 from __future__ import annotations
 
 from ttus_opt.comparators.base import Comparator, RendersWrenches
-from ttus_opt.comparators.comparison import Row, compare, markdown
-from ttus_opt.comparators.registry import available, create, kind
+from ttus_opt.comparators.comparison import (
+    Row,
+    available,
+    compare,
+    create,
+    kind,
+    markdown,
+)
 
 __all__ = [
     "Comparator",

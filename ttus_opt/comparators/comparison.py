@@ -3,20 +3,25 @@
 Errors are those of `ttus_opt.report.metrics`. *Ripple* is the short-wave part of the
 rendered force while the probe slides slowly along a straight line: root mean square of
 the force minus its smooth part (a cubic over 10 mm), over its mean. Milliseconds depend
-on machine and run: compare them within a table only.
+on machine and run: compare them within a table only. Comparators are discovered in this
+folder.
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
-from ttus_opt.comparators.base import RendersWrenches, WrenchSource
-from ttus_opt.comparators.registry import available, create
+from ttus_opt.comparators.base import Comparator, RendersWrenches, WrenchSource
+from ttus_opt.core import plugins
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.point_shell import PointShell
@@ -24,6 +29,65 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import metrics
 from ttus_opt.report.document import Table
 from ttus_opt.scan.surface import Surface
+
+
+@functools.cache
+def _kinds() -> dict[str, type[Comparator]]:
+    """Classes by the name they are made by."""
+    classes = plugins.classes_of(sys.modules["ttus_opt.comparators"]).values()
+    kinds = [kind for kind in classes if issubclass(kind, Comparator) and kind.name]
+    return {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)}
+
+
+def available() -> dict[str, str]:
+    """Names of the comparators with their summaries."""
+    return {name: kind.summary for name, kind in _kinds().items()}
+
+
+def kind(name: str) -> type[Comparator]:
+    """The class of a comparator.
+
+    Raises:
+        InputError: Unknown name.
+    """
+    kinds = _kinds()
+    if name not in kinds:
+        raise InputError(f"unknown comparator {name!r}: choose from {', '.join(kinds)}")
+    return kinds[name]
+
+
+def create(
+    name: str,
+    *,
+    surface: Surface,
+    shell: PointShell,
+    cloud: Array | None = None,
+    **options: Any,
+) -> Comparator:
+    """A comparator, not yet fitted.
+
+    Args:
+        name: One of `available`.
+        surface: The patient.
+        shell: The probe.
+        cloud: Points of the surface, patient frame, for those that work on a cloud,
+            shape (n, 3) [m]; by default the surface's nodes.
+        options: Options of the comparator, see its class.
+
+    Raises:
+        InputError: Unknown name or option, or an invalid cloud.
+    """
+    made = kind(name)
+    common = {"self", "given", "surface", "shell", "cloud"}
+    known = set(inspect.signature(made.__init__).parameters) - common
+    unknown = sorted(options.keys() - known)
+    if unknown:
+        raise InputError(
+            f"{name} has no option {', '.join(unknown)}: it has "
+            f"{', '.join(sorted(known)) or 'none'}"
+        )
+    return made(surface=surface, shell=shell, cloud=cloud, **options)
+
 
 #: Length and speed of the slide, and the window of its smooth part
 SLIDE, SPEED, WINDOW = 0.03, 0.01, 0.01  # [m], [m/s], [m]

@@ -18,12 +18,12 @@ import scipy.sparse as sp
 from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.contact.boundary_scale import identified_scale
 from ttus_opt.contact.contact_size import Patches, patch_factors, patches_of
-from ttus_opt.contact.cut_off import cut_off
 from ttus_opt.contact.friction import DragRows
 from ttus_opt.contact.places import places, runs
 from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.contact.scene_warnings import (
+    cut_off,
     warn_contact,
     warn_cut_off,
     warn_misplaced,
@@ -40,8 +40,8 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.grid import Sector
 from ttus_opt.voxmap.sampling import check_sampling, least_length
-from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
 
 LOG = logging.getLogger(__name__)

@@ -27,8 +27,7 @@ from ttus_opt.phantom.examination import Handling, push_handling, sweep_handling
 from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import add_noise, add_pose_noise, record
-from ttus_opt.phantom.scanned import ScannedTorso
-from ttus_opt.phantom.torso import Torso, TorsoMesh, torso_body
+from ttus_opt.phantom.torso import ScannedTorso, Torso, TorsoMesh, torso_body
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 

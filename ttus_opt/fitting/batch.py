@@ -13,14 +13,13 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.compiled import Stopwatch
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.parameters.fitted_parameters import fitted_estimates
 from ttus_opt.fitting.parameters.identification import (
     warn_of_untold_friction,
     with_estimates,
 )
 from ttus_opt.fitting.parameters.parameter_search import SearchResult, search_parameters
-from ttus_opt.fitting.verdict import checked_candidate
+from ttus_opt.fitting.verdict import Guarded, checked_candidate
 from ttus_opt.fitting.verdict import judged as judged
 from ttus_opt.problem.compression import Compression
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load

@@ -28,8 +28,8 @@ from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.message.surface_message import check_base, check_bound
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.grid import Sector, checked_sector
 from ttus_opt.voxmap.sampling import FIELD_UNIT, SIZED, check_sampling, spoke_table
-from ttus_opt.voxmap.sector import Sector, checked_sector
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 
 #: Default bound of the potential [N, or N/cm² when trilinear]

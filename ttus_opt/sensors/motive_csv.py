@@ -26,9 +26,8 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import factor
 from ttus_opt.probe.raw_recording import RawRecording, complete
-from ttus_opt.sensors.cells import numbers, read_cells
 from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted, numbers, read_cells
 
 #: Words in the first column of the last line of the header
 FRAME, TIME = "Frame", "Time"

@@ -20,8 +20,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.sensors.cells import number, read_cells
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted, number, read_cells
 
 POSE = ("q0", "qx", "qy", "qz", "tx", "ty", "tz")
 

@@ -18,9 +18,8 @@ from ttus_opt.core import io
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import factor
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.sensors.cells import numbers
 from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted, numbers
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:

@@ -27,9 +27,14 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import factor
 from ttus_opt.probe.raw_recording import RawRecording, complete
-from ttus_opt.sensors.cells import number, numbers, read_cells
 from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.stream_format import (
+    StreamFormat,
+    Wanted,
+    number,
+    numbers,
+    read_cells,
+)
 
 FRAME = "Frame"
 

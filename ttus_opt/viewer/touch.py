@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.contact.contact_size import patches_of
-from ttus_opt.contact.cut_off import cut_off
+from ttus_opt.contact.scene_warnings import cut_off
 from ttus_opt.contact.standing import depth_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT

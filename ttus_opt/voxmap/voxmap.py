@@ -32,12 +32,14 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.cut_links import CutLinks
-from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid, nodes_of
-from ttus_opt.voxmap.sector import (
+from ttus_opt.voxmap.grid import (
+    BYTES_PER_VOXEL,
+    CylindricalGrid,
     Sector,
     check_seen,
     checked_sector,
     largest_radius,
+    nodes_of,
 )
 
 #: Default distance of the outer layer from the largest surface radius [m]

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from tests.benchmark.tiny import TINY as TINIER
-from ttus_opt.benchmark.parts.base import Part
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import Part, parts
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, Settings
 

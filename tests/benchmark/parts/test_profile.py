@@ -7,7 +7,7 @@ import pytest
 from tests.benchmark.parts.quick import measured
 from tests.conftest import small_scene
 from ttus_opt.benchmark.parts import profile
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.progress import KEPT
 
 #: What the passes of a V-cycle read and write, a word per colour: right side b, x,

@@ -6,7 +6,7 @@ import pytest
 
 from tests.benchmark.parts.quick import QUICK, TINY, measured
 from ttus_opt.benchmark.parts import recursion
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Settings
 

@@ -8,7 +8,7 @@ import pytest
 from tests.benchmark.rows import failed, row
 from tests.benchmark.tiny import TINY, tiny_suite
 from ttus_opt.benchmark.cases import reference_cases
-from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.row import Settings
 from ttus_opt.solvers import registry
 

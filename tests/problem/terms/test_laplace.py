@@ -22,7 +22,9 @@ from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.problem.terms.laplace import (
     LENGTH,
+    MEAN_FRICTION,
     AnisotropicTerm,
+    DragSmoothnessTerm,
     LaplaceFreeSurfaceTerm,
     LaplaceResidualTerm,
     LaplaceTerm,
@@ -344,3 +346,41 @@ def test_squares_are_an_integral():
     expected = length**2 * np.sqrt(volume / length**3)
     assert inside.sum() > 500
     np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-9)
+
+
+FEW = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
+V = FEW.n_voxels
+
+
+def residual(term, q, m):
+    rows = term.assembled
+    r = rows.blocks["q"] @ q - rows.target
+    return r + rows.blocks["m"] @ [m] if "m" in rows.blocks else r
+
+
+def test_a_share_of_the_laplace_field_costs_nothing():
+    field = np.linalg.solve(FEW.L.toarray(), FEW.b)
+    free, held = DragSmoothnessTerm(FEW), DragSmoothnessTerm(FEW, has_mean=False)
+    np.testing.assert_allclose(residual(free, 0.3 * field, 0.3), 0.0, atol=1e-9)
+    np.testing.assert_allclose(residual(held, 0.3 * field, 0.3), 0.3 * FEW.b, atol=1e-9)
+    np.testing.assert_allclose(residual(held, np.zeros(V), 0.0), 0.0)
+
+
+def test_its_rows_are_l_q_less_m_b():
+    q = np.random.default_rng(0).normal(size=V)
+    expected = FEW.L @ q - 0.7 * FEW.b
+    np.testing.assert_allclose(residual(DragSmoothnessTerm(FEW), q, 0.7), expected)
+
+
+def test_the_mean_is_found_or_given_up():
+    term, values = DragSmoothnessTerm(FEW, 2.0), {"m": np.array([0.25])}
+    assert term.parameters(values) == {MEAN_FRICTION: 0.25}
+    fitted = term.fitted(values)[MEAN_FRICTION]
+    np.testing.assert_array_equal(fitted.gradient["m"], [1.0])
+    neutral = term.with_neutral([MEAN_FRICTION])
+    assert not neutral.has_mean and neutral.weight == 2.0
+    assert neutral.parameters(values) == {MEAN_FRICTION: 0.0}
+    assert not neutral.fitted(values)
+    assert term.with_neutral(["another"]) is term
+    # said for a reader: the formula follows
+    assert "m b" in term.formula and "m b" not in neutral.formula

@@ -8,8 +8,8 @@ from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import TtusWarning
 from ttus_opt.gaussian.matern import SeparableCovariance
+from ttus_opt.problem.terms.departures import difference_rows
 from ttus_opt.problem.terms.laplace import LaplaceFreeSurfaceTerm
-from ttus_opt.problem.terms.total_variation import difference_rows
 from ttus_opt.voxmap.voxmap import Voxmap
 
 

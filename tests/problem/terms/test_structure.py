@@ -14,8 +14,11 @@ from ttus_opt.problem.constraints.base import Constraint, LinearRows
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.drag_smoothness import DragSmoothnessTerm
-from ttus_opt.problem.terms.laplace import LaplaceTerm, VolumeWeightedTerm
+from ttus_opt.problem.terms.laplace import (
+    DragSmoothnessTerm,
+    LaplaceTerm,
+    VolumeWeightedTerm,
+)
 from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.solvers.dual.data import second_field

@@ -16,9 +16,8 @@ from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.drag_limit import DragLimit
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.signs import Sign
+from ttus_opt.problem.constraints.signs import DragLimit, Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.tikhonov import TikhonovTerm
+from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.solvers.primal.matching import _Stencil, _Waves, matched_root
 
 SCENE = small_scene("trilinear", shape=(7, 12, 9), n_poses=3)

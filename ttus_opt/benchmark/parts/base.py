@@ -1,4 +1,4 @@
-"""The base of every part of the benchmark: its measurement and its table.
+"""The parts of the benchmark, discovered in this folder, and their base.
 
 A new part is a file in this folder with a ``PART``.
 """
@@ -6,14 +6,19 @@ A new part is a file in this folder with a ``PART``.
 from __future__ import annotations
 
 import abc
+import functools
+import importlib
+import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec, Settings
+from ttus_opt.core.errors import InputError
 from ttus_opt.report.document import Block, Heading, Table, Text
 
 #: Points of the probe's shell in parts whose time depends on their number
@@ -131,3 +136,37 @@ def _remark(row: Row) -> str:
     words = [row["status"]] if row["status"] != MEASURED else []
     words += [row["detail"]] if row["detail"] else []
     return ": ".join(words).replace("|", "/")
+
+
+#: The first part, and the default
+SOLVERS = "solvers"
+
+
+@functools.cache
+def parts() -> dict[str, Part]:
+    """Every part by name."""
+    listed: list[Part] = []
+    for module in pkgutil.iter_modules(ttus_opt.benchmark.parts.__path__):
+        loaded = importlib.import_module(f"ttus_opt.benchmark.parts.{module.name}")
+        listed += [loaded.PART] if hasattr(loaded, "PART") else []
+    listed.sort(key=lambda part: (part.name != SOLVERS, part.name))
+    return {part.name: part for part in listed}
+
+
+def chosen(text: str) -> list[str]:
+    """Names of parts, each once, from a comma-separated list or "all".
+
+    Raises:
+        InputError: An empty list, or an unknown name.
+    """
+    known = list(parts())
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if names == ["all"]:
+        return known
+    unknown = [name for name in names if name not in known]
+    if unknown or not names:
+        raise InputError(
+            f"unknown part {', '.join(unknown) or text!r}: choose from "
+            f"{', '.join(known)}, or all"
+        )
+    return list(dict.fromkeys(names))

@@ -44,7 +44,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.part_noise import normal_rows
 from ttus_opt.scan.cloud import inside
-from ttus_opt.voxmap.sector import Sector, checked_sector, holds
+from ttus_opt.voxmap.grid import Sector, checked_sector, holds
 
 #: Presses by default [–]
 COUNT = 5

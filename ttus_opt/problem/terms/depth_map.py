@@ -22,10 +22,10 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.depth_map_estimate import PRIOR, DepthMapEstimate
-from ttus_opt.problem.terms.depth_map_limits import check_depth_map
 from ttus_opt.problem.terms.depth_profile import (
     REFERENCE_DEPTH,
     DepthProfile,
+    check_depth_map,
     voxel_depths,
 )
 from ttus_opt.problem.terms.structure import KnownCovariance, UncertainMean

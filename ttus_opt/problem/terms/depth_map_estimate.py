@@ -40,10 +40,11 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.conditioned import ByCovariance
 from ttus_opt.gaussian.matern import matern
 from ttus_opt.gaussian.posterior_mode import posterior_mode
-from ttus_opt.problem.terms.depth_map_limits import check_depth_map, depth_map_limits
 from ttus_opt.problem.terms.depth_profile import (
     EXPONENTS,
     DepthProfile,
+    check_depth_map,
+    depth_map_limits,
     powers_of,
     slopes_of,
     voxel_depths,

@@ -29,7 +29,7 @@ from ttus_opt.problem.terms.distinct_drag import (
     ONE_SENSE,
     distinct_drag,
 )
-from ttus_opt.problem.terms.drag_smoothness import MEAN_FRICTION
+from ttus_opt.problem.terms.laplace import MEAN_FRICTION
 from ttus_opt.problem.terms.rows import replaced
 
 Blocks = dict[str, sp.csr_array]

@@ -1,13 +1,13 @@
-"""Total variation of the departure from the Laplace field p₀.
+"""Departures from a reference field: Tikhonov's squares, and their total variation.
 
-It penalises differences D (p − p₀) between neighbouring voxels, divided by their
-distance in units of Δr. Departures then are plateaus with edges, like a stiff lump in
-soft tissue. There are two variants:
+Total variation penalises differences D (p − p₀) between neighbouring voxels, divided by
+their distance in units of Δr. Departures then are plateaus with edges, like a stiff
+lump in soft tissue. There are two variants:
 
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.
 
-See docs/method/formulations.md, Penalties.
+See docs/method/formulations.md, The shelf and Penalties.
 """
 
 from __future__ import annotations
@@ -17,9 +17,46 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.penalties import Absolute, Groups, Penalty
+from ttus_opt.problem.terms.rows import unit_rows
 from ttus_opt.voxmap.grid import CylindricalGrid
+
+REFERENCES = ("laplace", "zero")
+
+
+@dataclass(frozen=True)
+class TikhonovTerm(Term):
+    """Squares of the departure from a reference field [unit of p, squared].
+
+    Attributes:
+        reference: "laplace" for the Laplace field p₀ = L⁻¹b, or "zero".
+    """
+
+    reference: str = "laplace"
+
+    name = "tikhonov"
+    formula = "‖p − p_ref‖² over free voxels"
+
+    def __post_init__(self) -> None:
+        """Validate weight and reference."""
+        super().__post_init__()
+        if self.reference not in REFERENCES:
+            raise InputError(
+                f"tikhonov reference must be one of {', '.join(REFERENCES)}, got "
+                f"{self.reference!r}"
+            )
+
+    def rows(self) -> AffineRows:
+        """Identity rows of the free voxels."""
+        scene = self.scene
+        free = np.flatnonzero(scene.laplace.free)
+        rows = unit_rows(free, scene.n_voxels)
+        target = np.zeros(len(free))
+        if self.reference == "laplace":
+            target = scene.laplace.solve(scene.b)[free]
+        return AffineRows({"p": rows}, target)
 
 
 @dataclass(frozen=True)

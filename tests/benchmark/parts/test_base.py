@@ -1,7 +1,4 @@
-"""Every part on a small case: figures complete, comparable and told in a table.
-
-A new part is tested here by existing, when it is given a quick question below.
-"""
+"""Every part of the benchmark, and how parts are chosen."""
 
 import json
 import math
@@ -10,8 +7,10 @@ from dataclasses import replace
 import pytest
 
 from tests.benchmark.parts.quick import SETTINGS, TINY, every_part, measured
-from ttus_opt.benchmark.parts.registry import SOLVERS
+from tests.refusals import refuses
+from ttus_opt.benchmark.parts.base import SOLVERS, chosen
 from ttus_opt.benchmark.row import RunSpec
+from ttus_opt.core.errors import InputError
 
 
 @pytest.mark.slow
@@ -39,3 +38,11 @@ def test_plan_survives_json(part):
     if plan[0].case is not None:
         other = part.plan([replace(TINY, r_inner=0.04)], SETTINGS)
         assert {s.key for s in other}.isdisjoint(s.key for s in plan)
+
+
+def test_names():
+    named = ["assembly", "live", "profile", "recursion", "rendering", "ripple"]
+    assert chosen("all") == [SOLVERS, *named]
+    assert chosen("ripple, solvers,ripple") == ["ripple", SOLVERS]
+    for text in ("riple", "", "solvers,all"):
+        refuses(InputError, "choose from solvers, assembly", chosen, text)
