@@ -7,17 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.drags import LAWS, SHELL, SURFACE, pushing, unlimited
+from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing, unlimited
 from tests.refusals import refuses
+from ttus_opt.contact.contact_size import patches_of
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import PRESLIDING, VISCOUS
 from ttus_opt.haptic.field_wrench import wrenches_along
-from ttus_opt.haptic.presliding import BRISTLE, STRENGTH, bend
+from ttus_opt.haptic.presliding import ALONG, BRISTLE, FLANK, STRENGTH, bend
 from ttus_opt.haptic.presliding import LENGTH as LENGTH_OF
 from ttus_opt.probe.trajectory import Trajectory
 
 LENGTH, STILL = 1e-3, np.zeros(6)
 LAW = {**LAWS["coulomb"], "presliding_length": LENGTH}
+AT_POINTS = {**LAWS["coulomb-points"], "presliding_length": LENGTH}
 AT_REFERENCE = {**LAWS["coulomb-reference"], "presliding_length": LENGTH}
 
 
@@ -68,7 +70,7 @@ def test_drag_builds_up_over_the_length():
     assert sizes[2] / sizes[3] == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize("law", [LAW, AT_REFERENCE])
+@pytest.mark.parametrize("law", [LAW, AT_REFERENCE, AT_POINTS])
 @pytest.mark.parametrize("seed", range(2))
 def test_no_closed_path_gives_energy(law, seed):
     """Random loops that slide, turn, press and lift: work taken is never negative."""
@@ -102,6 +104,22 @@ def test_no_closed_path_gives_energy(law, seed):
     assert lowest >= -1e-12
 
 
+def test_a_straight_press_drags_along_its_flanks_as_every_point_does():
+    """Once pressed by 2ℓ the drag is the points' own, and turns round with it."""
+    renderer, bare = unlimited(held(AT_POINTS)), unlimited(held({}))
+    sliding = unlimited(held(LAWS["coulomb-points"]))
+    for depths in (np.linspace(0.0, 0.006, 121), np.linspace(0.006, 0.003, 61)):
+        for depth in depths:
+            at = place(0.0, depth)
+            drag = drag_at(renderer, bare, at)
+        pressure = bare.render(np.eye(3), at).force
+        patch = patches_of(VOXMAP, SHELL, np.eye(3)[None], at[None]).normal[0]
+        way = np.concatenate([patch * np.sign(depths[0] - depths[1]), np.zeros(3)])
+        each = sliding.render(np.eye(3), at, 0.1 * way).force - pressure
+        assert drag @ way[:3] < -0.05 * np.linalg.norm(pressure)
+        assert drag @ patch == pytest.approx(each @ patch, rel=0.02)
+
+
 def test_pressing_harder_while_held_gives_no_energy():
     """Bent lightly, pressed, let go: b shrinks so that the force stays."""
     renderer, bare = unlimited(held(LAW)), unlimited(held({}))
@@ -120,7 +138,8 @@ def test_pressing_harder_while_held_gives_no_energy():
     assert abs(forces[1][2]) < 1.1 * abs(forces[0][2])
 
 
-def test_a_recording_feels_what_the_renderer_renders():
+@pytest.mark.parametrize("law", [LAW, AT_POINTS])
+def test_a_recording_feels_what_the_renderer_renders(law):
     rng, n = np.random.default_rng(3), 60
     along = np.cumsum(rng.normal(size=n)) * LENGTH
     position = np.stack(
@@ -130,7 +149,7 @@ def test_a_recording_feels_what_the_renderer_renders():
     motion = Trajectory.from_arrays(
         position, np.tile(np.eye(3), (n, 1, 1)), times=0.05 * np.arange(n)
     )
-    field, renderer = held(LAW), unlimited(held(LAW))
+    field, renderer = held(law), unlimited(held(law))
     along_all = wrenches_along(field, SHELL, motion)
     for k in range(n):
         one = renderer.render(np.eye(3), position[k], motion.twist()[k])
@@ -151,8 +170,13 @@ def test_poses_alone_are_enough():
 
 def test_an_update_leaves_the_force_of_a_held_probe():
     """To a stiffer, rougher field and to one without presliding: within the rate."""
-    for new in (held({**LAW, "friction_coefficient": 0.6}, 2.0), held(LAWS["coulomb"])):
-        renderer, bare = unlimited(held(LAW)), unlimited(held({}))
+    rougher = {"friction_coefficient": 0.6}
+    for old, new in (
+        (LAW, held({**LAW, **rougher}, 2.0)),
+        (LAW, held(LAWS["coulomb"])),
+        (AT_POINTS, held({**AT_POINTS, **rougher}, 2.0)),
+    ):
+        renderer, bare = unlimited(held(old)), unlimited(held({}))
         for along in np.linspace(0.0, 0.003, 61):
             before = renderer.render(np.eye(3), place(along), STILL).force
         assert np.linalg.norm(drag_at(renderer, bare, place(0.003))) > 0.5
@@ -163,24 +187,29 @@ def test_an_update_leaves_the_force_of_a_held_probe():
             before = force
 
 
-@pytest.mark.parametrize("length", [LENGTH / 4, 4 * LENGTH])
-def test_another_length_does_not_raise_the_stored_energy(length):
-    """M ℓ |b|²/2, of a probe that does not move."""
+@pytest.mark.parametrize("seed", range(20))
+def test_another_field_does_not_raise_the_stored_energy(seed):
+    """M ℓ |b|²/2 and M_n ℓ_n b_n²/2, of a probe that does not move."""
+    rng = np.random.default_rng(seed)
     numbers, bristle = np.zeros(VISCOUS), np.zeros(BRISTLE)
-    numbers[PRESLIDING], bristle[1] = length, 0.8
-    bristle[STRENGTH], bristle[LENGTH_OF] = 2.0, LENGTH
     patch = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    bend(bristle, (0.0,) * 6, np.eye(3), patch, 2.0, numbers)
-    stored = length * float(bristle[:3] @ bristle[:3])
-    assert stored == pytest.approx(min(length, LENGTH) * 0.8**2)
+    bristle[1], bristle[ALONG] = 0.6, -0.5
+    bristle[[STRENGTH, FLANK]] = rng.uniform(0.5, 2.0, 2)
+    bristle[LENGTH_OF] = LENGTH * rng.uniform(0.25, 4.0)
+
+    def stored():
+        strength, length = bristle[STRENGTH], bristle[LENGTH_OF]
+        along = (bristle[FLANK] * bristle[ALONG]) ** 2 * length / strength
+        return strength * length * bristle[1] ** 2, along
+
+    before, force = stored(), bristle[FLANK] * bristle[ALONG]
+    numbers[PRESLIDING] = LENGTH
+    new = rng.uniform(0.5, 2.0, 2)
+    bend(bristle, (0.0,) * 6, np.eye(3), patch, *new, numbers)
+    assert all(np.array(stored()) <= np.array(before) * (1.0 + 1e-12))
+    assert abs(bristle[FLANK] * bristle[ALONG]) <= abs(force) * (1.0 + 1e-12)
 
 
-@pytest.mark.parametrize(
-    ("law", "word"),
-    [
-        ({**LAW, "presliding_length": -1.0}, "presliding_length of a field must not"),
-        ({**LAW, "drag_at_points": 1.0}, "presliding_length needs drag on the contact"),
-    ],
-)
-def test_unusable_lengths_are_refused(law, word):
-    refuses(InputError, word, unlimited, held(law))
+def test_a_negative_length_is_refused():
+    law = {**LAW, "presliding_length": -1.0}
+    refuses(InputError, "presliding_length of a field must not", unlimited, held(law))

@@ -82,8 +82,8 @@ class DragLaw:
 
         Raises:
             InputError: A coefficient that is negative or not finite, a deadband that
-                is not positive, drag at the reference without a unit axis, presliding
-                at every point, a flag other than 0 and 1, or no region.
+                is not positive, drag at the reference without a unit axis, a flag
+                other than 0 and 1, or no region.
         """
         numbers = np.zeros(VISCOUS)
         numbers[FRICTION] = _coefficient(parameters, friction.FRICTION, 0.0)
@@ -98,11 +98,6 @@ class DragLaw:
                 )
             numbers[ACTS_AT] = AT_POINTS
         numbers[PRESLIDING] = _coefficient(parameters, friction.PRESLIDING, 0.0)
-        if numbers[PRESLIDING] > 0.0 and numbers[ACTS_AT] == AT_POINTS:
-            raise InputError(
-                f"{friction.PRESLIDING} needs drag on the contact or at the reference: "
-                f"leave it out, or set {friction.DRAG_AT_POINTS} to 0"
-            )
         counts = [int(parameters.get(n, 1)) for n in (friction.SECTORS, friction.BANDS)]
         numbers[SECTORS], numbers[BANDS] = counts
         numbers[LOWEST], numbers[LENGTH] = grid.z_min, grid.z_max - grid.z_min
@@ -115,7 +110,7 @@ class DragLaw:
             _coefficient(parameters, f"{friction.VISCOUS}_{i}", mean)
             for i in range(counts[0] * counts[1])
         ]
-        by_points = numbers[ACTS_AT] == AT_POINTS
+        by_points = numbers[ACTS_AT] == AT_POINTS and numbers[PRESLIDING] == 0.0
         if max(viscosity) > 0.0 or (numbers[FRICTION] > 0.0 and not by_points):
             numbers[ACTIVE] = BY_PATCH
         elif numbers[FRICTION] > 0.0:

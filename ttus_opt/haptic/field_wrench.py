@@ -171,33 +171,39 @@ def _drags(
     sliding = Sliding.of(potential.voxmap, shell, trajectory)
     patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
     twist, reference = trajectory.twist(), np.array(shell.reference)
-    drag = np.empty_like(contact)
+    drag, flanks = np.empty_like(contact), np.zeros(len(contact))
+    at_points, presliding = law.numbers[ACTS_AT] == AT_POINTS, law.numbers[PRESLIDING]
+    if at_points and presliding > 0.0:  # of points that move along n̂
+        along = np.concatenate([sliding.normal, np.zeros_like(sliding.normal)], axis=1)
+        pushed = _point_drags(law, potential, shell, trajectory, along)
+        flanks = -np.einsum("ti,ti->t", pushed[:, :3], sliding.normal)
     R, at, numbers = np.empty((3, 3)), np.empty(3), law.numbers
     for t in range(len(trajectory)):
         # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
         drag_of(R, at, twist[t], reference, patch[t], contact[t], numbers, drag[t])
-        if numbers[PRESLIDING] > 0.0:
+        if presliding > 0.0:
             if t == 0 or trajectory.segment[t] != trajectory.segment[t - 1]:
                 ledger = settled_ledger(0.0)
             way = follow(ledger, R, at, reference)
             strength = strength_of(patch[t], contact[t], numbers)
-            bend(ledger[BENT:], way, R, patch[t], strength, numbers)
-            add_presliding(ledger[BENT:], patch[t], contact[t], numbers, drag[t])
-    if law.numbers[ACTS_AT] == AT_POINTS:
-        _add_point_drags(law, potential, shell, trajectory, drag)
+            bent, flank = ledger[BENT:], max(flanks[t], 0.0)
+            bend(bent, way, R, patch[t], strength, flank, numbers)
+            add_presliding(bent, patch[t], contact[t], flank, numbers, drag[t])
+    if at_points and presliding == 0.0:
+        drag += _point_drags(law, potential, shell, trajectory, twist)
     return drag
 
 
-def _add_point_drags(
+def _point_drags(
     law: DragLaw,
     potential: PotentialField,
     shell: PointShell,
     trajectory: Trajectory,
-    drag: Array,
-) -> None:
-    """Add the drag of every shell point in every frame, by the renderer's code."""
-    sampling, twist = potential.sampling, trajectory.twist()
+    twist: Array,
+) -> Array:
+    """Drag of all shell points at given twists (T, 6), by the renderer's code."""
+    sampling, drag = potential.sampling, np.zeros_like(twist)
     data = FrameData.of(
         potential.voxmap,
         shell,
@@ -211,3 +217,4 @@ def _add_point_drags(
         n = touch(R, at, data)[0]
         wrench_of(values, n, R, data, wrench)
         add_point_drag(R, twist[t], n, data, law.numbers, drag[t])
+    return drag

@@ -12,6 +12,13 @@ Its energy E = M ℓ ‖b‖²/2 never rises by more than the work −f_dᵀδs 
 the step of b is a projection onto a ball; where M rises, b shrinks so that the force
 stays; where M falls or the contact turns, E falls. Without contact b is zero.
 
+Where drag acts at every point, a probe that is pressed straight in slides along its
+flanks, and its press is heavier than its release: a deflection b_n along n̂ adds
+−M_n b_n n̂, with the drag M_n of all points when the probe moves along n̂ (`flank_of`).
+Its length is ℓ_n = ℓ M_n/M: skin shears as stiffly along n̂ as across. (b, b_n) is
+projected onto the ball together, so that one slide takes the other's place; one factor
+scales both, which bounds E_n = M_n ℓ_n b_n²/2 as well.
+
 References: P. R. Dahl, A solid friction model, Aerospace Corporation TOR-0158, 1968;
 V. Hayward, B. Armstrong, A new computational model of friction applied to haptic
 rendering, 2000.
@@ -24,10 +31,20 @@ import math
 from ttus_opt.contact.rows import rotated
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.haptic.drag import ACTS_AT, AT_REFERENCE, AXIS, FRICTION, PRESLIDING
+from ttus_opt.haptic.drag import (
+    ACTS_AT,
+    AT_POINTS,
+    AT_REFERENCE,
+    AXIS,
+    FRICTION,
+    PRESLIDING,
+)
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.point_drag import add_point_drag
 
-#: Entries of a bristle: b [–], then the M [N] and ℓ [m] it was last bent at
-STRENGTH, LENGTH, BRISTLE = 3, 4, 5
+#: Entries of a bristle: b [–], then the M [N] and ℓ [m] it was last bent at, b_n [–],
+#: and the M_n it was last bent at [N]
+STRENGTH, LENGTH, ALONG, FLANK, BRISTLE = 3, 4, 5, 6, 7
 
 
 @compiled(inline="always")
@@ -40,46 +57,86 @@ def strength_of(patch: Array, wrench: Array, numbers: Array) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
+def flank_of(
+    R: Array, patch: Array, contact: int, s: FrameData, numbers: Array, rows: Array
+) -> float:
+    """M_n of the field sampled last, 0 unless drag is at its points [N] (compiled).
+
+    Args:
+        R: Rotation, probe to patient, shape (3, 3) [–].
+        patch: `drag.patch_of`, shape (6,).
+        contact: What `frame.touch` returned.
+        s: Probe, surface and scratch.
+        numbers: `DragLaw.numbers` of the field.
+        rows: Scratch, shape (2, 6).
+    """
+    if numbers[PRESLIDING] == 0.0 or numbers[ACTS_AT] != AT_POINTS:
+        return 0.0
+    twist, drag = rows[0], rows[1]
+    for c in range(6):
+        twist[c], drag[c] = patch[c] if c < 3 else 0.0, 0.0
+    add_point_drag(R, twist, contact, s, numbers, drag)
+    against = patch[0] * drag[0] + patch[1] * drag[1] + patch[2] * drag[2]
+    return max(-against, 0.0)
+
+
+@compiled(error_model="numpy", nogil=True)
 def bend(
     bristle: Array,
     way: tuple[float, float, float, float, float, float],
     R: Array,
     patch: Array,
     strength: float,
+    flank: float,
     numbers: Array,
 ) -> None:
     """Let a bristle follow one frame's motion (compiled).
 
     Args:
-        bristle: b, M and ℓ, shape (BRISTLE,), zeros at first; written.
+        bristle: By the indices above, shape (BRISTLE,), zeros at first; written.
         way: Displacement of the reference and rotation vector, patient axes [m, rad].
         R: Rotation, probe to patient, shape (3, 3) [–].
         patch: `drag.patch_of`, shape (6,).
         strength: M of this frame [N].
+        flank: M_n of this frame [N].
         numbers: `DragLaw.numbers` of the field.
     """
     held, before, length = bristle[STRENGTH], bristle[LENGTH], numbers[PRESLIDING]
-    bristle[STRENGTH], bristle[LENGTH] = strength, length
+    held_along = bristle[FLANK]
+    bristle[STRENGTH], bristle[LENGTH], bristle[FLANK] = strength, length, flank
     if strength == 0.0 or held == 0.0:  # a contact begins with a straight bristle
-        bristle[0], bristle[1], bristle[2] = 0.0, 0.0, 0.0
+        bristle[0], bristle[1], bristle[2], bristle[ALONG] = 0.0, 0.0, 0.0, 0.0
         return
     ax, ay, az, ex, ey, ez = patch[3], patch[4], patch[5], patch[0], patch[1], patch[2]
     if numbers[ACTS_AT] == AT_REFERENCE:
         ax, ay, az = 0.0, 0.0, 0.0
         ex, ey, ez = rotated(R, numbers[AXIS], numbers[AXIS + 1], numbers[AXIS + 2])
-    keep = min(held / strength, 1.0) * min(math.sqrt(before / length), 1.0)
-    bx = keep * bristle[0] + (way[0] + way[4] * az - way[5] * ay) / length
-    by = keep * bristle[1] + (way[1] + way[5] * ax - way[3] * az) / length
-    bz = keep * bristle[2] + (way[2] + way[3] * ay - way[4] * ax) / length
+    stays = min(math.sqrt(before / length), 1.0)
+    keep = min(held / strength, 1.0) * stays
+    sx = (way[0] + way[4] * az - way[5] * ay) / length
+    sy = (way[1] + way[5] * ax - way[3] * az) / length
+    sz = (way[2] + way[3] * ay - way[4] * ax) / length
+    bn = 0.0
+    if flank > 0.0:
+        softens = min(math.sqrt(before * strength / (length * held)), 1.0)
+        bn = min(held_along / flank, 1.0) * softens * bristle[ALONG]
+        bn += (ex * sx + ey * sy + ez * sz) * strength / flank
+    bx, by, bz = keep * bristle[0] + sx, keep * bristle[1] + sy, keep * bristle[2] + sz
     along = ex * bx + ey * by + ez * bz
     bx, by, bz = bx - along * ex, by - along * ey, bz - along * ez
-    size = max(math.sqrt(bx * bx + by * by + bz * bz), 1.0)
+    size = max(math.sqrt(bx * bx + by * by + bz * bz + bn * bn), 1.0)
     bristle[0], bristle[1], bristle[2] = bx / size, by / size, bz / size
+    bristle[ALONG] = bn / size
 
 
 @compiled(error_model="numpy", nogil=True)
 def add_presliding(
-    bristle: Array, patch: Array, wrench: Array, numbers: Array, drag: Array
+    bristle: Array,
+    patch: Array,
+    wrench: Array,
+    flank: float,
+    numbers: Array,
+    drag: Array,
 ) -> None:
     """Add the drag of a bent bristle; none for a field without presliding (compiled).
 
@@ -87,6 +144,7 @@ def add_presliding(
         bristle: As `bend` left it.
         patch: `drag.patch_of`, shape (6,).
         wrench: Contact wrench of the field, shape (6,) [N, N·m].
+        flank: Its M_n [N].
         numbers: `DragLaw.numbers` of the field.
         drag: Force and torque about the reference, shape (6,) [N, N·m]; added to.
     """
@@ -94,7 +152,10 @@ def add_presliding(
     ax, ay, az = patch[3], patch[4], patch[5]
     if numbers[ACTS_AT] == AT_REFERENCE:
         ax, ay, az = 0.0, 0.0, 0.0
-    fx, fy, fz = -strength * bristle[0], -strength * bristle[1], -strength * bristle[2]
+    along = flank * bristle[ALONG]
+    fx = -strength * bristle[0] - along * patch[0]
+    fy = -strength * bristle[1] - along * patch[1]
+    fz = -strength * bristle[2] - along * patch[2]
     drag[0], drag[1], drag[2] = drag[0] + fx, drag[1] + fy, drag[2] + fz
     drag[3] += ay * fz - az * fy
     drag[4] += az * fx - ax * fz

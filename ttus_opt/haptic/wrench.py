@@ -31,7 +31,7 @@ from ttus_opt.haptic.frame import near_end, touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
-from ttus_opt.haptic.presliding import add_presliding, bend, strength_of
+from ttus_opt.haptic.presliding import add_presliding, bend, flank_of, strength_of
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: Returned by a frame instead of a count if its input is unusable
@@ -60,8 +60,10 @@ class FieldPair(NamedTuple):
 
 
 #: Rows of `FrameBuffers.rows`: wrench and drag of the frame, twist, patch, then contact
-#: wrench and drag of the present field during a swap
-WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
+#: wrench and drag of the present field during a swap; M_n of `presliding` of the new
+#: and of the present field; two rows of scratch
+WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG = 0, 1, 2, 3, 4, 5
+FLANKS, SCRATCH, ROWS = 6, 7, 9
 
 
 class FrameBuffers(NamedTuple):
@@ -186,7 +188,10 @@ def _drag(
     R, rows = buffers.R, buffers.rows
     twist, reference, drag = rows[TWIST], data.reference, rows[into]
     drag_of(R, buffers.at, twist, reference, rows[PATCH], rows[of], numbers, drag)
-    if moves and numbers[ACTS_AT] == AT_POINTS and numbers[FRICTION] > 0.0:
+    scratch, field = rows[SCRATCH:ROWS], 0 if into == DRAG else 1
+    rows[FLANKS, field] = flank_of(R, rows[PATCH], contact, data, numbers, scratch)
+    at_points = numbers[ACTS_AT] == AT_POINTS and numbers[PRESLIDING] == 0.0
+    if moves and at_points and numbers[FRICTION] > 0.0:
         add_point_drag(R, twist, contact, data, numbers, drag)
 
 
@@ -206,16 +211,19 @@ def _hold(
     rows, bristle = buffers.rows, pair.ledger[BENT:]
     patch, new, old = rows[PATCH], pair.target_drag, pair.current_drag
     strength, law = strength_of(patch, rows[WRENCH], new), new
+    fresh, before = rows[FLANKS, 0], rows[FLANKS, 1]
+    flank = fresh
     if swaps:
         share = pair.ledger[PROGRESS]
         other = strength_of(patch, rows[OLD], old)
         strength = share * strength + (1.0 - share) * other
+        flank = share * fresh + (1.0 - share) * before
         law = new if new[PRESLIDING] > 0.0 else old
     if may_write:
-        bend(bristle, motion, buffers.R, patch, strength, law)
-    add_presliding(bristle, patch, rows[WRENCH], new, rows[DRAG])
+        bend(bristle, motion, buffers.R, patch, strength, flank, law)
+    add_presliding(bristle, patch, rows[WRENCH], fresh, new, rows[DRAG])
     if swaps:
-        add_presliding(bristle, patch, rows[OLD], old, rows[OLD_DRAG])
+        add_presliding(bristle, patch, rows[OLD], before, old, rows[OLD_DRAG])
 
 
 @compiled(inline="always")

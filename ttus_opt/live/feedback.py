@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.contact.friction import FRICTION, PRESLIDING
+from ttus_opt.contact.friction import DRAG_AT_POINTS, FRICTION, PRESLIDING
 from ttus_opt.core.arrays import Array
 from ttus_opt.haptic.blend import BlendLaw, BlendState
 from ttus_opt.haptic.depth_stop import DepthStop
@@ -103,7 +103,8 @@ class ModelFeedback:
 
 def _held(field: PotentialField) -> PotentialField:
     """The field with presliding, where it has friction without."""
-    parameters = {PRESLIDING: PRESLIDING_LENGTH, **field.parameters}
+    held = {PRESLIDING: PRESLIDING_LENGTH, DRAG_AT_POINTS: 1.0}
+    parameters = {**held, **field.parameters}
     rubs = field.parameters.get(FRICTION, 0.0) > 0.0
     return replace(field, parameters=parameters) if rubs else field
 
