@@ -1,6 +1,6 @@
 """The patient's side of a live session with a robot that speaks OpenIGTLink.
 
-    python live_follower.py session.key 192.0.2.9 18944 surface.nc probe.stl
+    python live_follower.py session.key 192.0.2.9 18944 surface.nc probe.stl [webrtc]
 
 The robot's server sends the pose of the probe in the patient frame as TRANSFORM `Probe`
 [mm] and what its sensor feels as SENSOR `Wrench`, six numbers [N, N m], gravity taken
@@ -21,10 +21,10 @@ from ttus_opt import PointShell, Surface
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.driven_patient import DrivenPatient
 from ttus_opt.live.follower import Follower
+from ttus_opt.live.links import open_link
 from ttus_opt.live.model import USUAL_LAW
 from ttus_opt.live.real_time import promptly, run_follower
 from ttus_opt.live.sealing import read_key
-from ttus_opt.live.socket_link import SocketLink
 from ttus_opt.live.trial import prepared
 from ttus_opt.sensors.open_igt_message import MessageReader
 
@@ -74,7 +74,9 @@ class IgtRobot:
             raise InputError("the robot does not read its targets") from error
 
 
-def main(key: str, host: str, port: str, surface: str, probe: str) -> None:
+def main(
+    key: str, host: str, port: str, surface: str, probe: str, link: str = "udp"
+) -> None:
     """Wait for the robot, then for an operator; Ctrl-C ends it."""
     skin, shell = Surface.load(surface), PointShell.from_spec(probe, n_points=1000)
     content = prepared(1.0, USUAL_LAW, skin, shell)
@@ -87,12 +89,12 @@ def main(key: str, host: str, port: str, surface: str, probe: str) -> None:
         robot.poll()
         time.sleep(0.01)
     here = robot.patient.here
-    link = SocketLink(read_key(key), "0.0.0.0", PORT, calls=False)
+    opened = open_link(link, read_key(key), "0.0.0.0", PORT, calls=False)
     promptly()
-    print(run_follower(side, link, robot.patient, *here))
+    print(run_follower(side, opened, robot.patient, *here))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 6:
+    if len(sys.argv) not in (6, 7):
         sys.exit(__doc__)
     main(*sys.argv[1:])

@@ -138,6 +138,8 @@ def test_a_simulated_hand_is_a_device():
 class Loopback:
     """A link to a follower that takes its step at once."""
 
+    overhead = 0
+
     def __init__(self):
         surface, _, content = parts()
         self.follower, self.patient = Follower(3, surface, content), Spring()

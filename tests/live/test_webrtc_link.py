@@ -15,6 +15,7 @@ from tests.live.test_socket_link import survives_a_new_operator, until
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import LONGEST_DATAGRAM
+from ttus_opt.live.pacing import HEADER
 from ttus_opt.live.peer import Outgoing, Peer
 from ttus_opt.live.session_stream import SessionStream
 from ttus_opt.live.webrtc_link import SIGNAL, WebRTCLink
@@ -112,9 +113,10 @@ def test_who_stands_between_is_not_heard(links, monkeypatch):
 
 def test_what_is_no_packet_is_refused(links):
     here, there = pair(links)
-    rng, peer, sent = random.Random(0), Peer(1), [b"", "text", bytes(1201)]
+    longest = HEADER.size + LONGEST_DATAGRAM
+    rng, peer, sent = random.Random(0), Peer(1), [b"", "text", bytes(longest + 1)]
     sent += [rng.randbytes(rng.randrange(1, 200)) for _ in range(300)]
-    sent += [bytes(LONGEST_DATAGRAM)]
+    sent += [bytes(longest)]
     described = there._connection.localDescription.sdp
     host, port = re.search(r" ([\d.]+) (\d+) typ host", described).groups()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -123,8 +125,9 @@ def test_what_is_no_packet_is_refused(links):
             stranger.sendto(rng.randbytes(50), (host, int(port)))
             stranger.sendto(b"\x16\xfe\xfd" + rng.randbytes(50), (host, int(port)))
             time.sleep(0.001)
-    got = until(lambda got: sent[-1] in got[1], here, there)[1]
-    assert {*got} - {b"to"} <= {*sent[3:]}
+    inside = {data[HEADER.size :] for data in sent[3:]}
+    got = until(lambda got: bytes(LONGEST_DATAGRAM) in got[1], here, there)[1]
+    assert {*got} - {b"to"} <= inside - {b""}
     assert len(got) > 100  # of 256 at most that wait
     for data in got:
         assert peer.receive(0.0, data) is None
@@ -136,17 +139,29 @@ def test_a_description_that_is_none_leaves_silence(links):
     there = links(port=0, calls=False)
     forger = SessionStream(KEY, "127.0.0.1", there.port, calls=True)
     forger.send([SIGNAL + b"v=0\r\nm=nonsense", SIGNAL + bytes([255]) * 50, b"model"])
-    end, arrived = time.monotonic() + 5.0, []
-    while not arrived:
+    end = time.monotonic() + 5.0
+    while not there._early:
         now = time.monotonic()
         assert now < end
-        assert forger.receive(now) == []
+        assert forger.receive(now) == there.receive(now) == []
         forger.send([])
         there.send(now, [])
-        arrived = there.receive(now)
-    assert arrived == [b"model"]
     forger.close()
     connect(links(port=there.port, calls=True), there)
+
+
+def test_the_stream_waits_for_the_channel(links):
+    """A side that hears the other and then nothing for long stops."""
+    way = Impairment(delay=0.05)
+    there = links(port=0, calls=False, impairment=way)
+    here = links(port=there.port, calls=True, impairment=way)
+
+    def arrived(got):
+        here.send(time.monotonic(), [Outgoing(b"hello", reliable=True)])
+        assert there._is_open or not got[1]
+        return b"hello" in got[1]
+
+    until(arrived, here, there, seconds=15.0)
 
 
 def test_a_session_reaches_normal_and_survives_a_new_operator(links):

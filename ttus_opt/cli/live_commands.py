@@ -251,6 +251,7 @@ def follower(
         ttus-opt live follower --key session.key --recording press_fit.csv
     """
     from ttus_opt.live.follower import Follower
+    from ttus_opt.live.links import open_link
     from ttus_opt.live.model import USUAL_LAW
     from ttus_opt.live.patient import Patient, RecordedPatient
     from ttus_opt.live.real_time import promptly, run_follower
@@ -274,7 +275,7 @@ def follower(
         patient = RecordedPatient(start, lambda: safety.state is State.NORMAL)
     warm_up()
     promptly()
-    opened = _open(link, secret, host, port, calls=False)
+    opened = open_link(link, secret, host, port, calls=False)
     try:
         ended = run_follower(
             side,
@@ -322,13 +323,14 @@ def operator(
     Example:
         ttus-opt live operator --key session.key --host 192.0.2.7 --link webrtc
     """
+    from ttus_opt.live.links import open_link
     from ttus_opt.live.subject import example_subject
     from ttus_opt.live.trial import warm_up
 
     secret = _checked(link, key, port)
     who = _subject(surface, probe, probe_axes) or example_subject()
     warm_up()
-    opened = _open(link, secret, host, port, calls=True)
+    opened = open_link(link, secret, host, port, calls=True)
     try:
         side, ended = _operate(opened, who, seconds, probe, recording)
     finally:
@@ -420,21 +422,13 @@ def _subject(surface: Path | None, probe: str, probe_axes: str) -> Subject | Non
 
 def _checked(link: str, key: Path, port: int) -> bytes:
     """The session's key, once it is sure that the link can be opened."""
+    from ttus_opt.live.links import LINKS
     from ttus_opt.live.sealing import read_key
 
-    if link not in ("udp", "webrtc"):
-        raise InputError(f"--link is udp or webrtc, got {link}")
+    if link not in LINKS:
+        raise InputError(f"--link is {' or '.join(LINKS)}, got {link}")
     if not 1 <= port <= 65535:
         raise InputError(f"--port is a number from 1 to 65535, got {port}")
     if link == "webrtc":
         load("aiortc", "webrtc")
     return read_key(key)
-
-
-def _open(link: str, key: bytes, host: str, port: int, *, calls: bool) -> Any:
-    """A side of the link that was asked for."""
-    from ttus_opt.live.socket_link import SocketLink
-    from ttus_opt.live.webrtc_link import WebRTCLink
-
-    kind = WebRTCLink if link == "webrtc" else SocketLink
-    return kind(key, host, port, calls=calls)

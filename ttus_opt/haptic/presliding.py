@@ -76,7 +76,7 @@ def flank_of(
     for c in range(6):
         twist[c], drag[c] = patch[c] if c < 3 else 0.0, 0.0
     add_point_drag(R, twist, contact, s, numbers, drag)
-    against = patch[0] * drag[0] + patch[1] * drag[1] + patch[2] * drag[2]
+    against: float = patch[0] * drag[0] + patch[1] * drag[1] + patch[2] * drag[2]
     return max(-against, 0.0)
 
 

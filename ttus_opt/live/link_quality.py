@@ -72,14 +72,13 @@ class SendRate:
         bits: Most bits a second, with headers [bit/s].
         sent_packets: Datagrams sent so far [–].
         sent_bytes: Their bytes, with headers.
+        overhead: What the link adds to a packet; by default as over UDP [bytes].
     """
-
-    #: Headers of IPv4 and UDP, and of encryption (`ttus_opt.live.sealing`) [bytes]
-    OVERHEAD = 28 + 32
 
     def __init__(self, packets: float = 50.0, bits: float = 64_000.0) -> None:
         self.packets, self.bits = packets, bits
         self.sent_packets = self.sent_bytes = 0
+        self.overhead = 28 + 32
         self._number, self._room = 1.0, self._most
         self._last = -math.inf
 
@@ -102,11 +101,11 @@ class SendRate:
 
     def fits(self, size: int) -> bool:
         """Whether a packet of so many bytes leaves room for another one."""
-        return self._room >= size + self.OVERHEAD + 200
+        return self._room >= size + self.overhead + 200
 
     def took(self, size: int) -> None:
         """A packet left."""
         self._number -= 1.0
-        self._room -= size + self.OVERHEAD
+        self._room -= size + self.overhead
         self.sent_packets += 1
-        self.sent_bytes += size + self.OVERHEAD
+        self.sent_bytes += size + self.overhead

@@ -45,6 +45,10 @@ SPIN = 2e-4
 class Link(Protocol):
     """One side of a link."""
 
+    @property
+    def overhead(self) -> int:
+        """What it adds to a packet, towards a session's rate [bytes]."""
+
     def send(self, now: float, packets: tuple[Outgoing, ...]) -> None:
         """Send packets."""
 
@@ -282,6 +286,7 @@ def run_operator(
         tell: Called with every new state, and why it is not NORMAL.
     """
     beat, seen = Metronome(rate, seconds), _Seen(operator.peer, tell)
+    operator.peer.rate.overhead = link.overhead
     pose, shown = start, -math.inf
     for now in beat:
         loop = operator.feedback
@@ -331,6 +336,7 @@ def run_follower(
         tell: Called with every new state, and why it is not NORMAL.
     """
     beat, seen = Metronome(rate, seconds), _Seen(follower.peer, tell)
+    follower.peer.rate.overhead = link.overhead
     for now in beat:
         sensed = patient.sense(now, rotation, position)
         step = follower.step(now, link.receive(now), sensed)

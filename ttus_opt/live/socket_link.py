@@ -30,6 +30,9 @@ class SocketLink:
         port: Port of the follower's sockets.
     """
 
+    #: Headers of IPv4 and UDP, and of encryption [bytes]
+    overhead = 28 + 32
+
     def __init__(self, key: bytes, host: str, port: int, *, calls: bool) -> None:
         """Open the sockets.
 

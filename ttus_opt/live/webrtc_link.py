@@ -5,8 +5,9 @@ writes: it authenticates the fingerprints by which DTLS knows the other side. No
 server is asked, so both machines must reach each other. Surface and model stay on that
 stream: on a channel of the same connection they would hold every pose back.
 
-WebRTC's congestion control queues what it may not send yet, even what is unreliable.
-So a packet is handed over once the one before has left, if no newer one came meanwhile.
+WebRTC's congestion control queues what it may not send yet, even what is unreliable,
+and pauses where a loss narrows its window. So a packet is handed over once the one
+before has left, at a pace that the window bears, if no newer one came meanwhile.
 """
 
 from __future__ import annotations
@@ -24,18 +25,23 @@ from typing import Any
 from ttus_opt.core.optional import load
 from ttus_opt.live.impairment import ImpairedLink, Impairment
 from ttus_opt.live.messages import LONGEST_DATAGRAM
+from ttus_opt.live.pacing import HEADER, Pacing
 from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.session_stream import SessionStream
 
 #: Begin of an offer or answer on the stream; no packet begins like it
 SIGNAL = b"webrtc "
 
-#: Most packets a second [1/s], and at once [–]: a session sends 50 a second, and one
-#: more at a STOP
-MOST, BURST = 125.0, 4.0
+#: Most packets a second [1/s]: a session sends 50 a second, and one more at a STOP
+MOST = 125.0
 
-#: Most packets that have arrived and were not fetched [–]
-ARRIVED = 256
+#: Most bytes on their way [bytes]: a loss narrows aiortc's window to 4640 at least, and
+#: it does not grow while it is not full
+WINDOW = 4400
+
+#: Most packets that have arrived and were not fetched, and of the stream before the
+#: channel opens [–]
+ARRIVED, EARLY = 256, 16
 
 #: Silence after which the operator offers anew: on the same stream, longer than a
 #: connection takes over a round trip of a second; on a new one [s]
@@ -53,6 +59,11 @@ class WebRTCLink:
     Attributes:
         port: TCP port of the follower's stream.
     """
+
+    #: Headers of IPv4 and UDP, DTLS, SCTP and `pacing`; an acknowledgement, as aiortc
+    #: sends one for every packet it receives; and its words about losses, at a round
+    #: trip of 500 ms and 1 % [bytes]
+    overhead = (28 + 37 + 28 + HEADER.size) + (28 + 37 + 28) + 47
 
     def __init__(
         self,
@@ -83,8 +94,10 @@ class WebRTCLink:
         self.port = self._stream.port
         self._signals: deque[bytes] = deque()
         self._arrived: deque[bytes] = deque(maxlen=ARRIVED)
+        self._early: deque[bytes] = deque(maxlen=EARLY)
+        self._pacing = Pacing(WINDOW, MOST)
         self._newest: bytes | None = None  # waits for the one before to leave
-        self._room, self._sent = BURST, -math.inf
+        self._timer: asyncio.TimerHandle | None = None
         self._offered, self._heard = 0, -math.inf
         self._connection: Any = None
         self._channel: Any = None
@@ -97,27 +110,28 @@ class WebRTCLink:
 
     def send(self, now: float, packets: Sequence[Outgoing]) -> None:
         """Send packets, and offers or answers."""
-        self._room = min(BURST, self._room + MOST * max(now - self._sent, 0.0))
-        self._sent, stream = now, []
+        stream = []
         for packet in packets:
             if packet.reliable:
                 stream.append(packet.data)
-            elif self._room >= 1.0 and self._thread.is_alive():
-                self._room -= 1.0
+            elif self._thread.is_alive():
                 self._loop.call_soon_threadsafe(self._put, packet.data)
         while self._signals:
             stream.append(self._signals.popleft())
         self._stream.send(stream)
 
     def receive(self, now: float) -> list[bytes]:
-        """What has arrived."""
-        arrived = []
+        """What has arrived: nothing before the channel opens, lest silence follows."""
         for message in self._stream.receive(now):
             if message.startswith(SIGNAL):
                 text = message[len(SIGNAL) :].decode(errors="replace")
                 self._soon(self._answered(text) if self._calls else self._answer(text))
             else:
-                arrived.append(message)
+                self._early.append(message)
+        arrived = []
+        if self._is_open:
+            while self._early:
+                arrived.append(self._early.popleft())
         while self._arrived:
             arrived.append(self._arrived.popleft())
             self._heard = now
@@ -183,6 +197,7 @@ class WebRTCLink:
     async def _begin(self) -> Any:
         """A new connection in place of the one before, with its channel."""
         await self._drop()
+        self._pacing = Pacing(WINDOW, MOST)
         configuration = self._rtc.RTCConfiguration(iceServers=[])
         self._connection = self._rtc.RTCPeerConnection(configuration)
         self._channel = self._connection.createDataChannel(
@@ -202,8 +217,10 @@ class WebRTCLink:
 
     def _take(self, data: object) -> None:
         """A message; text and what is too long are not of ours."""
-        if isinstance(data, bytes) and 0 < len(data) <= LONGEST_DATAGRAM:
-            self._arrived.append(data)
+        if not isinstance(data, bytes) or len(data) > HEADER.size + LONGEST_DATAGRAM:
+            return
+        if packet := self._pacing.unwrap(time.monotonic(), data):
+            self._arrived.append(packet)
 
     def _put(self, data: bytes) -> None:
         """Take a packet, in place of one that still waits."""
@@ -211,12 +228,22 @@ class WebRTCLink:
         self._pass_on()
 
     def _pass_on(self) -> None:
-        """Hand the newest packet over, once the one before has left."""
-        channel, data = self._channel, self._newest
-        is_open = channel is not None and channel.readyState == "open"
-        if is_open and data is not None and channel.bufferedAmount == 0:
-            self._newest = None
-            channel.send(data)
+        """Hand the newest packet over, once the one before has left and it is time."""
+        data, now = self._newest, time.monotonic()
+        if data is None or not self._is_open or self._channel.bufferedAmount:
+            return
+        if now < self._pacing.next:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = self._loop.call_later(self._pacing.next - now, self._pass_on)
+            return
+        self._newest = None
+        self._channel.send(self._pacing.wrap(now, data))
+
+    @property
+    def _is_open(self) -> bool:
+        channel = self._channel
+        return channel is not None and channel.readyState == "open"
 
     def _worsen(self, transport: Any, impairment: Impairment) -> None:
         """Impair the way of a connection's datagrams, at aiortc's inner seam."""

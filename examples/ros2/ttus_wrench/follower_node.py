@@ -20,14 +20,15 @@ from ttus_opt import PointShell, Surface
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.driven_patient import DrivenPatient
 from ttus_opt.live.follower import Follower
+from ttus_opt.live.links import open_link
 from ttus_opt.live.model import USUAL_LAW
 from ttus_opt.live.sealing import read_key
-from ttus_opt.live.socket_link import SocketLink
 from ttus_opt.live.trial import prepared
 from ttus_opt.probe.pose import pose_of, to_quaternions
 
 #: Parameters and their defaults
 PARAMETERS = {
+    "link": "udp",
     "key": "session.key",
     "host": "0.0.0.0",
     "port": 7411,
@@ -52,9 +53,9 @@ class FollowerNode(Node):
         shell = PointShell.from_spec(given["probe"], n_points=1000)
         content = prepared(1.0, USUAL_LAW, skin, shell)
         self.side = Follower(int(time.time()), skin, content)
-        self.link = SocketLink(
-            read_key(given["key"]), given["host"], given["port"], calls=False
-        )
+        secret, place = read_key(given["key"]), (given["host"], given["port"])
+        self.link = open_link(given["link"], secret, *place, calls=False)
+        self.side.peer.rate.overhead = self.link.overhead
         self.frame_id = given["frame_id"]
         self.patient = DrivenPatient(self.command)
         self.target: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None

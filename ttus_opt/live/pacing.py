@@ -1,0 +1,58 @@
+"""When a packet may leave, so that no more than a window's bytes are on their way.
+
+A packet bears its number and the newest one heard, which tells the round trip.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+
+#: Number of a packet, and the newest one heard
+HEADER = struct.Struct("<HH")
+NUMBERS = 2**16
+
+#: Most packets that wait for their echo: those of a second at 500 a second [–]
+AWAY = 512
+
+
+class Pacing:
+    """Spreads one side's packets evenly over the round trip.
+
+    Attributes:
+        next: Before this time nothing may leave [s].
+        round_trip: With the time that the other side waited [s]; 0 at first.
+    """
+
+    def __init__(self, window: float, most: float) -> None:
+        """With so many bytes on their way, and packets a second, at most."""
+        self._window, self._most = window, most
+        self.next = self.round_trip = 0.0
+        self._number = self._heard = 0
+        self._away: deque[tuple[int, float]] = deque(maxlen=AWAY)  # number, since
+
+    def wrap(self, now: float, data: bytes) -> bytes:
+        """A packet that leaves now, with its header."""
+        self._number = (self._number + 1) % NUMBERS
+        self._away.append((self._number, now))
+        packet = HEADER.pack(self._number, self._heard) + data
+        share = len(packet) / self._window
+        self.next = now + max(1.0 / self._most, share * self.round_trip)
+        return packet
+
+    def unwrap(self, now: float, packet: bytes) -> bytes:
+        """What a packet holds that arrives now; empty for one without a header."""
+        if len(packet) <= HEADER.size:
+            return b""
+        number, echo = HEADER.unpack_from(packet)
+        if _since(number, self._heard) > 0:
+            self._heard = number
+        while self._away and _since(echo, self._away[0][0]) >= 0:
+            self.round_trip = now - self._away.popleft()[1]
+        return packet[HEADER.size :]
+
+
+def _since(number: int, before: int) -> int:
+    """How much later a number is than another, of a circle of `NUMBERS`."""
+    half = NUMBERS // 2
+    return (number - before + half) % NUMBERS - half
