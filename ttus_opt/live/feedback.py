@@ -72,11 +72,6 @@ class ModelFeedback:
         """State of the last update's swap."""
         return self.renderer.blend
 
-    @property
-    def beyond(self) -> bool:
-        """Whether the hand is deeper than the model."""
-        return self._stop.acts
-
     def measured(self, sample: Sample) -> None:
         """Measurements reach the hand through the model alone."""
 

@@ -117,7 +117,7 @@ class Follower:
         self._surface, self._model = content
         self._greeted, self._offered, self._ready = 0, -np.inf, False
         self._command: tuple[Array, Array] | None = None
-        self._commanded = 0
+        self._commanded = -np.inf
         self._target: tuple[Array, Array] | None = None
         self._skin, self._obeys = np.zeros(3), False
         self._retracted = 0.0
@@ -207,7 +207,7 @@ class Follower:
         met = self.peer.met
         received = self.peer.receive(now, data)
         if self.peer.met != met:
-            self._ready, self._command, self._commanded = False, None, 0
+            self._ready, self._command, self._commanded = False, None, -np.inf
         if received is None:
             return
         match received.body:
@@ -228,8 +228,8 @@ class Follower:
                     send.append(self.peer.pack(now, body, reliable=True))
             case Acknowledgement():
                 self._ready = True
-            case PoseCommand() as command if received.sent * 1e5 >= self._commanded:
-                self._commanded = round(received.sent * 1e5)
+            case PoseCommand() as command if received.sent >= self._commanded:
+                self._commanded = received.sent
                 self._command = pose_of(command)
             case _:
                 pass

@@ -20,6 +20,7 @@ from typing import Self
 
 import numpy as np
 
+from ttus_opt.contact.friction import FRICTION
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.feedback import ModelFeedback
@@ -48,9 +49,6 @@ BEHIND = 4096
 
 #: Numbers that the operator publishes: heartbeat [s], state, friction
 CONTROL = 3
-
-#: Names of the parameters that a field in shared memory keeps
-FRICTION = "friction_coefficient"
 
 
 @dataclass(frozen=True)

@@ -97,10 +97,6 @@ class ImpairedLink:
         """Whether a packet is on its way."""
         return bool(self._queue)
 
-    def cut(self) -> None:
-        """Lose all that is on its way."""
-        self._queue.clear()
-
     def _send(self, now: float, packet: Outgoing) -> None:
         given, rng = self.now, self._rng
         sending = 8.0 * len(packet.data) / given.rate

@@ -54,8 +54,6 @@ class LiveModel:
         shell: The probe.
         plan: How the model is made.
         learner: The depth map.
-        changed: Time of the last sample that changed it, follower's clock; −inf before
-            the first [s].
     """
 
     def __init__(
@@ -83,7 +81,6 @@ class LiveModel:
             memory=plan.memory,
             start=start,
         )
-        self.changed = -np.inf
         self._last: Sample | None = None
 
     def fold(self, sample: Sample) -> Folded:
@@ -98,8 +95,6 @@ class LiveModel:
         )
         if last is None or sample.time > last.time:
             self._last = sample
-        if folded.contact_points:
-            self.changed = time
         return folded
 
     @property

@@ -18,10 +18,12 @@ from ttus_opt.live.messages import Sample
 from ttus_opt.live.tissue import Tissue
 from ttus_opt.phantom.recording import FORCE_NOISE, TORQUE_NOISE
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
 
 #: Direction of the front, in which breathing moves the skin
 FRONT = np.array([0.0, 1.0, 0.0])
+
+#: Time constant with which a simulated probe follows its target [s]
+LAG = 0.01
 
 
 class Patient(Protocol):
@@ -109,8 +111,6 @@ class SimulatedPatient:
         tissue: Tissue,
         *,
         breathing: Breathing | None = None,
-        noise: float = 1.0,
-        lag: float = 0.01,
         seed: int = 0,
     ) -> None:
         """A patient at rest.
@@ -118,12 +118,9 @@ class SimulatedPatient:
         Args:
             tissue: What answers the probe.
             breathing: How the skin moves; at rest by default.
-            noise: Of the sensor, in units of the example's [–].
-            lag: Time constant with which the probe follows its target [s].
             seed: Of the noise.
         """
         self.tissue, self.breathing = tissue, breathing or Breathing()
-        self._noise, self._lag = noise, lag
         self._rng = np.random.default_rng(seed)
         self._at: Sample | None = None
         self._last_velocity = np.zeros(3)
@@ -135,14 +132,14 @@ class SimulatedPatient:
             reached, velocity = position.copy(), np.zeros(3)
         else:
             step = max(time - before.time, 0.0)
-            share = 1.0 - math.exp(-step / self._lag)
+            share = 1.0 - math.exp(-step / LAG)
             reached = before.position + share * (position - before.position)
             moved = reached - before.position
             velocity = moved / step if step > 0.0 else self._last_velocity
         self._last_velocity = velocity
         wrench = self.wrench(time, rotation, reached, velocity)
         self._at = Sample(time, rotation, reached, wrench)
-        scale = self._noise * np.repeat([FORCE_NOISE, TORQUE_NOISE], 3)
+        scale = np.repeat([FORCE_NOISE, TORQUE_NOISE], 3)
         noisy = wrench + scale * self._rng.standard_normal(6)
         return replace(self._at, wrench=noisy)
 
@@ -152,12 +149,3 @@ class SimulatedPatient:
         """Force, then torque without noise, shape (6,) [N, N·m]."""
         still = position - self.breathing.shift(time)
         return self.tissue.wrench(rotation, still, velocity)
-
-    def surface(self, time: float, still: Surface) -> Surface:
-        """What a camera sees of the skin at some time: a surface, shifted."""
-        shift = self.breathing.shift(time)
-        theta = still.theta[:, None]
-        along = shift[0] * np.cos(theta) + shift[1] * np.sin(theta)
-        # the front moves, the back lies on the table
-        front = np.clip(np.sin(theta), 0.0, 1.0)
-        return replace(still, radius=still.radius + along * front)

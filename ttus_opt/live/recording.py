@@ -103,7 +103,6 @@ class Description:
         comparator: What the hand felt, see `trial.COMPARATORS`.
         epoch: Of that side.
         apart: Whether hand and force were in a process of their own.
-        note: Free text.
     """
 
     probe: str = example.PROBE
@@ -111,7 +110,6 @@ class Description:
     comparator: str = "model"
     epoch: int = 2
     apart: bool = False
-    note: str = ""
 
     @property
     def shell(self) -> PointShell:

@@ -34,17 +34,7 @@ class SocketLink:
     overhead = 28 + 32
 
     def __init__(self, key: bytes, host: str, port: int, *, calls: bool) -> None:
-        """Open the sockets.
-
-        Args:
-            key: The session's key.
-            host: Address of the follower to call, or own address to wait at.
-            port: Its port; 0 for any free one when waiting.
-            calls: Whether this is the operator, who calls.
-
-        Raises:
-            InputError: The address cannot be used.
-        """
+        """Open the sockets; see `session_stream.SessionStream`."""
         self._address: tuple[str, int] | None = None
         self._greeted = -1e9
         self._sealed = SealedChannel(key, calls=calls)

@@ -74,19 +74,10 @@ class WebRTCLink:
         calls: bool,
         impairment: Impairment | None = None,
     ) -> None:
-        """Wait for the other side, or call it.
+        """Wait for the other side, or call it; see `session_stream.SessionStream`.
 
-        Args:
-            key: The session's key.
-            host: Address of the follower to call, or own address to wait at.
-            port: Its TCP port; 0 for any free one when waiting.
-            calls: Whether this is the operator, who calls.
-            impairment: What this side's datagrams suffer on their way, below WebRTC,
-                which sees it as a network; of a test.
-
-        Raises:
-            InputError: The address cannot be used.
-            MissingPackageError: aiortc is not installed.
+        A test may give an ``impairment``: what this side's datagrams suffer below
+        WebRTC, which sees it as a network.
         """
         self._rtc = load("aiortc", "webrtc")
         self._calls, self._impairment = calls, impairment

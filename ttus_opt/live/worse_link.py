@@ -17,12 +17,15 @@ class WorseLink:
     Attributes:
         link: The link itself.
         way: What is on its way to it; its impairment may be replaced at any time.
-        overhead: Of the link.
     """
 
     def __init__(self, link: Link, impairment: Impairment) -> None:
         self.link, self.way = link, ImpairedLink(impairment)
-        self.overhead = link.overhead
+
+    @property
+    def overhead(self) -> int:
+        """Of the link."""
+        return self.link.overhead
 
     def send(self, now: float, packets: tuple[Outgoing, ...]) -> None:
         """Put packets on their way, and pass on those that are due."""
