@@ -8,7 +8,7 @@ import ttus_opt as tt
 from tests.conftest import torso
 from tests.refusals import refuses
 from tests.viewer.conftest import field, probe, recorded
-from ttus_opt.contact.standing import depth_of, skin_points
+from ttus_opt.contact.standing import depth_of, places_below, skin_points
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.state import LEAST, MOST, ViewState
@@ -59,6 +59,10 @@ def test_what_is_felt_at_rest_is_what_the_renderer_gives(state, act):
     settle(state)
     np.testing.assert_allclose(felt(state), expected(state), atol=1e-12)
     assert np.abs(felt(state) - before).max() > 1e-3
+    rotation, position = state.pose
+    reference = position + rotation @ probe().reference
+    below = places_below(torso(), reference[None])
+    np.testing.assert_allclose(np.ravel(below), state.place, atol=2e-3)
 
 
 def test_a_place_a_depth_and_angles_are_reached(state):
@@ -71,6 +75,14 @@ def test_a_place_a_depth_and_angles_are_reached(state):
     state.slide(1.0, 0.09)  # keeps both
     assert state.depth == pytest.approx(0.008, abs=1e-6)
     np.testing.assert_allclose(state.angles, [20.0, -10.0, 5.0], atol=1.0)
+
+
+def test_a_place_is_told_within_half_a_turn(state):
+    for theta in (4.0, -4.0, 7.0):
+        state.slide(theta, 0.1)
+        turns = (theta - state.place[0]) / (2.0 * np.pi)
+        assert turns == pytest.approx(round(turns), abs=1e-9)
+        assert abs(state.place[0]) <= np.pi
 
 
 def test_a_millimetre_is_a_millimetre(state):

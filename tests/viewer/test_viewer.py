@@ -192,6 +192,20 @@ def test_the_running_plots_are_level_while_nothing_moves(monkeypatch):
         assert force[0] == 1.0
 
 
+def test_a_plot_is_sent_again_where_another_frame_is_marked(monkeypatch):
+    monkeypatch.setattr(Viewer, "_run", lambda _: None)
+    with tt.view(field(), probe(), recorded(), port=0) as one:
+        tab, sent = one.page.recording, []
+        monkeypatch.setattr(tab, "_columns", lambda frame: sent.append(frame) or ())
+        for frame in (3, 3, 5):
+            one.state.show_frame(frame)
+            tab.draw()
+        for depth in (0.004, 0.006):
+            one.state.press(depth)
+            tab.draw()
+        assert sent == [3, 5, None]
+
+
 def test_a_fault_is_told_and_the_page_goes_on(viewer, monkeypatch):
     told = []
     monkeypatch.setattr(viewer.page, "tell", told.append)

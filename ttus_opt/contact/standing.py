@@ -22,11 +22,15 @@ SLOPE = 0.01
 #: Poses end within this of the depth asked for, or after so many steps [m], [–]
 TOLERANCE, STEPS = 1e-7, 40
 
+#: Range of the depth's change per shift along the normal: where another point becomes
+#: the deepest, a secant may have any slope [–]
+RATES = 0.5, 2.0
+
 #: The deepest point is one of those less than this above the lowest [m]: it is another
 #: only on skin with a radius of curvature below w²/2 of this, w half the probe's width
 REACH = 0.02
 
-#: Steps to the place below a point; each leaves the point's height over the skin's
+#: Most steps to the place below a point; each leaves the point's height over the skin's
 #: radius of curvature of the distance [–]
 FEET = 12
 
@@ -74,7 +78,9 @@ def places_below(surface: Surface, points: Array) -> tuple[Array, Array]:
         theta, z = np.arctan2(foot[:, 1], foot[:, 0]), foot[:, 2]
         normal = skin_frames(surface, theta, z)[:, :, 0]
         above = np.einsum("ki,ki->k", points - skin_points(surface, theta, z), normal)
-        foot = points - above[:, None] * normal
+        last, foot = foot, points - above[:, None] * normal
+        if np.abs(foot - last).max(initial=0.0) < TOLERANCE:
+            break
     return np.arctan2(foot[:, 1], foot[:, 0]), foot[:, 2]
 
 
@@ -150,10 +156,15 @@ def standing(
     for first in range(0, len(z), TOGETHER):
         part = slice(first, first + TOGETHER)
         turned = np.einsum("tij,mj->tmi", rotation[part], low)
+        shift, last = np.zeros(len(turned)), np.zeros(len(turned))
+        rate = np.ones(len(turned))
         for _ in range(STEPS):
-            # a shift along the normal changes the depth by about as much
             excess = deepest(surface, position[part, None] + turned) - depth
-            position[part] += excess[:, None] * frames[part, :, 0]
+            # a shift along the normal changes the depth by about as much: secants
+            far = np.abs(shift) > TOLERANCE
+            rate[far] = np.clip((last - excess)[far] / shift[far], *RATES)
+            shift, last = excess / rate, excess
+            position[part] += shift[:, None] * frames[part, :, 0]
             if np.abs(excess).max() < TOLERANCE:
                 break
     return rotation, position

@@ -25,6 +25,7 @@ class RecordingTab:
     def __init__(self, stage: Stage, recording: Recording) -> None:
         self._stage, self._recording = stage, recording
         self._clock, self._played = recording.clock, 0.0
+        self._marked: int | None = None
         gui = stage.server.gui
         self.frame = gui.add_slider(
             "frame", min=0, max=max(len(recording) - 1, 1), step=1, initial_value=0
@@ -60,7 +61,9 @@ class RecordingTab:
         """Mark the present frame in the plot, while a recorded one is shown."""
         state = self._stage.state
         shown = state.frame if state.source == "recording" else None
-        self.plot.data = self._columns(shown)
+        if shown != self._marked:  # pages are sent the whole plot
+            self._marked = shown
+            self.plot.data = self._columns(shown)
 
     def _go(self, frame: int) -> None:
         self._stage.state.show_frame(int(frame))

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.standing import (
+    STEPS,
+    TOLERANCE,
     depth_of,
     places_below,
     skin_frames,
@@ -25,6 +27,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.motion import MotionFilter
 from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, pose_of
 from ttus_opt.probe.trajectory import Trajectory
@@ -78,8 +81,7 @@ class ViewState:
         self.frame = 0
         self.measured: Array | None = None
         self.hold = hold() if usual is None else usual
-        self._clock, self._left = 0.0, REST
-        self._known: tuple[object, tuple[float, float]] = (None, (0.0, 0.0))
+        self._clock, self._left = 0.0, 0
         self._renderers: tuple[Renderer, ...] = ()
         if shell is None:
             return
@@ -87,8 +89,9 @@ class ViewState:
         if trajectory is not None:
             self.recording = Recording.of(trajectory, self.renderers())
             self.hold = self._held(trajectory, shell)
-        theta, z = self._first_place()
-        self._pose = self._standing(theta, z, FIRST)
+        place = self._first_place()
+        self._pose = self._standing(*place, FIRST)
+        self._known = self._pose, place
         self._motion = HandMotion(shell, *self._pose)
         self._render()
 
@@ -120,7 +123,8 @@ class ViewState:
         pose = self.pose
         if self._known[0] is not pose:
             self._known = pose, self._below(*pose)
-        return self._known[1]
+        theta, z = self._known[1]
+        return (theta + 0.5 * TURN) % TURN - 0.5 * TURN, z
 
     @property
     def depth(self) -> float:
@@ -143,9 +147,7 @@ class ViewState:
     def slide(self, theta: float, z: float) -> None:
         """Go to a place of the skin, as deep and as tilted as now."""
         with self.lock:
-            depth, angles = self.depth, self.angles
-            z = float(np.clip(z, self.surface.z[0], self.surface.z[-1]))
-            self._hand(self._standing(theta, z, depth, angles))
+            self._stand(theta, z, self.depth, self.angles)
 
     def move(
         self, around: float = 0.0, along: float = 0.0, deeper: float = 0.0
@@ -154,18 +156,16 @@ class ViewState:
         with self.lock:
             theta, z = self.place
             depth = float(np.clip(self.depth + deeper, LEAST, MOST))
-            radius = float(self.surface.radius_at(np.array(theta), np.array(z)))
             if around or along:
-                z = float(np.clip(z + along, self.surface.z[0], self.surface.z[-1]))
-                place = theta + around / radius, z
-                self._hand(self._standing(*place, depth, self.angles))
+                radius = float(self.surface.radius_at(np.array(theta), np.array(z)))
+                self._stand(theta + around / radius, z + along, depth, self.angles)
             else:
                 self.press(depth)
 
     def press(self, depth: float) -> None:
         """Go to a depth along the skin's normal [m]."""
         with self.lock:
-            self._hand(self._at_depth(*self.pose, float(np.clip(depth, LEAST, MOST))))
+            self._sink(*self.pose, float(np.clip(depth, LEAST, MOST)))
 
     def tilt(self, angles: Array) -> None:
         """Hold the probe at these angles, see `angles`, as deep as now [deg]."""
@@ -173,8 +173,7 @@ class ViewState:
             depth, (rotation, position) = self.depth, self.pose
             pivot = position + rotation @ self.probe.reference
             rotation = self._frame(*self.place) @ _turned(angles) @ self.hold
-            position = pivot - rotation @ self.probe.reference
-            self._hand(self._at_depth(rotation, position, depth))
+            self._sink(rotation, pivot - rotation @ self.probe.reference, depth)
 
     def put(self, rotation: PoseLike, position: Array | None = None) -> None:
         """Go to a pose of the probe frame.
@@ -278,7 +277,12 @@ class ViewState:
             for renderer, field in zip(self._renderers, self.fields, strict=True)
         )
 
-    def _hand(self, pose: tuple[Array, Array]) -> None:
+    def _hand(
+        self, pose: tuple[Array, Array], place: tuple[float, float] | None = None
+    ) -> None:
+        """Be led by hand to a pose, whose place may be known."""
+        if place is not None:
+            self._known = pose, place
         if self.source != "hand":  # what moved there was no hand
             self._clock += 2.0 * MotionFilter().gap
         self._pose, self.source, self._left = pose, "hand", REST
@@ -304,16 +308,22 @@ class ViewState:
         rotation, position = standing(self.surface, self.probe, hold, *place, depth)
         return rotation[0], position[0]
 
-    def _at_depth(
-        self, rotation: Array, position: Array, depth: float
-    ) -> tuple[Array, Array]:
-        """A pose shifted along the normal below it to a depth."""
-        outward = self._frame(*self._below(rotation, position))[:, 0]
-        for _ in range(8):
+    def _stand(self, theta: float, z: float, depth: float, angles: Array) -> None:
+        """Stand at a place, as deep and as tilted as told."""
+        z = float(np.clip(z, self.surface.z[0], self.surface.z[-1]))
+        self._hand(self._standing(theta, z, depth, angles), (theta, z))
+
+    def _sink(self, rotation: Array, position: Array, depth: float) -> None:
+        """Shift a pose above the present place along the normal there to a depth."""
+        place = self.place
+        outward = self._frame(*place)[:, 0]
+        for _ in range(STEPS):
             one = rotation[None], position[None]
             excess = float(depth_of(self.surface, self.probe, *one)[0]) - depth
             position = position + excess * outward
-        return rotation, position
+            if abs(excess) < TOLERANCE:
+                break
+        self._hand((rotation, position), place)
 
     def _held(self, trajectory: Trajectory, shell: PointShell) -> Array:
         """How the recordings hold the probe in contact."""
