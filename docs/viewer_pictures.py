@@ -16,14 +16,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 import ttus_opt as tt
 from ttus_opt.cli.view_command import shown_example
+from ttus_opt.viewer.live_page import LivePage
 from ttus_opt.viewer.viewer import Viewer
 
 FOLDER = Path(__file__).parent / "pictures"
-SIZE = {"width": 1000, "height": 700}  # [px]
+SIZE, LIVE_SIZE = (1000, 760), (1000, 920)  # [px]
 
 #: Bars of colour stay smooth; a third of the bytes
 N_COLOURS = 256
@@ -33,6 +34,9 @@ PRESSED = 276
 
 #: Software draws slowly: a frame is waited for [ms]
 PATIENCE, DRAWN = 240_000, 6_000
+
+#: A live session has pressed several times [ms]
+LEARNED = 20_000
 
 
 def press(viewer: Viewer, page: Page) -> None:
@@ -75,8 +79,7 @@ def main() -> int:
     if chromium is None:
         print("no chromium here: the viewer's pictures were not drawn")
         return 0
-    fields, shown = shown_example()
-    with tt.view(fields, port=0, **shown) as viewer, sync_playwright() as play:
+    with sync_playwright() as play:
         browser = play.chromium.launch(
             executable_path=chromium,
             chromium_sandbox=os.geteuid() != 0,  # root has none
@@ -85,24 +88,42 @@ def main() -> int:
                 *("--enable-unsafe-swiftshader", "--disable-component-update"),
             ],
         )
-        page = browser.new_page(viewport=SIZE)
-        page.set_default_timeout(PATIENCE)
-        page.goto(viewer.url)
-        page.wait_for_selector("canvas")
-        viewer.page.jobs.wait(60.0)
-        page.wait_for_timeout(DRAWN)
-        note = page.locator(".mantine-Notification-closeButton")
-        if note.count():  # that software draws
-            note.first.click()
-        for name, show in VIEWS.items():
-            show(viewer, page)
-            page.wait_for_timeout(DRAWN)
-            seen = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
-            few = seen.convert("RGB").quantize(N_COLOURS, dither=Image.Dither.NONE)
-            few.save(FOLDER / f"{name}.png", optimize=True)
-            print(FOLDER / f"{name}.png")
+        fields, shown = shown_example()
+        with tt.view(fields, port=0, **shown) as viewer:
+            page = opened(browser, viewer, SIZE)
+            for name, show in VIEWS.items():
+                show(viewer, page)
+                page.wait_for_timeout(DRAWN)
+                save(page, name)
+        with LivePage(port=0) as live:
+            page = opened(browser, live.viewer, LIVE_SIZE)
+            page.get_by_role("tab", name="Live").click()
+            page.wait_for_timeout(LEARNED)
+            save(page, "live_page")
         browser.close()
     return 0
+
+
+def opened(browser: Browser, viewer: Viewer, size: tuple[int, int]) -> Page:
+    """A page that has drawn all of a viewer."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(PATIENCE)
+    page.goto(viewer.url)
+    page.wait_for_selector("canvas")
+    viewer.page.jobs.wait(60.0)
+    page.wait_for_timeout(DRAWN)
+    note = page.locator(".mantine-Notification-closeButton")
+    if note.count():  # that software draws
+        note.first.click()
+    return page
+
+
+def save(page: Page, name: str) -> None:
+    """What a page shows, in few colours."""
+    seen = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
+    few = seen.convert("RGB").quantize(N_COLOURS, dither=Image.Dither.NONE)
+    few.save(FOLDER / f"{name}.png", optimize=True)
+    print(FOLDER / f"{name}.png")
 
 
 if __name__ == "__main__":

@@ -131,6 +131,9 @@ def test_a_recording_plays_to_its_end(viewer):
     until(lambda: "a recorded pose" in viewer.page._numbers.content)
     viewer.state.press(0.004)
     until(lambda: "moved by hand" in viewer.page._numbers.content)
+    assert (
+        'measured</td><td style="text-align:right">–<' in viewer.page._numbers.content
+    )
 
 
 def test_what_a_colouring_needs_is_said(viewer):
@@ -166,10 +169,33 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(monkeypatch):
         assert asked == ["once"]
 
 
+def test_colours_of_a_field_that_was_replaced_meanwhile_are_computed_again():
+    with tt.view(field(), probe(), port=0) as one:
+        tab, asked = one.page.skin, []
+        assert one.page.jobs.wait(30.0)
+
+        def seen():
+            asked.append(tab._legend.content)
+            if len(asked) == 1:  # the field is replaced while this goes on
+                tab.forget()
+            return [colouring.seen(field(), one.page.stage.skin)]
+
+        tab._ways["Seen"] = seen
+        tab.choice.value = "Seen"
+        tab.show("Seen")
+        assert one.page.jobs.wait(30.0)
+        assert ["computing" in told for told in asked] == [True, False]
+
+
 def test_the_running_plots_are_level_while_nothing_moves(monkeypatch):
     monkeypatch.setattr(Viewer, "_run", lambda _: None)  # this test's clock alone
     with tt.view(field(), probe(), port=0) as one:
         tab, points = one.page.probe, one.page.probe._points
+        tab.add_point(90.0)
+        (time, force), _ = tab.columns()
+        np.testing.assert_array_equal(time, [-10.0, 0.0])
+        assert force[0] == force[1] > 0.1
+        points.clear()
         points.append((100.0, [1.0, 20.0]))
         tab.add_point(100.03)  # too soon
         tab.add_point(104.0)

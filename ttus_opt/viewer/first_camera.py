@@ -1,7 +1,7 @@
 """The camera of a page until somebody turns it.
 
 viser has one first camera for all pages, and a page may apply it after what it was sent
-meanwhile, or get its shape later. A page that reports the first camera of the other
+meanwhile, or get its shape later. A page that reports the first camera of another
 shape is therefore told its own, whenever it reports.
 """
 
@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 #: Vertical field of view [deg]
 FIELD_OF_VIEW = 35.0
 
-#: Distance of the camera, of what is shown [–]
-AWAY = 2.7
-
-#: Width of a narrow picture, of its height: what is shown would not fit [–]
-NARROW = 0.8
-
-#: Distance on a narrow page, and how far up the picture what is shown is then moved, of
-#: its size: the panel of a phone covers the lower half [–]
-NARROW_AWAY, NARROW_UP = 5.0, 0.95
+#: Shapes of a picture, by its least width, of its height: distance of the camera, of
+#: the size of what is shown, so that it fits; and how far up it is moved, of its size,
+#: as the panel of a phone covers the lower half [–]
+SHAPES = ((0.8, 2.7, 0.0), (0.6, 3.6, 0.0), (0.0, 5.0, 0.95))
 
 #: Two cameras this far apart are one: pages compute with 32 bits [m]
 SAME = 1e-3
@@ -42,15 +37,13 @@ class FirstCamera:
     Attributes:
         front: Direction that is up in the scene, shape (3,) [–].
         away: Direction from what is shown to the camera, shape (3,) [–].
-        wide: Position of the camera and the point in the middle of the picture, (3,)
-            each [m].
-        narrow: The same on a page that is much higher than wide.
+        cameras: For each of the `SHAPES`, position of the camera and the point in the
+            middle of the picture, (3,) each [m].
     """
 
     front: Array
     away: Array
-    wide: tuple[Array, Array]
-    narrow: tuple[Array, Array]
+    cameras: tuple[tuple[Array, Array], ...]
 
     @classmethod
     def of(cls, surface: Surface, length: float) -> FirstCamera:
@@ -65,13 +58,16 @@ class FirstCamera:
         size = max(length, 2.0 * float(surface.radius.max()))
         away = 0.8 * front + 0.4 * np.cross(along, front) + 0.45 * along
         up = front - (front @ away) * away / (away @ away)
-        below = middle - NARROW_UP * size * up / np.linalg.norm(up)
-        wide = middle + AWAY * size * away, middle
-        return cls(front, away, wide, (below + NARROW_AWAY * size * away, below))
+        up *= size / np.linalg.norm(up)
+        cameras = [
+            (middle - higher * up + far * size * away, middle - higher * up)
+            for _, far, higher in SHAPES
+        ]
+        return cls(front, away, tuple(cameras))
 
     def show_on(self, server: viser.ViserServer) -> None:
         """Give every page of a server its camera."""
-        camera, (position, middle) = server.initial_camera, self.wide
+        camera, (position, middle) = server.initial_camera, self.cameras[0]
         camera.position, camera.look_at = tuple(position), tuple(middle)
         camera.fov = float(np.radians(FIELD_OF_VIEW))
 
@@ -85,11 +81,14 @@ class FirstCamera:
 
     def settle(self, camera: Any) -> None:
         """Move a page's camera, where it still is the first one of another shape."""
-        own, other = self.wide, self.narrow
-        if camera.image_width < NARROW * camera.image_height:
-            own, other = other, own
-        if np.allclose(camera.position, other[0], rtol=0.0, atol=SAME):
-            camera.position, camera.look_at = own
+        wide = [
+            camera.image_width >= least * camera.image_height for least, *_ in SHAPES
+        ]
+        own = wide.index(True)
+        for k, (position, _) in enumerate(self.cameras):
+            if k != own and np.allclose(camera.position, position, 0.0, SAME):
+                camera.position, camera.look_at = self.cameras[own]
+                return
 
 
 def front_of(surface: Surface) -> Array:

@@ -138,9 +138,11 @@ class Page:
 
     def write(self) -> None:
         """Write numbers, fields and plots; a few times a second."""
-        state = self.state
+        state, measured = self.state, self.state.measured
+        if measured is None and self.recording is not None and self.recording.has_force:
+            measured = np.full(3, np.nan)  # its row stays
         self._numbers.content = readout(
-            state.touches, self.stage.names, state.measured, state.source
+            state.touches, self.stage.names, measured, state.source
         )
         if self.probe is not None:
             self.probe.show()

@@ -29,6 +29,9 @@ LEAST_FORCE, LEAST_TORQUE = 0.02, 2e-4
 ARROW = {"shaft_radius": 0.0018, "head_radius": 0.0045, "head_length": 0.011}
 SMALL = {"shaft_radius": 0.0007, "head_radius": 0.0016, "head_length": 0.004}
 
+#: Height of a mark's number over the skin, which hides the numbers behind it [m]
+ABOVE = 0.012
+
 #: Colours of probe and torque
 PROBE, TORQUE = (238, 240, 244), (28, 122, 92)
 
@@ -98,7 +101,11 @@ class PatientNodes:
             one = f"/{self._name}/mark{k + 1}"
             at = tuple(place.tolist())
             ball = self._scene.add_icosphere(one, 0.004, color=MARK, position=at)
-            self._scene.add_label(f"{one}/number", str(k + 1))
+            outward = place * [1.0, 1.0, 0.0] / np.hypot(place[0], place[1])
+            self._scene.add_label(
+                f"{one}/number", str(k + 1), position=tuple(ABOVE * outward),
+                depth_test=True, anchor="bottom-center",
+            )  # fmt: skip
             self._marks.append(ball)
 
     def show_section(self, shown: Section | None) -> None:

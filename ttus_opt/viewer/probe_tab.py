@@ -91,11 +91,14 @@ class ProbeTab:
         points = self._points
         if points and time - points[-1][0] < EVERY:
             return
-        if points and time - points[-1][0] > 2.0 * EVERY:  # it rested
-            points.append((time - EVERY, points[-1][1]))
         wrenches = [touch.wrench for touch in self._stage.state.touches]
         felt = [w.force for w in wrenches] + [1e3 * w.torque for w in wrenches]
-        points.append((time, [float(np.linalg.norm(one)) for one in felt]))
+        sizes = [float(np.linalg.norm(one)) for one in felt]
+        if not points:
+            points.append((time - SHOWN, sizes))
+        elif time - points[-1][0] > 2.0 * EVERY:  # it rested
+            points.append((time - EVERY, points[-1][1]))
+        points.append((time, sizes))
         while len(points) > 2 and points[1][0] < time - SHOWN:
             points.popleft()
 

@@ -12,6 +12,9 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.colour_map import MEASURED, RENDERED, hexadecimal
 from ttus_opt.viewer.touch import Touch
 
+#: Room for a note of two lines: the buttons below do not move as it comes and goes [px]
+NOTES = 42
+
 #: Words for where the pose comes from
 SOURCES = {
     "hand": "moved by hand",
@@ -28,7 +31,8 @@ def readout(
     Args:
         touches: What every field gives at the pose.
         names: Of the fields.
-        measured: Force measured at the pose, shape (3,) [N]; None where none was.
+        measured: Force measured at the pose, shape (3,) [N], NaN where none was; None
+            where there are no measurements at all.
         source: Where the pose comes from.
     """
     if not touches:
@@ -48,7 +52,10 @@ def readout(
         f"{''.join(rows)}</table>"
     )
     told = "".join(_note(note, "#b45309") for note in notes)
-    return f'<div style="padding:2px 12px 8px">{table}{told}</div>'
+    return (
+        f'<div style="padding:2px 12px 8px">{table}'
+        f'<div style="min-height:{NOTES}px">{told}</div></div>'
+    )
 
 
 def _rows(touches: Sequence[Touch]) -> list[tuple[str, str, list[str]]]:
@@ -76,7 +83,8 @@ def _row(name: str, unit: str, cells: Sequence[str], style: str = "") -> str:
 
 
 def _size(force: Array) -> str:
-    return f"<b>{np.linalg.norm(force):.2f}</b>"
+    size = float(np.linalg.norm(force))
+    return f"<b>{size:.2f}</b>" if math.isfinite(size) else "–"
 
 
 def _vector(values: Array, factor: float, digits: int) -> str:

@@ -17,6 +17,9 @@ HIDDEN = -1e3
 class RecordingTab:
     """Shows recorded poses, one after the other or one by one.
 
+    Attributes:
+        has_force: Whether force was measured along them.
+
     Args:
         stage: The page.
         recording: What is shown.
@@ -31,11 +34,11 @@ class RecordingTab:
             "frame", min=0, max=max(len(recording) - 1, 1), step=1, initial_value=0
         )
         self.playing = gui.add_checkbox("play", False)
-        self._has_force = recording.trajectory.has_wrench
-        told = series(stage.names, measured=self._has_force, marker=True)
+        self.has_force = recording.trajectory.has_wrench
+        told = series(stage.names, measured=self.has_force, marker=True)
         most = max(float(np.nanmax(one, initial=0.1)) for one in recording.sizes)
         self.plot = add_plot(gui, self._columns(None), told, (0.0, 1.05 * most))
-        grey = "Grey is the measured force. " if self._has_force else ""
+        grey = "Grey is the measured force. " if self.has_force else ""
         gui.add_markdown(f"{grey}A click on the plot goes to that pose.")
         go_on_click(stage.server, self.plot, self.frame)
         by_hand(self.frame, self._go, stage.tell)
@@ -80,7 +83,7 @@ class RecordingTab:
         now = np.full(len(self._clock), HIDDEN)
         if frame is not None:
             now[frame] = rendered[0][frame]
-        return (self._clock, *((measured,) if self._has_force else ()), *rendered, now)
+        return (self._clock, *((measured,) if self.has_force else ()), *rendered, now)
 
     def _draw_places(self) -> None:
         at, shown = self._recording.places, self._recording.trajectory

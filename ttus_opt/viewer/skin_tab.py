@@ -57,9 +57,9 @@ class SkinTab:
         self._stage.jobs.post("colours", lambda: self._paint(name))
 
     def forget(self) -> None:
-        """Colour anew: a field was replaced."""
-        self._known.clear()
-        self.show(self.choice.value)
+        """Colour anew, as a field was replaced; the legend stays: nothing jumps."""
+        self._known = {}  # what is computed now is stored with the old ones
+        self._stage.jobs.post("colours", lambda: self._paint(self.choice.value))
 
     def colourings(self, name: str) -> list[Colouring]:
         """A colouring of every field.
@@ -67,9 +67,10 @@ class SkinTab:
         Raises:
             InputError: What it needs is not there.
         """
-        if name not in self._known:
-            self._known[name] = self._ways[name]()
-        return self._known[name]
+        known = self._known
+        if name not in known:
+            known[name] = self._ways[name]()
+        return known[name]
 
     def _paint(self, name: str) -> None:
         try:
