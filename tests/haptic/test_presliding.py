@@ -1,6 +1,7 @@
 """Friction before sliding: it holds, it is Coulomb's on a slide, it gives no energy."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,12 @@ from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing, unlimited
 from tests.refusals import refuses
 from ttus_opt.contact.contact_size import patches_of
 from ttus_opt.core.errors import InputError
+from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.drag import PRESLIDING, VISCOUS
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.presliding import ALONG, BRISTLE, FLANK, STRENGTH, bend
 from ttus_opt.haptic.presliding import LENGTH as LENGTH_OF
+from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
 
 LENGTH, STILL = 1e-3, np.zeros(6)
@@ -166,6 +169,23 @@ def test_poses_alone_are_enough():
     assert moved.drag == "estimated"
     contact = bare.render(np.eye(3), place(2 * LENGTH)).force
     assert np.linalg.norm(moved.force - contact) > 0.5
+
+
+@pytest.mark.parametrize("law", [LAW, AT_POINTS])
+@pytest.mark.parametrize("begins", [True, False])
+def test_friction_that_begins_or_ends_with_a_swap_does_not_jump(law, begins):
+    """An update during the swap, of which less, or more, than half is felt."""
+    given = BlendLaw(force_rate=8.0, reserve=0.05, capacity=0.05)
+    laws, before = ({}, law) if begins else (law, {}), None
+    renderer = Renderer(held(laws[0]), SHELL, blend=given, force_limit=math.inf)
+    for k, along in enumerate(np.linspace(0.0, 0.02, 1001)):
+        if k in (400, 450 if begins else 570):
+            share = renderer.blend.progress
+            renderer.update(held(laws[1], 1.5 + 1e-3 * k))
+        force = renderer.render(np.eye(3), place(along), STILL).force
+        assert before is None or np.linalg.norm(force - before) < 0.02
+        before = force
+    assert 0.1 < share < 0.9
 
 
 def test_an_update_leaves_the_force_of_a_held_probe():

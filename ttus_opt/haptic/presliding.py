@@ -15,9 +15,10 @@ stays; where M falls or the contact turns, E falls. Without contact b is zero.
 Where drag acts at every point, a probe that is pressed straight in slides along its
 flanks, and its press is heavier than its release: a deflection b_n along n̂ adds
 −M_n b_n n̂, with the drag M_n of all points when the probe moves along n̂ (`flank_of`).
-Its length is ℓ_n = ℓ M_n/M: skin shears as stiffly along n̂ as across. (b, b_n) is
-projected onto the ball together, so that one slide takes the other's place; one factor
-scales both, which bounds E_n = M_n ℓ_n b_n²/2 as well.
+Its length is ℓ_n = ℓ M_n/M: skin shears as stiffly along n̂ as across. It is at most 1,
+and a slide takes the other's place: over a share of ℓ across it takes that share of
+b_n, along n̂ of b. What shrinks loses energy, so that E_n = M_n ℓ_n b_n²/2 is bounded as
+E is.
 
 References: P. R. Dahl, A solid friction model, Aerospace Corporation TOR-0158, 1968;
 V. Hayward, B. Armstrong, A new computational model of friction applied to haptic
@@ -116,17 +117,20 @@ def bend(
     sx = (way[0] + way[4] * az - way[5] * ay) / length
     sy = (way[1] + way[5] * ax - way[3] * az) / length
     sz = (way[2] + way[3] * ay - way[4] * ax) / length
-    bn = 0.0
+    bn = slid = 0.0  # b_n, and how far it slides, in units of ℓ
     if flank > 0.0:
         softens = min(math.sqrt(before * strength / (length * held)), 1.0)
         bn = min(held_along / flank, 1.0) * softens * bristle[ALONG]
         bn += (ex * sx + ey * sy + ez * sz) * strength / flank
+        beyond = max(abs(bn), 1.0)
+        bn, slid = bn / beyond, (beyond - 1.0) * flank / strength
     bx, by, bz = keep * bristle[0] + sx, keep * bristle[1] + sy, keep * bristle[2] + sz
     along = ex * bx + ey * by + ez * bz
     bx, by, bz = bx - along * ex, by - along * ey, bz - along * ez
-    size = max(math.sqrt(bx * bx + by * by + bz * bz + bn * bn), 1.0)
-    bristle[0], bristle[1], bristle[2] = bx / size, by / size, bz / size
-    bristle[ALONG] = bn / size
+    size = max(math.sqrt(bx * bx + by * by + bz * bz), 1.0)
+    stays = max(1.0 - slid, 0.0) / size
+    bristle[0], bristle[1], bristle[2] = stays * bx, stays * by, stays * bz
+    bristle[ALONG] = max(2.0 - size, 0.0) * bn
 
 
 @compiled(error_model="numpy", nogil=True)

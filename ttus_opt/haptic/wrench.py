@@ -331,9 +331,9 @@ def mixed_drag(
 
     At the ledger's pose its μ gives the force of both laws together, so that the force
     does not jump (with drag at every point only as far as both fields agree over the
-    patch). Viscous coefficients are averaged by their shares. Deadband, regions and
-    point of action are those of the field with the larger share; where those of the
-    other field differ, the drag jumps accordingly.
+    patch). Viscous coefficients are averaged by their shares. Deadband, presliding,
+    regions and point of action are those of the field with drag, of two the one with
+    the larger share; where those of the other field differ, the drag jumps accordingly.
 
     Args:
         ledger: Has the pose and the share of the target.
@@ -349,7 +349,7 @@ def mixed_drag(
     old, new = pair.current_drag, pair.target_drag
     if old[ACTIVE] + new[ACTIVE] == 0.0:
         return new
-    major = new if share >= 0.5 else old
+    major = new if old[ACTIVE] == 0.0 or (share >= 0.5 and new[ACTIVE] > 0.0) else old
     buffers = FrameBuffers.empty()
     pose_of(ledger, data.reference, buffers.R, buffers.at)
     contact = touch(buffers.R, buffers.at, data)[0]
