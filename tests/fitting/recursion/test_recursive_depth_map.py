@@ -1,5 +1,7 @@
 """The recursion equals Gaussian conditioning of all nodes at once, and learns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -103,6 +105,31 @@ def test_no_friction_where_there_is_none(patient, shell):
     model = RecursiveDepthMap(patient, shell, PRIOR)
     fold(model, slid, twist=slid.twist(), stride=2)
     assert model.friction < 0.03
+
+
+def test_a_press_and_its_release_are_one_stiffness(patient, shell):
+    """Strokes on a field whose points rub: μ comes out, and no stroke undoes it."""
+    stiffer = RecursiveDepthMap(patient, shell, DepthProfile((1.5,), (1.6,))).field
+    law = {"friction_coefficient": 0.25, "drag_at_points": 1.0}
+    truth = tt.Renderer(replace(stiffer, parameters=law), shell)
+    press = recording("press_fit")
+    deepest = int(np.linalg.norm(press.force, axis=1).argmax())
+    R, at = press.rotation[deepest], press.position[deepest]
+    outward = press.force[deepest] / np.linalg.norm(press.force[deepest])
+    model, found = RecursiveDepthMap(patient, shell, PRIOR), []
+    for k in range(12 * 20):
+        stroke, step = divmod(k, 20)
+        pressing = stroke % 2 == 0
+        lifted = 5e-4 * (20 - step if pressing else step)
+        speed = np.r_[outward * (-0.01 if pressing else 0.01), np.zeros(3)]
+        pose = R, at + lifted * outward
+        felt = truth.render(*pose, speed)
+        model.update(0.05 * k, *pose, np.r_[felt.force, felt.torque], twist=speed)
+        if step == 19 and stroke >= 2:
+            bare = tt.Renderer(replace(model.field, parameters={}), shell)
+            found.append(np.linalg.norm(bare.render(R, at + 3e-3 * outward).force))
+    assert model.friction == pytest.approx(0.25, abs=0.03)
+    assert np.ptp(found) < 0.02 * np.mean(found)
 
 
 def test_size_follows_the_area_not_the_measurements(patient, shell):

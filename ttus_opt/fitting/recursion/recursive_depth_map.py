@@ -16,10 +16,13 @@ sensor's and one in proportion to the force, of its direction and torque 0.2 rad
 measurement that disagrees by more than four standard deviations counts less, the less
 the more it disagrees.
 
-What was measured fades: g follows an Ornstein-Uhlenbeck process, which returns to its
-prior over `memory`. The mean law does not fade; friction μ is the ratio of the force
-that is not the model's pressure to the drag of all points at μ = 1
-(`ttus_opt.contact.point_drag`), over the last `SLIDES` of it.
+Friction μ ~ Normal(0, 0.3²) is in the state as well, by an extended Kalman filter: drag
+is μ times that of all points at μ = 1 (`ttus_opt.contact.point_drag`), which is linear
+in p. A press is heavier than its release; learned apart, that would be a stiffness that
+changes with every stroke.
+
+What was measured fades: g and μ follow Ornstein-Uhlenbeck processes, which return to
+their prior over `memory`. The mean law does not fade.
 """
 
 from __future__ import annotations
@@ -54,18 +57,18 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: How contact samples the field
 SAMPLING = "trilinear"
 
-#: Unknowns of the mean law: scale and exponent
-LAW = 2
+#: Unknowns of the mean law, scale and exponent; where friction is in the state, and
+#: from where on g of the places
+LAW, MU, PLACES = 2, 2, 3
+
+#: Standard deviation of μ before anything slid, and largest μ [–]
+FRICTION_DEVIATION, MOST_FRICTION = 0.3, 1.0
 
 #: Normalised residual from which a measurement counts less [–]
 DISAGREES = 4.0
 
-#: Drag at μ = 1 that friction is averaged over [N]; speed below which the drag of a
-#: point fades [m/s]; least normal force of a frame that counts [N]
-SLIDES, LEAST_SPEED, LEAST_FORCE = 100.0, 3e-3, 0.5
-
-#: Largest friction coefficient [–]
-MOST_FRICTION = 1.0
+#: Speed below which the drag of a point fades [m/s]
+LEAST_SPEED = 3e-3
 
 #: Smallest share of the mean law that a field keeps [–]: p is never negative inside
 LEAST_STIFFNESS = 0.02
@@ -164,9 +167,8 @@ class RecursiveDepthMap:
             [SCALE_DEVIATION, PRIOR["exponent"][1] * profile.exponents[0]]
         )
         self._places: IntArray = np.zeros(0, dtype=np.int64)  # touched, in the state
-        self._mean, self._covariance = np.zeros(LAW), np.eye(LAW)
+        self._mean, self._covariance = np.zeros(PLACES), np.eye(PLACES)
         self._base = np.zeros((self.lattice.n_places, len(DEPTHS)))
-        self._slid, self._pressed = 0.0, 0.0
         self._time = -math.inf
         if start is not None:
             self._begin(start)
@@ -183,7 +185,7 @@ class RecursiveDepthMap:
         """Take an earlier map as the prior's mean."""
         self._base = start.stiffness.reshape(self._base.shape).copy()
         self._mean[:LAW] = np.array([start.scale - 1.0, start.slope]) / self._law
-        self._slid, self._pressed = SLIDES * start.friction, SLIDES
+        self._mean[MU] = start.friction / FRICTION_DEVIATION
 
     def over(self, voxmap: Voxmap) -> RecursiveDepthMap:
         """The same knowledge over another surface: its places move with the skin."""
@@ -208,9 +210,12 @@ class RecursiveDepthMap:
     @property
     def friction(self) -> float:
         """μ; 0 until the probe has slid [–]."""
-        if self._pressed < 1.0:
-            return 0.0
-        return min(max(self._slid / self._pressed, 0.0), MOST_FRICTION)
+        return min(max(self._mu, 0.0), MOST_FRICTION)
+
+    @property
+    def _mu(self) -> float:
+        """Mean of μ in the state, perhaps just below 0 where nothing rubs [–]."""
+        return float(FRICTION_DEVIATION * self._mean[MU])
 
     @property
     def memory_bytes(self) -> int:
@@ -252,22 +257,22 @@ class RecursiveDepthMap:
         parts = [rows.N, rows.W / long, *self._drag_rows(R, at, twist)]
         H, prior = self._state_rows(sp.csr_array(sp.vstack(parts)))
         both = prior + H @ self._mean
-        H, prior, expected = H[:6], prior[:6], both[:6]
+        prior, expected = prior[:6], both[:6]
         rubs = both[6:] if twist is not None else np.zeros(6)  # drag at μ = 1
         measured = wrench.copy()
         measured[3:] /= self.shell.rms_radius
         size = float(np.linalg.norm(prior[:3]))
         normal = prior[:3] / size if size > 0.0 else np.zeros(3)
         pressed = max(float(normal @ expected[:3]), 0.0)
-        drag = self.friction * rubs
-        residual = measured - expected - drag
+        if twist is not None:
+            H = H[:6] + self._mu * H[6:]
+            H[:, MU] = FRICTION_DEVIATION * rubs
+        residual = measured - expected - self._mu * rubs
         noise = _noise(normal, pressed, ALIKE / max(min(pause, ALIKE), 1e-3))
         cross = self._covariance @ H.T
         spread = H @ cross + noise
         nis = float(residual @ np.linalg.solve(spread, residual))
         counts = min(1.0, (DISAGREES**2 / max(nis / len(H), 1e-12)) ** 2)
-        if pressed >= LEAST_FORCE:
-            self._rub(rubs[:3], (measured - expected)[:3], counts)
         spread += (1.0 / counts - 1.0) * noise
         gain = scipy.linalg.solve(spread, cross.T, assume_a="pos")
         self._mean = self._mean + residual @ gain
@@ -278,7 +283,7 @@ class RecursiveDepthMap:
     def state(self) -> DepthMapState:
         """The present mean, at every node."""
         s, e = self._law * self._mean[:LAW]
-        rest = self._mean[LAW:].reshape(-1, len(DEPTHS))
+        rest = self._mean[PLACES:].reshape(-1, len(DEPTHS))
         everywhere = self._base + self._from_touched @ rest
         stiffness = everywhere.reshape(self.lattice.n_theta, self.lattice.n_z, -1)
         return DepthMapState(self.profile, 1.0 + s, e, stiffness, self.friction)
@@ -315,7 +320,7 @@ class RecursiveDepthMap:
         if len(self._places):
             rest = np.einsum("ij,ij->i", B, prior[:, self._places])
         unknown = self.deviation**2 * np.maximum(1.0 - rest, 0.0)
-        at = LAW + len(DEPTHS) * np.arange(len(self._places)) + k
+        at = PLACES + len(DEPTHS) * np.arange(len(self._places)) + k
         chosen = np.concatenate([[0], at])  # the scale, and g at that depth
         H = np.hstack([np.full((len(prior), 1), self._law[0]), B])
         spread = self._covariance[np.ix_(chosen, chosen)]
@@ -334,13 +339,14 @@ class RecursiveDepthMap:
         if not (math.isfinite(pause) and math.isfinite(self.memory)):
             return pause
         stays = math.exp(-pause / self.memory)
-        if stays < 1.0 and len(self._places):
+        if stays < 1.0:
             factor = np.ones(len(self._mean))
             factor[LAW:] = stays
             self._mean = self._mean * factor
             self._covariance = self._covariance * (factor[:, None] * factor)
-            fresh = (1.0 - stays**2) * self._prior(self._places)
-            self._covariance[LAW:, LAW:] += fresh
+            fresh = 1.0 - stays**2
+            self._covariance[MU, MU] += fresh
+            self._covariance[PLACES:, PLACES:] += fresh * self._prior(self._places)
         return pause
 
     def _prior(self, places: IntArray) -> Array:
@@ -362,7 +368,8 @@ class RecursiveDepthMap:
         H[:, 0] = self._law[0] * prior
         H[:, 1] = self._law[1] * (weighted @ self._log_depth)
         columns = self._places[:, None] * len(DEPTHS) + np.arange(len(DEPTHS))
-        H[:, LAW:] = by_node[:, columns.ravel()].toarray()
+        H[:, MU] = 0.0
+        H[:, PLACES:] = by_node[:, columns.ravel()].toarray()
         return H, prior + by_node @ self._base.ravel()
 
     def _add(self, places: IntArray) -> None:
@@ -374,7 +381,7 @@ class RecursiveDepthMap:
         left = skin[np.ix_(places, places)] - B @ skin[np.ix_(self._places, places)]
         fresh = self.deviation**2 * np.kron(left, self.lattice.over_depth)
         full = np.zeros((len(fresh), len(self._mean)))
-        full[:, LAW:] = np.kron(B, np.eye(len(DEPTHS)))
+        full[:, PLACES:] = np.kron(B, np.eye(len(DEPTHS)))
         cross = full @ self._covariance
         own = cross @ full.T + fresh
         self._mean = np.concatenate([self._mean, full @ self._mean])
@@ -419,15 +426,6 @@ class RecursiveDepthMap:
             slip=Slip(slides[None], LEAST_SPEED),
         )
         return [-rows.N, sp.csr_array(rows.W / -self.shell.rms_radius)]
-
-    def _rub(self, rubs: Array, force: Array, counts: float) -> None:
-        """Learn μ from the drag expected at μ = 1 and from what is not pressure [N]."""
-        size = float(np.linalg.norm(rubs))
-        if size == 0.0:
-            return
-        fade = max(1.0 - counts * size / SLIDES, 0.0)
-        self._slid = fade * self._slid + counts * float(force @ rubs) / size
-        self._pressed = fade * self._pressed + counts * size
 
 
 def _signed_depth(voxmap: Voxmap) -> Array:
