@@ -9,7 +9,15 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import NUMBERS, only_our_errors
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
+from ttus_opt.probe.rigid_motion import (
+    homogeneous,
+    inverse,
+    left_jacobian,
+    motion_of,
+    read_rigid_motion,
+    rigid_motion,
+    six_of,
+)
 
 TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])
 SHIFT = np.array([0.4, -0.2, 1.5])
@@ -104,3 +112,13 @@ def test_mutations_raise_nothing_but_our_own(n, tmp_path):
     (tmp_path / "m.json").write_text(json.dumps(motion().tolist()))
     (tmp_path / "seven.csv").write_text("0.1,0.2,0.3,0,0,0,1")
     only_our_errors(sorted(tmp_path.iterdir()), read_rigid_motion, n)
+
+
+@pytest.mark.parametrize("turn", [[0.3, -0.2, 0.5], [2.0, 1.0, -1.5], [1e-6, 0, 0]])
+def test_six_numbers_and_a_small_turn_after_them(turn):
+    six = np.array([*turn, 0.1, -0.2, 0.3])
+    np.testing.assert_allclose(six_of(motion_of(six)), six, atol=1e-12)
+    small = np.array([2e-6, -1e-6, 3e-6, 0.0, 0.0, 0.0])
+    after = motion_of(small)[:3, :3] @ motion_of(six)[:3, :3]
+    change = six_of(homogeneous(after, six[3:])) - six
+    np.testing.assert_allclose(left_jacobian(six) @ change, small, atol=1e-10)

@@ -13,7 +13,7 @@ from tests.hostile import only_our_errors
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.sensors.depth import read_depth_image
-from ttus_opt.sensors.depth_files import read_depth, read_depth_frame
+from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.intrinsics import read_intrinsics
 
 rosbags = pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
@@ -116,7 +116,7 @@ def recorded(
 
 def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
     file = recorded(tmp_path / "scan.bag")
-    found = read_depth(file)
+    found = read_depth(file).depth
     expected = UNIT * depth(2)
     expected[3, 4] = np.nan
     np.testing.assert_allclose(found, expected, rtol=1e-6)
@@ -129,7 +129,7 @@ def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
 
 def test_millimetres_where_no_unit_is_stated(tmp_path: Path) -> None:
     file = recorded(tmp_path / "scan.bag", encoding="16UC1", unit=False)
-    np.testing.assert_allclose(read_depth(file)[0, 0], 5.002)
+    np.testing.assert_allclose(read_depth(file).depth[0, 0], 5.002)
 
 
 def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
@@ -138,15 +138,15 @@ def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
     data = f"{SENSOR}/Depth_0/image/data"
     refuses(FileError, "several topics of depth images: /camera/al", read_depth, file)
     with pytest.raises(FileError, match="no topic /x of depth images: one of /camera"):
-        read_depth_frame(file, topic="/x")
-    found, frame = read_depth_frame(file, topic=data, at=0.1)
+        read_depth(file, topic="/x")
+    found, frame = read_depth(file, topic=data, at=0.1)
     assert frame[:3] == (data, 3, 5)
     np.testing.assert_allclose(frame[3:], (0.099, UNIT), rtol=1e-6)
     said = "image 4 of 5, 0.099 s after the first, in units of 0.1 mm"
     assert str(frame) == f"{data}, {said}"
     np.testing.assert_allclose(found[0, 0], UNIT * depth(3)[0, 0])
     for at, number in ((0.0, 0), (0.132, 4), (None, 2)):
-        found, frame = read_depth_frame(file, topic=f"{ALIGNED}/image_raw", at=at)
+        found, frame = read_depth(file, topic=f"{ALIGNED}/image_raw", at=at)
         assert frame is not None and frame.number == number
         np.testing.assert_allclose(found[0, 0], UNIT * depth(number)[0, 0])
     assert read_intrinsics(file, data).matrix[0, 0] == 60.0
@@ -154,7 +154,7 @@ def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
     assert small.matrix[0, 0] == 30.0 and small.size == (16, 12)
     for at in (-0.1, 1.0):
         with pytest.raises(InputError, match="outside the recording"):
-            read_depth_frame(file, topic=data, at=at)
+            read_depth(file, topic=data, at=at)
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

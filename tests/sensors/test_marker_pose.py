@@ -14,7 +14,6 @@ from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.marker_pose import (
     Board,
     MarkerPose,
-    _from_turns,
     board_pose,
     marker_poses,
     read_image,
@@ -112,14 +111,6 @@ def test_the_covariance_is_that_of_many_noisy_photos():
     np.testing.assert_allclose(
         sampled / np.outer(scale, scale), told / np.outer(scale, scale), atol=0.2
     )
-
-
-@pytest.mark.parametrize("turn", [[0.3, -0.2, 0.5], [2.0, 1.0, -1.5], [1e-6, 0, 0]])
-def test_a_small_turn_after_a_turn(turn):
-    small = np.array([2e-6, -1e-6, 3e-6])
-    after = Rotation.from_rotvec(small) * Rotation.from_rotvec(turn)
-    change = _from_turns(np.array(turn))[:3, :3] @ small
-    np.testing.assert_allclose(after.as_rotvec(), turn + change, atol=1e-10)
 
 
 def test_the_photo_of_a_board(shared):

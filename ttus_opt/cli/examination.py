@@ -78,7 +78,7 @@ def _recording(file: Path, asked: Asked) -> Found:
 def _bag(file: Path, asked: Asked) -> Found:
     """A recording of ROS, and its depth images if it has some."""
     from ttus_opt.sensors.depth_bag import depth_topics
-    from ttus_opt.sensors.depth_files import read_depth_frame
+    from ttus_opt.sensors.depth_files import read_depth
 
     topics = depth_topics(file)
     found = Found("recording of ROS", [], {}, {})
@@ -90,7 +90,7 @@ def _bag(file: Path, asked: Asked) -> Found:
     lines = found.lines if found.streams or not topics else []
     facts = dict(found.facts)
     for topic in topics:
-        depth, frame = read_depth_frame(file, topic=topic)
+        depth, frame = read_depth(file, topic=topic)
         words, seen = _depth_facts(depth)
         which = [f"{frame.which}, is read"] if frame else []
         about = [*which, *words, *_camera_lines(file, topic)]
@@ -256,7 +256,7 @@ def _depth(file: Path, asked: Asked) -> Found:
     from ttus_opt.sensors.depth_files import PictureError, read_depth
 
     try:
-        lines, facts = _depth_facts(read_depth(file, asked.unit))
+        lines, facts = _depth_facts(read_depth(file, asked.unit).depth)
     except PictureError:
         if file.suffix.lower() == ".npy":
             raise

@@ -18,6 +18,7 @@ from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.cylindrical import lattice_shares
 from ttus_opt.scan.surface import Surface
 
 #: Weight of a patch's initial estimate, in samples [–]
@@ -150,9 +151,8 @@ class PatchGrid:
     """
 
     def __init__(self, surface: Surface) -> None:
-        self._low, length = float(surface.z[0]), float(np.ptp(surface.z))
-        self._along = max(round(length / HEIGHT), 1) + 1
-        self._per_metre = (self._along - 1) / length
+        self._low, self._length = float(surface.z[0]), float(np.ptp(surface.z))
+        self._along = max(round(self._length / HEIGHT), 1) + 1
 
     @property
     def n_patches(self) -> int:
@@ -161,18 +161,9 @@ class PatchGrid:
 
     def shares(self, place: Array) -> list[tuple[int, float]]:
         """Nodes and weights, which add up to 1, of a place (3,), patient frame [m]."""
-        u = np.arctan2(place[1], place[0]) / (2.0 * np.pi) * AROUND
-        v = (place[2] - self._low) * self._per_metre
-        v = float(min(max(v, 0.0), self._along - 1.0))
-        j, k = int(np.floor(u)), min(int(v), self._along - 2)
-        a, b = float(u - j), v - k
-        corners = (
-            (j, k, (1.0 - a) * (1.0 - b)),
-            (j, k + 1, (1.0 - a) * b),
-            (j + 1, k, a * (1.0 - b)),
-            (j + 1, k + 1, a * b),
-        )
-        return [(j % AROUND * self._along + k, w) for j, k, w in corners if w > 0.0]
+        theta, along = np.arctan2(place[1], place[0]), (place[2] - self._low)
+        corners = lattice_shares(theta, along / self._length, (AROUND, self._along))
+        return [(int(node), float(share)) for node, share in corners if share > 0.0]
 
 
 #: Initial K [N per 10 mm] and B [N s per 10 mm], and their deviations over the noise

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import CoulombDrag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
 
 #: Noise of the force and torque sensor, standard deviation per axis [N], [N m]
@@ -107,16 +107,10 @@ def add_pose_noise(
     Raises:
         InputError: The correlation time is negative.
     """
-    if correlation < 0.0:
-        raise InputError(f"correlation must not be negative, got {correlation} s")
+    noise = TrackerNoise(POSITION_NOISE, ROTATION_NOISE, correlation)
     white = rng.standard_normal((len(trajectory), 6))
     unit = _correlated(white, trajectory.time, correlation)
-    turn = Rotation.from_rotvec(ROTATION_NOISE * unit[:, 3:]).as_matrix()
-    return replace(
-        trajectory,
-        position=trajectory.position + POSITION_NOISE * unit[:, :3],
-        rotation=turn @ trajectory.rotation,
-    )
+    return noise.without(trajectory, -unit)
 
 
 def _correlated(white: Array, time: Array, correlation: float) -> Array:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.compiled import compiled
 
 TURN = 2.0 * math.pi
@@ -72,3 +72,30 @@ def cylindrical(points: Array) -> tuple[Array, Array, Array]:
     theta = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
     theta[theta >= 2.0 * np.pi] = 0.0  # -1e-17 % 2π rounds up to 2π
     return r, theta, points[:, 2].copy()
+
+
+def lattice_shares(
+    theta: Array, along: Array, shape: tuple[int, int]
+) -> list[tuple[IntArray, Array]]:
+    """The four nodes of a lattice around places, and their bilinear shares.
+
+    Args:
+        theta: Angles [rad]; the lattice closes around.
+        along: From 0 at its lower to 1 at its upper end; beyond, those of the end [–].
+        shape: Nodes around and along.
+
+    Returns:
+        Numbers of nodes in C order, and shares, which add up to 1, of each corner.
+    """
+    around, high = shape
+    a, b = (theta % TURN) * around / TURN, np.clip(along, 0.0, 1.0) * (high - 1)
+    i, j = np.asarray(a).astype(int), np.minimum(np.asarray(b).astype(int), high - 2)
+    s, t = a - i, b - j
+    return [
+        (
+            ((i + u) % around) * high + j + v,
+            (s if u else 1.0 - s) * (t if v else 1.0 - t),
+        )
+        for u in (0, 1)
+        for v in (0, 1)
+    ]

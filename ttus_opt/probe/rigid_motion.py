@@ -15,6 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
@@ -84,6 +85,35 @@ def inverse(motion: Array) -> Array:
     """The inverses of motions (…, 4, 4)."""
     turn = np.swapaxes(motion[..., :3, :3], -1, -2)
     return homogeneous(turn, -(turn @ motion[..., :3, 3:])[..., 0])
+
+
+def motion_of(six: ArrayLike) -> Array:
+    """The motion (4, 4) of a rotation vector [rad] and a shift [m]."""
+    values = np.asarray(six, dtype=np.float64)
+    return homogeneous(Rotation.from_rotvec(values[:3]).as_matrix(), values[3:])
+
+
+def six_of(motion: Array) -> Array:
+    """Rotation vector [rad] and shift [m] of motions (…, 4, 4), shape (…, 6)."""
+    turn = Rotation.from_matrix(motion[..., :3, :3]).as_rotvec()
+    return np.concatenate([turn, motion[..., :3, 3]], axis=-1)
+
+
+def left_jacobian(six: Array) -> Array:
+    """Of a rotation vector and a shift, (6, 6): small turn after = J change of vector.
+
+    On the rotations the left Jacobian of SO(3) (Chirikjian, Stochastic Models,
+    Information Theory, and Lie Groups 2, 2012, 10.86); the identity for shifts.
+    """
+    angle = float(np.linalg.norm(six[:3]))
+    K = np.cross(np.eye(3), six[:3])
+    a, b = 0.5, 1.0 / 6.0
+    if angle > 1e-4:
+        a = (1.0 - np.cos(angle)) / angle**2
+        b = (angle - np.sin(angle)) / angle**3
+    J = np.eye(6)
+    J[:3, :3] = np.eye(3) + a * K + b * K @ K
+    return J
 
 
 def composed(motions: Iterable[PoseLike]) -> Array:

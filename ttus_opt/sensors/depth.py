@@ -33,7 +33,7 @@ from ttus_opt.probe.pose import PoseLike
 from ttus_opt.probe.rigid_motion import moved, rigid_motion
 from ttus_opt.scan.cloud import of_patient
 from ttus_opt.sensors.depth_bag import Frame
-from ttus_opt.sensors.depth_files import read_depth_frame
+from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.depth_noise import NoiseModel, Pixels
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection
@@ -322,7 +322,7 @@ def read_depth_image(
         FileError: Missing, damaged, or not a depth image.
         InputError: Its size is not the camera's, or its unit is another.
     """
-    depth, frame = read_depth_frame(path, unit, topic=topic, at=at)
+    depth, frame = read_depth(path, unit, topic=topic, at=at)
     name = os.fspath(path)
     with located(name):
         if isinstance(camera, Intrinsics):

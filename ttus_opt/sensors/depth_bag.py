@@ -61,18 +61,6 @@ class Frame(NamedTuple):
         return f"{self.topic}, {self.which}"
 
 
-class BagDepth(NamedTuple):
-    """A depth image of a recording.
-
-    Attributes:
-        pixels: As recorded, shape (height, width).
-        frame: Which one, and its unit.
-    """
-
-    pixels: NDArray[Any]
-    frame: Frame
-
-
 def depth_topics(path: Path) -> list[str]:
     """Topics of depth images in a recording, in order.
 
@@ -85,8 +73,8 @@ def depth_topics(path: Path) -> list[str]:
 
 def read_bag_depth(
     path: Path, topic: str | None = None, at: float | None = None
-) -> BagDepth:
-    """A depth image of a recording.
+) -> tuple[NDArray[Any], Frame]:
+    """A depth image of a recording, as recorded, and which one it is.
 
     Args:
         path: The ``.bag``.
@@ -100,7 +88,7 @@ def read_bag_depth(
         MissingPackageError: rosbags is not installed.
     """
 
-    def read(reader: Any, known: Any) -> BagDepth:
+    def read(reader: Any, known: Any) -> tuple[NDArray[Any], Frame]:
         own = _images(path, reader, topic)
         which, raw = _taken(reader, own, at)
         message = known.deserialize_ros1(raw, IMAGE)
@@ -117,7 +105,7 @@ def read_bag_depth(
         pixels = np.ascontiguousarray(rows[:, :size]).view(f"{order}{kind}")
         stated = _option(reader, known)
         frame = Frame(own[0].topic, *which, unit if stated is None else stated)
-        return BagDepth(pixels, frame)
+        return pixels, frame
 
     return _opened(path, read)
 

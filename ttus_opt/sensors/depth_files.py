@@ -41,7 +41,8 @@ class DepthFrame(NamedTuple):
     """Depths of a file.
 
     Attributes:
-        depth: As `read_depth`, shape (height, width) [m].
+        depth: Shape (height, width) [m]; NaN where not measured: 0, negative, not
+            finite, or the largest number of an integer type.
         frame: Which image of a recording; None for an image alone.
     """
 
@@ -49,7 +50,7 @@ class DepthFrame(NamedTuple):
     frame: Frame | None
 
 
-def read_depth_frame(
+def read_depth(
     path: str | os.PathLike[str],
     unit: str | None = None,
     *,
@@ -59,52 +60,35 @@ def read_depth_frame(
     """The depths of an image, and which it is.
 
     Args:
-        path: As `read_depth`.
-        unit: As `read_depth`.
+        path: A .png, .tif, .tiff or .npy file of one number per pixel, or a .bag of
+            which one image is read in its own unit.
+        unit: ``m``, ``cm`` or ``mm``; by default millimetres for whole numbers and
+            metres for fractions.
         topic: Of a recording, as in `read_bag_depth`.
         at: Of a recording, as in `read_bag_depth` [s].
 
     Raises:
-        FileError: As `read_depth`, or a recording of several topics.
-        InputError: As `read_depth`, or a time outside the recording.
-    """
-    if Path(path).suffix.lower() == SUFFIX:
-        file = io.existing_file(path, "recording")
-        found = read_bag_depth(file, topic, at)
-        return DepthFrame(_in_metres(file, found.pixels, found.frame.unit), found.frame)
-    if topic is not None or at is not None:
-        raise InputError(f"{path} is an image alone: leave name= and at= out")
-    return DepthFrame(read_depth(path, unit), None)
-
-
-def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
-    """The depths of an image.
-
-    Args:
-        path: A .png, .tif, .tiff or .npy file of one number per pixel, or a .bag of
-            which the image in the middle is read in its own unit.
-        unit: ``m``, ``cm`` or ``mm``; by default millimetres for whole numbers and
-            metres for fractions.
-
-    Returns:
-        Depths, shape (height, width) [m]; NaN where not measured: 0, negative, not
-        finite, or the largest number of an integer type.
-
-    Raises:
-        FileError: Missing, damaged, or not a depth image.
-        InputError: An unknown unit, or depths that are implausible in it.
+        FileError: Missing, damaged, not a depth image, or a recording of several
+            topics.
+        InputError: An unknown unit, depths that are implausible in it, or a time
+            outside the recording.
     """
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
     if Path(path).suffix.lower() == SUFFIX:
-        return read_depth_frame(path).depth
+        file = io.existing_file(path, "recording")
+        pixels, frame = read_bag_depth(file, topic, at)
+        return DepthFrame(_in_metres(file, pixels, frame.unit), frame)
+    if topic is not None or at is not None:
+        raise InputError(f"{path} is an image alone: leave name= and at= out")
     file = io.existing_file(path, "depth image", LARGEST_FILE)
     values = _read(file)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     _check_kind(file, values)
     whole = values.dtype.kind in "iu"
-    return _in_metres(file, values, UNITS[unit or ("mm" if whole else "m")])
+    scale = UNITS[unit or ("mm" if whole else "m")]
+    return DepthFrame(_in_metres(file, values, scale), None)
 
 
 def _in_metres(file: Path, values: NDArray[Any], scale: float) -> Array:

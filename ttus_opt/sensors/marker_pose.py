@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, warn
-from ttus_opt.probe.rigid_motion import homogeneous
+from ttus_opt.probe.rigid_motion import homogeneous, left_jacobian
 from ttus_opt.sensors.image_file import decoded
 from ttus_opt.sensors.intrinsics import Intrinsics
 
@@ -316,29 +316,12 @@ def _refined(
     square = float(rest @ rest)
     if not np.isfinite(square):
         raise InputError("no pose explains the corners: check intrinsics")
-    J = np.asarray(jacobian)[:, :6] @ _from_turns(
-        np.asarray(turn, np.float64).reshape(3)
-    )
+    by_turns = np.linalg.inv(left_jacobian(np.asarray(turn, np.float64).reshape(3)))
+    J = np.asarray(jacobian)[:, :6] @ by_turns
     variance = max(square / (len(rest) - 6), LEAST_PIXEL_STD**2)
     pose = homogeneous(cv2.Rodrigues(turn)[0], shift.reshape(3))
     covariance = np.asarray(variance * np.linalg.pinv(J.T @ J), np.float64)
     return MarkerPose(markers, pose, covariance, float(np.sqrt(square / len(pixels))))
-
-
-def _from_turns(rotvec: Array) -> Array:
-    """Derivative of a pose's rotation vector by a small rotation after it, (6, 6).
-
-    The inverse of the left Jacobian of SO(3) (Chirikjian, Stochastic Models,
-    Information Theory, and Lie Groups 2, 2012, 10.86); the identity for translations.
-    """
-    angle = float(np.linalg.norm(rotvec))
-    cross = np.cross(np.eye(3), rotvec)
-    factor = 1.0 / 12.0
-    if angle > 1e-4:
-        factor = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
-    out = np.eye(6)
-    out[:3, :3] = np.eye(3) - 0.5 * cross + factor * cross @ cross
-    return out
 
 
 def _uncertainty(found: MarkerPose) -> None:

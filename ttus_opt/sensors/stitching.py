@@ -21,14 +21,20 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
 from ttus_opt.probe.recording_faults import checked
-from ttus_opt.probe.rigid_motion import homogeneous, inverse, moved, rigid_motion
+from ttus_opt.probe.rigid_motion import (
+    homogeneous,
+    inverse,
+    motion_of,
+    moved,
+    rigid_motion,
+    six_of,
+)
 from ttus_opt.sensors.depth import DepthCloud, DepthImage
 from ttus_opt.sensors.depth_bag import Frame
 from ttus_opt.sensors.depth_noise import NoiseModel
@@ -283,10 +289,7 @@ def _one_refined(
     if not (result.converged and np.isfinite(registered).all()):
         raise InputError(f"{scan} could not be refined: leave refine out")
     after = _held(scan, source, target, registered)
-    change = inverse(measured) @ registered
-    step = np.concatenate(
-        [Rotation.from_matrix(change[:3, :3]).as_rotvec(), change[:3, 3]]
-    )
+    step = six_of(inverse(measured) @ registered)
     prior = np.repeat([1.0 / uncertainty.turn**2, 1.0 / uncertainty.shift**2], 3)
     information = after.information / after.residual**2
     fused = np.linalg.solve(information + np.diag(prior), information @ step)
@@ -299,8 +302,7 @@ def _one_refined(
             f"most {LEAVES:g} are accepted: check the pose, or state a larger "
             "deviation"
         )
-    turned = Rotation.from_rotvec(fused[:3]).as_matrix()
-    pose = measured @ homogeneous(turned, fused[3:])
+    pose = measured @ motion_of(fused)
     return pose, Refinement(
         k,
         float(np.linalg.norm(fused[3:])),

@@ -23,7 +23,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
-from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.rigid_motion import (
+    homogeneous,
+    inverse,
+    left_jacobian,
+    motion_of,
+    six_of,
+)
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors import hand_eye
 from ttus_opt.sensors.angular_offset import angular_offset
@@ -222,20 +228,9 @@ class _Problem:
             parameters: X and Z as rotation vector [rad] and shift [m] each, and the
                 shift of the clock [s], shape (13,).
         """
-        X, Z = _motion(parameters[:6]), _motion(parameters[6:12])
+        X, Z = motion_of(parameters[:6]), motion_of(parameters[6:12])
         off = inverse(Z) @ self.G(parameters[12]) @ X @ self.A
-        turn = Rotation.from_matrix(off[:, :3, :3]).as_rotvec()
-        return np.asarray(np.hstack([turn, off[:, :3, 3]]))
-
-
-def _motion(six: Array) -> Array:
-    turn = Rotation.from_rotvec(six[:3]).as_matrix()
-    return homogeneous(turn, six[3:])
-
-
-def _six(motion: Array) -> Array:
-    turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
-    return np.asarray(np.r_[turn, motion[:3, 3]])
+        return six_of(off)
 
 
 def _start(problem: _Problem, rng: np.random.Generator) -> Array:
@@ -250,7 +245,7 @@ def _start(problem: _Problem, rng: np.random.Generator) -> Array:
         for found in hand_eye.solved(G[own], problem.A[own]).values():
             if found.camera is None:
                 continue
-            six = np.r_[_six(found.camera), _six(found.marker), 0.0]
+            six = np.r_[six_of(found.camera), six_of(found.marker), 0.0]
             gap = float(
                 np.median(np.linalg.norm(problem.residuals(six)[:, 3:], axis=1))
             )
@@ -339,7 +334,8 @@ def _dependence(residuals: Array, time: Array) -> float:
 def _answer(
     problem: _Problem, fit: _Fit, clock: Offset, disagreeing: int
 ) -> StreamHandEye:
-    X, Z = _motion(fit.parameters[:6]), _motion(fit.parameters[6:12])
+    X, Z = motion_of(fit.parameters[:6]), motion_of(fit.parameters[6:12])
+    J = left_jacobian(fit.parameters)
     gap = np.linalg.norm(fit.residuals[:, 3:], axis=1)
     twist = np.linalg.norm(fit.residuals[:, :3], axis=1)
     used = fit.used
@@ -350,7 +346,7 @@ def _answer(
     return StreamHandEye(
         X,
         Z,
-        _in_target(fit.covariance[:6, :6], fit.parameters[:3]),
+        J @ fit.covariance[:6, :6] @ J.T,
         clock.seconds - float(fit.parameters[12]),
         std if std > 0.0 else clock.std,
         clock.correlation,
@@ -360,19 +356,3 @@ def _answer(
         int(used.sum()),
         disagreeing + int((~used).sum()),
     )
-
-
-def _in_target(covariance: Array, vector: Array) -> Array:
-    """The covariance of a small turn before X instead of that of its rotation vector.
-
-    With J the left Jacobian of SO(3) at the rotation vector, δ = J dv.
-    """
-    angle = float(np.linalg.norm(vector))
-    K = np.cross(np.eye(3), vector)
-    a, b = 0.5, 1.0 / 6.0
-    if angle > 1e-4:
-        a = (1.0 - np.cos(angle)) / angle**2
-        b = (angle - np.sin(angle)) / angle**3
-    J = np.eye(6)
-    J[:3, :3] = np.eye(3) + a * K + b * K @ K
-    return J @ covariance @ J.T

@@ -23,7 +23,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
 from ttus_opt.phantom.example_data import PROBE, TORSO, VIEWS, frame
-from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.rigid_motion import homogeneous, inverse, motion_of
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.frame import Axis
@@ -247,12 +247,8 @@ def _write_waving(place: Path, rng: np.random.Generator) -> None:
     turns = Rotation.from_rotvec(0.35 * waves.sum(axis=2)).as_matrix()
     shift = 0.05 * waves[:, ::-1].sum(axis=2) + [0.4, 0.1, 0.5]
     hand = homogeneous(turns, shift)
-    camera_to_base = homogeneous(
-        Rotation.from_rotvec([1.9, -0.6, 0.4]).as_matrix(), (0.9, -0.5, 1.1)
-    )
-    marker_to_hand = homogeneous(
-        Rotation.from_rotvec([0.3, 0.2, -0.5]).as_matrix(), (0.03, -0.02, 0.06)
-    )
+    camera_to_base = motion_of((1.9, -0.6, 0.4, 0.9, -0.5, 1.1))
+    marker_to_hand = motion_of((0.3, 0.2, -0.5, 0.03, -0.02, 0.06))
     hand_noisy = shaken(hand, 1e-4, 2e-4, rng)
     _save_motions(time - ROBOT_OFFSET, hand_noisy, place / "robot_poses.csv")
     marker = inverse(camera_to_base) @ hand @ marker_to_hand
@@ -280,9 +276,7 @@ def _write_photo(place: Path, rng: np.random.Generator) -> None:
     tag = cv2.aruco.generateImageMarker(tags, 7, side)
     paper[400 : 400 + side, 1300 : 1300 + side] = tag
     K = np.array([[620.0, 0.0, 319.5], [0.0, 620.0, 239.5], [0.0, 0.0, 1.0]])
-    pose = homogeneous(
-        Rotation.from_rotvec([0.35, -0.25, 0.1]).as_matrix(), (-0.11, -0.075, 0.42)
-    )
+    pose = motion_of((0.35, -0.25, 0.1, -0.11, -0.075, 0.42))
     step = 1e-3 / scale
     to_sheet = np.array([[step, 0, step / 2], [0, step, step / 2], [0, 0, 1.0]])
     fine = np.array([[4.0, 0, 1.5], [0, 4.0, 1.5], [0, 0, 1.0]])  # then averaged

@@ -26,7 +26,7 @@ from ttus_opt.core.errors import FileError
 from ttus_opt.phantom.camera import ScanSetup, View, depth_image
 from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions
-from ttus_opt.probe.rigid_motion import homogeneous, inverse
+from ttus_opt.probe.rigid_motion import homogeneous, inverse, motion_of
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.streams import WrenchStream, interpolated
@@ -73,13 +73,6 @@ FORCE_NOISE, TORQUE_NOISE = 0.02, 0.001
 DOWN = np.array([0.0, -1.0, 0.0])
 
 
-def _motion(
-    turn: tuple[float, float, float], shift: tuple[float, float, float]
-) -> Array:
-    """A rotation vector [rad] and a shift [m] as a matrix (4, 4)."""
-    return homogeneous(Rotation.from_rotvec(turn).as_matrix(), shift)
-
-
 @dataclass(frozen=True)
 class Truth:
     """Ground truth of the calibration.
@@ -98,13 +91,13 @@ class Truth:
     """
 
     tracker_to_scan: Array = field(
-        default_factory=lambda: _motion((0.4, -1.1, 0.7), (1.3, -0.6, 0.4))
+        default_factory=lambda: motion_of((0.4, -1.1, 0.7, 1.3, -0.6, 0.4))
     )
     tag_to_target: Array = field(
-        default_factory=lambda: _motion((0.2, 0.5, -0.3), (0.03, 0.04, -0.01))
+        default_factory=lambda: motion_of((0.2, 0.5, -0.3, 0.03, 0.04, -0.01))
     )
     target_to_probe: Array = field(
-        default_factory=lambda: _motion((0.0, 0.8, 0.1), (0.02, -0.05, -0.12))
+        default_factory=lambda: motion_of((0.0, 0.8, 0.1, 0.02, -0.05, -0.12))
     )
     axes: Array = field(
         default_factory=lambda: Rotation.from_rotvec([0.006, -0.005, 0.785]).as_matrix()

@@ -19,10 +19,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.matern import matern
-from ttus_opt.probe.cylindrical import TURN
+from ttus_opt.probe.cylindrical import TURN, lattice_shares
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -132,9 +132,8 @@ class DepthLattice:
         """G at voxels from g at nodes, shape (V, size): at most 8 a row, sum 1."""
         grid = self.voxmap.grid
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
-        spoke = [
-            (index.ravel(), share.ravel()) for index, share in self._skin(theta, z)
-        ]
+        along = (z.ravel() - grid.z_min) / (grid.z_max - grid.z_min)
+        spoke = lattice_shares(theta.ravel(), along, (self.n_theta, self.n_z))
         depth = np.clip(voxel_depths(self.voxmap), 0.0, self.depths[-1])
         low = np.clip(np.searchsorted(self.depths, depth) - 1, 0, len(DEPTHS) - 2)
         deep = (depth - self.depths[low]) / np.diff(self.depths)[low]
@@ -148,18 +147,3 @@ class DepthLattice:
         starts = 8 * np.arange(n + 1)
         shape = (n, self.size)
         return sp.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
-
-    def _skin(self, theta: Array, z: Array) -> list[tuple[IntArray, Array]]:
-        """The four places around points of the skin, and their shares."""
-        a = (theta % TURN) * self.n_theta / TURN
-        low, high = self.voxmap.grid.z_min, self.voxmap.grid.z_max
-        b = np.clip((z - low) / (high - low), 0.0, 1.0) * (self.n_z - 1)
-        i, j = a.astype(int), np.minimum(b.astype(int), self.n_z - 2)
-        s, t = a - i, b - j
-        corners = []
-        for u in (0, 1):
-            for v in (0, 1):
-                place = ((i + u) % self.n_theta) * self.n_z + j + v
-                share = (s if u else 1.0 - s) * (t if v else 1.0 - t)
-                corners.append((place, share))
-        return corners

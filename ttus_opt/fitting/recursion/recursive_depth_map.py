@@ -42,13 +42,9 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.depth_lattice import DEPTHS, DepthLattice
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.problem.terms.depth_map import LEAST_DEPTH, SCALE_DEVIATION
+from ttus_opt.problem.terms.depth_map import SCALE_DEVIATION, signed_depth
 from ttus_opt.problem.terms.depth_map_estimate import PRIOR
-from ttus_opt.problem.terms.depth_profile import (
-    REFERENCE_DEPTH,
-    DepthProfile,
-    voxel_depths,
-)
+from ttus_opt.problem.terms.depth_profile import REFERENCE_DEPTH, DepthProfile
 from ttus_opt.problem.terms.part_noise import ALIKE, RELATIVE, SENSOR, TURN
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
@@ -176,7 +172,7 @@ class RecursiveDepthMap:
     def _lay(self, lattice: DepthLattice) -> None:
         """Take the nodes and voxels of a surface."""
         self.lattice = lattice
-        self._depth = _signed_depth(lattice.voxmap)
+        self._depth = signed_depth(lattice.voxmap)
         self._phi = self.profile(self._depth)
         self._log_depth = np.log(np.abs(self._depth) / REFERENCE_DEPTH)
         self.__dict__.pop("_everywhere", None)
@@ -426,12 +422,6 @@ class RecursiveDepthMap:
             slip=Slip(slides[None], LEAST_SPEED),
         )
         return [-rows.N, sp.csr_array(rows.W / -self.shell.rms_radius)]
-
-
-def _signed_depth(voxmap: Voxmap) -> Array:
-    """Depth of every voxel below the skin, never zero, negative outside, (V,) [m]."""
-    depth, least = voxel_depths(voxmap), LEAST_DEPTH * voxmap.grid.r_step
-    return np.copysign(np.maximum(np.abs(depth), least), depth)
 
 
 def _noise(normal: Array, pressed: float, crowded: float) -> Array:

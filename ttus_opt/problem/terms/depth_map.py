@@ -30,6 +30,7 @@ from ttus_opt.problem.terms.depth_profile import (
 )
 from ttus_opt.problem.terms.structure import KnownCovariance, UncertainMean
 from ttus_opt.voxmap.sampling import least_length
+from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Smallest depth at which φ is evaluated, over a layer's thickness [–]: rows must be
 #: finite at voxels on the surface
@@ -126,7 +127,7 @@ class DepthMapTerm(Term):
         ribs, by less than between persons (R. Remus et al., Front. Bioeng. Biotechnol.
         12 (2024) 1384062).
         """
-        log_depth = np.log(voxel_depth(self.scene) / REFERENCE_DEPTH)
+        log_depth = np.log(np.abs(signed_depth(self.scene.voxmap)) / REFERENCE_DEPTH)
         drift = [SCALE_DEVIATION * self.mean]
         for a, c in zip(self.profile.exponents, self.profile.coefficients, strict=True):
             part = replace(self.profile, exponents=(a,), coefficients=(1.0,))
@@ -140,12 +141,12 @@ class DepthMapTerm(Term):
         return UncertainMean(columns, *size, *own, PRIOR["shared_error"])
 
 
-def voxel_depth(scene: Scene) -> Array:
-    """Distance of every voxel from the surface, never zero, shape (V,) [m]."""
-    least = LEAST_DEPTH * scene.voxmap.grid.r_step
-    return np.asarray(np.maximum(np.abs(voxel_depths(scene.voxmap)), least))
+def signed_depth(voxmap: Voxmap) -> Array:
+    """Depth of every voxel below the skin, never zero, negative outside, (V,) [m]."""
+    depth, least = voxel_depths(voxmap), LEAST_DEPTH * voxmap.grid.r_step
+    return np.copysign(np.maximum(np.abs(depth), least), depth)
 
 
 def voxel_profile(scene: Scene, profile: DepthProfile) -> Array:
     """A profile at every voxel, never zero, shape (V,) [unit of p]."""
-    return profile(np.copysign(voxel_depth(scene), voxel_depths(scene.voxmap)))
+    return profile(signed_depth(scene.voxmap))
