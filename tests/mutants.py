@@ -93,7 +93,7 @@ CORE = {
     "shell_blocks slip standing",
     "core": "compiled threads",
     "fitting": "batch verdict",
-    "fitting/checks": "agreement sanity",
+    "fitting/checks": "sanity",
     "fitting/parameters": "parabola",
     "fitting/path": "weight_grid",
     "fitting/poses": "pose_error_step pose_refinement",

@@ -1,4 +1,7 @@
-"""Recordings that were read wrongly are told, with the option that mends them."""
+"""Recordings that were read wrongly are told, with the option that mends them.
+
+Agreement with the geometry against SciPy; torques about an exactly known point.
+"""
 
 import functools
 import re
@@ -6,15 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
+from tests.conftest import small_scene
 from ttus_opt import example
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.checks.sanity import (
     SanityReport,
+    agreement,
     check_recordings,
     likely_mistake,
+    torque_offset,
 )
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
@@ -237,3 +244,66 @@ def test_hysteresis_is_told_where_there_is_some():
     found = report(recording("press_fit")).recordings[0]
     assert abs(found.hysteresis_share) < 0.05 and "hysteresis" not in str(found)
     assert str(replace(found, hysteresis_share=0.3)).endswith(", 30 % hysteresis")
+
+
+SCENE = small_scene("trilinear")
+PRIOR = SCENE.laplace.solve(SCENE.b)
+RNG = np.random.default_rng(0)
+N = 30
+TURN = Rotation.random(N, rng=1).as_matrix()
+FORCE = RNG.normal(0.0, 3.0, (N, 3))
+EXPECTED = RNG.normal(0.0, 0.1, (N, 3))
+
+
+def left(expected, measured):
+    """The best scale that is not negative, and ‖rest‖²/‖measured‖²."""
+    (scale,), rest = scipy.optimize.nnls(expected[:, None], measured)
+    return float(scale), float(rest**2 / (measured @ measured))
+
+
+def test_it_is_the_root_of_what_both_leave():
+    frames = SCENE.trajectory
+    found = agreement(SCENE, PRIOR, frames)
+    s, of_forces = left(SCENE.N @ PRIOR, frames.force.ravel())
+    k, of_torques = left(SCENE.W @ PRIOR, frames.torque.ravel())
+    assert 0.0 < of_forces < of_torques
+    assert found.disagreement == pytest.approx(np.sqrt(of_forces * of_torques))
+    assert found.torque_ratio == pytest.approx(k / s)
+    alone = agreement(SCENE, PRIOR, replace(frames, torque=None))
+    assert (alone.disagreement, alone.torque_ratio) == pytest.approx((of_forces, 0.0))
+
+
+def test_wrenches_of_the_field_agree_and_their_opposites_not_at_all():
+    force, torque = ((M @ PRIOR).reshape(-1, 3) for M in (SCENE.N, SCENE.W))
+    for sign, disagreement in ((2.0, 0.0), (-1.0, 1.0)):
+        frames = replace(SCENE.trajectory, force=sign * force, torque=sign * torque)
+        found = agreement(SCENE, PRIOR, frames)
+        assert found.disagreement == pytest.approx(disagreement, abs=1e-12)
+        assert found.torque_ratio == pytest.approx(max(sign, 0.0) / 2.0)
+
+
+def test_where_nothing_is_expected_all_disagrees_that_is_measured():
+    none = 0.0 * PRIOR
+    frames = SCENE.trajectory
+    assert agreement(SCENE, none, frames).disagreement == 1.0
+    silent = replace(frames, force=0.0 * frames.force, torque=0.0 * frames.torque)
+    assert agreement(SCENE, PRIOR, silent).disagreement == 0.0
+    assert agreement(SCENE, none, silent).torque_ratio == 0.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 7.0])
+def test_an_offset_is_found_beside_any_factor(factor):
+    c = np.array([0.01, -0.03, 0.08])
+    torque = factor * EXPECTED - np.cross(TURN @ c, FORCE)
+    assert torque_offset(torque, EXPECTED, FORCE, TURN) == pytest.approx(c)
+    assert torque_offset(factor * EXPECTED, EXPECTED, FORCE, TURN) == pytest.approx(
+        np.zeros(3), abs=1e-12
+    )
+
+
+def test_pushes_along_one_axis_tell_nothing_along_it():
+    force = 3.0 * TURN[:, :, 2]
+    c = np.array([0.01, -0.03, 0.08])
+    torque = -np.cross(TURN @ c, force)
+    found = torque_offset(torque, np.zeros((N, 3)), force, TURN)
+    assert found == pytest.approx([0.01, -0.03, 0.0])
