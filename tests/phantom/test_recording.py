@@ -85,5 +85,5 @@ def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation
 
 
 def test_refuses_a_negative_correlation_of_poses():
-    with pytest.raises(InputError, match="correlation must not be negative"):
+    with pytest.raises(InputError, match="correlation time must be finite"):
         add_pose_noise(still_path(3), np.random.default_rng(0), correlation=-1.0)
