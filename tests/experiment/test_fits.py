@@ -1,18 +1,23 @@
-"""Results that are kept: taken when they are of the same making, else made anew."""
+"""Results that are kept: taken when they are of the same making, else made anew.
+
+Fits to refined poses take refined recordings, and are judged at reported ones.
+"""
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from tests.conftest import presses, torso
 from tests.refusals import refuses
 from ttus_opt.core.saved_results import write_json
+from ttus_opt.experiment import fits, rivals
 from ttus_opt.experiment import patients as phantoms
-from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.fits import PatientFits
+from ttus_opt.experiment.fits import FITTED, PatientFits
 from ttus_opt.experiment.patients import patients
 from ttus_opt.experiment.scores import Row, Score
-from ttus_opt.experiment.settings import LAPLACE, Setting
+from ttus_opt.experiment.settings import BY_DEFAULT, LAPLACE, REFINED, Setting
 
 
 class BegunError(Exception):
@@ -92,3 +97,27 @@ def test_recordings_of_two_makings_are_never_mixed(tmp_path, monkeypatch):
     stamp.write_text(patient.digest(3.0))
     (tmp_path / "sweep_test_true.csv").unlink()
     refuses(BegunError, "", phantoms.examine, patient, tmp_path, 3.0)
+
+
+def test_only_the_fitted_recordings_are_refined(tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    recorded = {name: presses(torso(), 4, rng) for name in (*FITTED, "press_test")}
+    refined = [presses(torso(), 4, rng) for _ in FITTED]
+    given = []
+
+    def refine(scene):
+        given.append(scene)
+        return SimpleNamespace(recordings=refined)
+
+    monkeypatch.setattr(fits, "refine_poses", refine)
+    examination = SimpleNamespace(measured=recorded, surface=torso())
+    each = PatientFits(examination, tmp_path, (10, 24, 14), "")
+    for _ in range(2):  # once for all settings
+        found = each.scene(REFINED).trajectory.position
+        np.testing.assert_array_equal(
+            found, np.concatenate([one.position for one in refined])
+        )
+    reported = np.concatenate([recorded[name].position for name in FITTED])
+    np.testing.assert_array_equal(each.scene(BY_DEFAULT).trajectory.position, reported)
+    (scene,) = given
+    np.testing.assert_array_equal(scene.trajectory.position, reported)

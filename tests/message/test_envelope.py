@@ -22,6 +22,11 @@ from ttus_opt.message.envelope import (
 )
 
 
+@pytest.fixture
+def pcodec():
+    return pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
+
+
 def message():
     writer = Writer()
     writer.number("Hd", 7, 0.5)
@@ -87,9 +92,6 @@ def test_a_message_longer_than_any_reader_takes_is_not_written():
     refuses(InputError, "larger max_error", writer.message, SURFACE)
 
 
-pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
-
-
 def sparse_numbers():
     """Few of many, in clusters."""
     numbers = np.zeros(50_000, np.int64)
@@ -98,6 +100,7 @@ def sparse_numbers():
     return numbers
 
 
+@pytest.mark.usefixtures("pcodec")
 @pytest.mark.parametrize(
     ("numbers", "kind"),
     [
@@ -118,6 +121,7 @@ def test_integers_go_there_and_back(numbers, kind):
     reader.end()
 
 
+@pytest.mark.usefixtures("pcodec")
 @pytest.mark.parametrize("count", [999, 1001, 0, 10**6])
 def test_another_count_is_refused(count):
     writer = Writer()
@@ -138,15 +142,18 @@ def hostile(gaps, count):
     return Reader(sealed(b"".join([*writer._parts, *parts]), SURFACE))
 
 
+@pytest.mark.usefixtures("pcodec")
 def test_sound_gaps_are_taken():
     assert read_integers(hostile([1, 2, 1], 3), 9).tolist() == [1, 0, 1, 1] + 5 * [0]
 
 
+@pytest.mark.usefixtures("pcodec")
 @pytest.mark.parametrize("gaps", [[0, 1], [1, -1], [5, 5], [2**31 - 1, 1]])
 def test_gaps_that_lead_elsewhere_are_refused(gaps):
     refuses(InputError, "damaged", read_integers, hostile(gaps, 2), 9)
 
 
+@pytest.mark.usefixtures("pcodec")
 def test_more_numbers_than_asked_for_are_refused():
     refuses(InputError, "damaged", read_integers, hostile([1, 1, 1], 3), 2)
 
