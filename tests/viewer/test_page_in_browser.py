@@ -223,7 +223,7 @@ def test_a_drag_with_shift_presses_the_probe_in(visit, viewer):
     viewer.state.slide(1.6, 0.09)
     place, before = viewer.state.place, centre(viewer)
     events = []
-    node = viewer.page._nodes[0].probe
+    node = viewer.page.stage.nodes[0].probe
     node.on_drag("left", modifier="shift")(events.append)
     way = -0.01 * viewer.state.outward
     visit.page.keyboard.down("Shift")

@@ -150,7 +150,7 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(monkeypatch):
 
     def found(stated, skin):
         values, marks = np.ones(len(skin.theta)), skin.vertices[:2]
-        return Colouring("Next press", "spread", "N", values, marks=marks), None
+        return Colouring("spread", "N", values, marks=marks)
 
     def stated():
         asked.append("once")

@@ -26,7 +26,6 @@ from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
-    from ttus_opt.fitting.uncertainty.next_press import NextPresses
 
 #: Depth of the reference press: a light one, about 1 to 3 N on soft tissue [m]
 LIGHT = 0.005
@@ -34,7 +33,6 @@ LIGHT = 0.005
 #: Share of the nodes that the colour scale covers: a few outliers do not darken the
 #: rest [–]
 COVERED = 0.98
-
 
 #: Places over whose numbers a node's is interpolated, the nearest most [–]
 NEAR = 4
@@ -45,7 +43,6 @@ class Colouring:
     """A number at every node of the skin.
 
     Attributes:
-        name: As the list of colourings has it.
         title: What the numbers are.
         unit: Of the numbers; "" for classes.
         values: One a node, NaN where there is none, shape (n,).
@@ -53,7 +50,6 @@ class Colouring:
         marks: Numbered places to show, patient frame, shape (k, 3) [m].
     """
 
-    name: str
     title: str
     unit: str
     values: Array = field(repr=False)
@@ -96,7 +92,7 @@ def stiffness(
         if wrench.contact_points > 0 and wrench.limited_by != "end":
             force[i] = float(np.linalg.norm(wrench.force))
     title = f"force of a press {1e3 * LIGHT:g} mm deep"
-    return Colouring("Stiffness", title, "N", force)
+    return Colouring(title, "N", force)
 
 
 def uncertainty(
@@ -123,17 +119,17 @@ def uncertainty(
         )
     values = [known.at(*point) for point in skin.vertices.tolist()]
     title = "standard deviation of a press, of its force"
-    return Colouring("Uncertainty", title, "%", 100.0 * np.array(values))
+    return Colouring(title, "%", 100.0 * np.array(values))
 
 
 def seen(field: PotentialField, skin: SkinMesh) -> Colouring:
     """Which skin the scan saw, and which was filled in."""
     found = field.voxmap.surface.seen_at(skin.theta, skin.z)
     classes = "filled in", "seen by the scan"
-    return Colouring("Seen", "skin", "", found.astype(np.float64), classes)
+    return Colouring("skin", "", found.astype(np.float64), classes)
 
 
-def next_presses(stated: Uncertainty, skin: SkinMesh) -> tuple[Colouring, NextPresses]:
+def next_presses(stated: Uncertainty, skin: SkinMesh) -> Colouring:
     """Standard deviation of a press, and the places where to press next."""
     from ttus_opt.fitting.uncertainty.next_press import next_press
 
@@ -145,4 +141,4 @@ def next_presses(stated: Uncertainty, skin: SkinMesh) -> tuple[Colouring, NextPr
     values = np.where(far[:, 0] < 3.0 * SPACING, mean, np.nan)
     title = f"standard deviation of a press {1e3 * found.depth:.1f} mm deep"
     marks = found.points[found.node]
-    return Colouring("Next press", title, "N", values, marks=marks), found
+    return Colouring(title, "N", values, marks=marks)

@@ -13,6 +13,7 @@ from ttus_opt.core.errors import TtusError
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
+from ttus_opt.viewer.readout import TABLE
 from ttus_opt.viewer.stage import Stage, by_hand
 
 #: Longest round trip [ms], most loss [%] and range of a prior's factor of the inputs
@@ -148,6 +149,6 @@ def numbers(view: LiveState, speed: float = 1.0) -> str:
         f'<div style="padding:2px 12px 8px"><div style="background:{colour};'
         'color:white;border-radius:6px;padding:4px 8px;font-weight:600">'
         f"{view.state}{cause}</div>"
-        '<table style="width:100%;font-size:13px;font-variant-numeric:tabular-nums">'
-        f'{cells}</table><div style="color:#777;font-size:12px">{NOTICE}</div></div>'
+        f"{TABLE}{cells}</table>"
+        f'<div style="color:#777;font-size:12px">{NOTICE}</div></div>'
     )

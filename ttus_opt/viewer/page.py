@@ -87,7 +87,7 @@ class Page:
         if shell is not None and mesh is None:
             # a hull does not look at faces
             mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
-        self._nodes = [
+        nodes = [
             PatientNodes(
                 *(server.scene, f"patient{k}", skin, None if shell is None else mesh),
                 offset,
@@ -96,9 +96,7 @@ class Page:
             )
             for k, offset in enumerate(offsets)
         ]
-        self.stage = Stage(
-            server, state, names, skin, self._nodes, self.jobs, self.tell
-        )
+        self.stage = Stage(server, state, names, skin, nodes, self.jobs, self.tell)
         self._numbers = server.gui.add_html("")
         legend = server.gui.add_html("")
         self.tabs = tabs = server.gui.add_tab_group()
@@ -129,7 +127,7 @@ class Page:
     def move(self) -> None:
         """Draw probe and forces as they are now; 30 times a second or more."""
         with self._server.atomic():
-            for nodes, touch in zip(self._nodes, self.state.touches, strict=False):
+            for nodes, touch in zip(self.stage.nodes, self.state.touches, strict=False):
                 nodes.show_touch(touch, self.state.measured)
             if self.probe is not None and not self._grabbed:
                 rotation, position = self.state.pose
@@ -169,12 +167,12 @@ class Page:
 
         self._handle.on_update(turned)
         tab.free.on_update(shown)
-        for nodes in self._nodes:
+        for nodes in self.stage.nodes:
             self._listen_to(nodes)
 
         @self._server.scene.on_click()
         def clicked(event: Any) -> None:
-            for nodes in self._nodes:
+            for nodes in self.stage.nodes:
                 origin = np.array(event.ray_origin) - nodes.offset
                 ray = np.array(event.ray_direction)
                 place = place_on_ray(self.state.surface, origin, ray)

@@ -12,6 +12,9 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.colour_map import MEASURED, RENDERED, hexadecimal
 from ttus_opt.viewer.touch import Touch
 
+#: Begins a table of numbers
+TABLE = '<table style="width:100%;font-size:13px;font-variant-numeric:tabular-nums">'
+
 #: Room for a note of two lines: the buttons below do not move as it comes and goes [px]
 NOTES = 42
 
@@ -47,8 +50,7 @@ def readout(
         rows.insert(1, _row("measured", "N", [_size(measured)], f"color:{grey}"))
     notes = dict.fromkeys(note for touch in touches for note in touch.notes)
     table = (
-        '<table style="width:100%;font-size:13px;font-variant-numeric:tabular-nums">'
-        f'<tr><td style="color:#777">{SOURCES[source]}</td>{heads}<td></td></tr>'
+        f'{TABLE}<tr><td style="color:#777">{SOURCES[source]}</td>{heads}<td></td></tr>'
         f"{''.join(rows)}</table>"
     )
     told = "".join(_note(note, "#b45309") for note in notes)

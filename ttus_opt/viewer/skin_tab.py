@@ -109,7 +109,7 @@ class SkinTab:
         stated = self._statement()
         if stated is None:
             raise InputError(NEEDS_FIT)
-        found, _ = colouring.next_presses(stated, self._stage.skin)
+        found = colouring.next_presses(stated, self._stage.skin)
         return [found] * len(self._stage.nodes)
 
     def _statement(self) -> Uncertainty | None:

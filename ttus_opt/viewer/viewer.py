@@ -17,6 +17,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.viewer.guarded_server import PORT, guarded_server, quiet
 from ttus_opt.viewer.page import Page
 from ttus_opt.viewer.state import ViewState
+from ttus_opt.viewer.touch import Touch
 from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class Viewer:
         self._server, self.url = guarded_server(port)
         self.page = Page(self._server, state, names, mesh, uncertainty)
         self._closing = threading.Event()
+        self._drawn: tuple[Touch, ...] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
         atexit.register(self.close)  # before viser's own end of a forgotten server
@@ -141,19 +143,18 @@ class Viewer:
 
     def _step(self, seconds: float, now: float) -> bool:
         """One frame; whether anything changed."""
-        page, before = self.page, self.state.touches
+        page = self.page
         if page.recording is not None:
             page.recording.play(seconds)
         self.state.advance(seconds)
-        changed = self.state.touches is not before or before is not self._drawn
+        touches = self.state.touches
+        changed = touches is not self._drawn
         if changed:
             page.move()
-            self._drawn = self.state.touches
+            self._drawn = touches
             if page.probe is not None:
                 page.probe.add_point(now)
         return changed
-
-    _drawn: object = None
 
 
 def view(
