@@ -113,6 +113,7 @@ class Visit:
     def slide(self, handle, share):
         """Drag a slider's thumb to a share of its way."""
         row = self.page.locator(f"[id='{handle._impl.uuid}']").locator("xpath=..")
+        row.get_by_role("slider").scroll_into_view_if_needed()
         track = row.locator("[class*=Slider-track]").first.bounding_box()
         thumb = row.get_by_role("slider").bounding_box()
         y, mouse = thumb["y"] + 0.5 * thumb["height"], self.page.mouse

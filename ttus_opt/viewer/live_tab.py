@@ -42,9 +42,10 @@ class LiveTab:
     def __init__(self, stage: Stage, session: LiveSession) -> None:
         self._stage, self._session = stage, session
         gui, trial = stage.server.gui, session.trial
-        self._state = gui.add_html("")
+        # above what comes and goes: the button stays where it is
         self.stop = gui.add_button("STOP", color="red")
         self.rearm = gui.add_button("re-arm, at zero contact")
+        self._state = gui.add_html("")
         self.delay = gui.add_slider(
             "round trip [ms]", min=0, max=LONGEST, step=10,
             initial_value=round(1e3 * trial.round_trip),
