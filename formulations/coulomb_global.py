@@ -5,6 +5,8 @@ min_μ min_s min_p ‖L p - s b‖² + λ_f ‖(N - μ F) p - f‖² + λ_τ ‖
 F p is drag per unit of μ: that of every point of the probe by its own normal force and
 against its own sliding (``points``), or t̂ (n̂ᵀ N p) of the whole patch, t̂ its direction
 of sliding and n̂ its normal; "auto" takes what fits better. Convex in p for every μ.
+Drag of the patch may hold a probe at rest (`ttus_opt.haptic.presliding`): t̂ is then the
+deflection of a bristle, where the recordings determine its length, also searched.
 
 s rescales boundary values that the scene has fitted (``inner="fit"``), by the same
 objective at the μ found; given ones keep s = 1. The scene's own fit treats the residual
@@ -23,6 +25,8 @@ from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.friction_search import with_friction_search
+from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.part_noise import PartNoise
@@ -43,15 +47,13 @@ def build(
     check_coefficient(largest_friction)
     noise, length = PartNoise.of_direction(scene, direction_error), torque_length
     guess = estimate_drag(scene, acts_at, deadband)
-    drag = guess.drag
     prior = LaplaceTerm(scene)
     fitted = scene.parameters.keys() - scene.not_identified.keys()
     fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0
 
-    def given(friction: float) -> Formulation:
-        own = drag.with_coefficient(friction)
-        force = DragForceTerm(scene, force_weight, noise=noise, drag=own)
-        torque = DragTorqueTerm(scene, torque_weight, length, noise=noise, drag=own)
+    def given(drag: GlobalCoulomb) -> Formulation:
+        force = DragForceTerm(scene, force_weight, noise=noise, drag=drag)
+        torque = DragTorqueTerm(scene, torque_weight, length, noise=noise, drag=drag)
 
         def scaled(s: float) -> Formulation:
             return Formulation(terms=[prior.with_factor(s), force, torque])
@@ -60,7 +62,4 @@ def build(
         terms = [prior, force, torque]
         return Formulation(terms=terms, search=scale if fits_scale else None)
 
-    first = given(min(guess.friction_coefficient, largest_friction))
-    return first.with_search(
-        Search("friction_coefficient", 0.0, largest_friction, given)
-    )
+    return with_friction_search(guess, given, largest_friction)

@@ -5,7 +5,8 @@ min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² ((N − μ F) 
 
 The profile φ, σ, the lengths and the noise are chosen once, by their evidence at a
 first estimate of μ. F p is drag of every point of the probe, or of the whole patch
-(``acts_at``), by default what evidence says. See `depth_map` and `coulomb_global`.
+(``acts_at``), by default what evidence says; drag of the patch may hold a probe at rest
+(`ttus_opt.haptic.presliding`) where the recordings determine it. See `depth_map` and `coulomb_global`.
 
 Source: as `depth_map`, with Coulomb's law.
 """
@@ -13,9 +14,11 @@ Source: as `depth_map`, with Coulomb's law.
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.signs import check_coefficient
-from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.friction_search import with_friction_search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
+from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
 
 
@@ -33,22 +36,15 @@ def build(
     check_coefficient(largest_friction)
     where = acts_at, deadband, largest_friction
     guess, found = estimate_dragged(scene, *where, depth_length=depth_length)
-    drag = guess.drag
-    first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))
     noise = found.part_noise(scene)
     usual = noise.level**-2
     weight = usual if force_weight is None else force_weight
     turning = usual if torque_weight is None else torque_weight
     prior = DepthMapTerm.of(scene, found)
 
-    def given(mu: float) -> Formulation:
-        dragged = drag.with_coefficient(mu)
-        force = DragForceTerm(scene, weight, noise=noise, drag=dragged)
-        torque = DragTorqueTerm(
-            scene, turning, torque_length, noise=noise, drag=dragged
-        )
+    def given(drag: GlobalCoulomb) -> Formulation:
+        force = DragForceTerm(scene, weight, noise=noise, drag=drag)
+        torque = DragTorqueTerm(scene, turning, torque_length, noise=noise, drag=drag)
         return Formulation(terms=[prior, force, torque])
 
-    likely = first.coefficient
-    search = Search("friction_coefficient", 0.0, largest_friction, given, likely=likely)
-    return given(likely).with_search(search)
+    return with_friction_search(guess, given, largest_friction, likely=True)

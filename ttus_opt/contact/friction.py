@@ -69,6 +69,8 @@ class Sliding:
             contact; shape (3,) [–].
         acts_at: ``contact``, ``reference`` or ``points``; with ``points``, the other
             attributes are those of ``contact``.
+        bristle: Deflection of a bristle (`ttus_opt.haptic.presliding`), the direction
+            of drag in its place, shape (T, 3) [–]; None without presliding.
     """
 
     normal: Array = field(repr=False)
@@ -77,6 +79,7 @@ class Sliding:
     position: Array = field(repr=False)
     axis: Array = field(repr=False)
     acts_at: ActsAt = "contact"
+    bristle: Array | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -124,7 +127,7 @@ class Sliding:
         return cls(normal, arm, along, where, axis, acts_at)  # type: ignore[arg-type]
 
     def direction(self, deadband: float = DEADBAND) -> Array:
-        """t̂, the direction of sliding, shorter than 1 below the deadband.
+        """t̂, the direction of sliding, shorter than 1 below the deadband; or the bristle.
 
         Args:
             deadband: v₀ [m/s].
@@ -137,6 +140,8 @@ class Sliding:
         """
         if not (math.isfinite(deadband) and deadband > 0.0):
             raise InputError(f"deadband must be positive [m/s], got {deadband}")
+        if self.bristle is not None:
+            return self.bristle
         speed = np.linalg.norm(self.velocity, axis=1, keepdims=True)
         return np.asarray(self.velocity / np.maximum(speed, deadband))
 

@@ -26,6 +26,8 @@ from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
+from ttus_opt.haptic.bristle_path import with_bristle
+from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -126,6 +128,9 @@ def wrench_rows(
         at = "points" if parameters.get(DRAG_AT_POINTS) else at
         axis = np.array([parameters[name] for name in DRAG_AXIS])
         sliding = Sliding.of(voxmap, shell, trajectory, at, axis)
+        law = DragLaw.of(parameters, voxmap.grid)
+        force = (N @ potential.values.reshape(-1)).reshape(-1, 3)
+        sliding = with_bristle(sliding, law.numbers, shell, trajectory, force)
         how = (rows, sliding, voxmap, shell, trajectory)
         drag = drag_rows(
             *how, sampling=potential.sampling, deadband=parameters[DRAG_DEADBAND]

@@ -23,7 +23,10 @@ from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.haptic.bristle_path import with_bristle
+from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.problem.terms.base import Fitted
+from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.distinct_drag import (
     LEAST_DISTINCT,
     ONE_SENSE,
@@ -38,10 +41,13 @@ Blocks = dict[str, sp.csr_array]
 #: frame of 50 ms, less than any tracker resolves
 AT_REST = 1e-3
 
+#: Drag of every point for itself, among the places where drag may act
+AT_POINTS = "points"
+
 
 def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRows:
     """Rows of Coulomb drag in a scene, with drag = −F (μ p)."""
-    if sliding.acts_at == "points" and deadband == friction.DEADBAND:
+    if sliding.acts_at == AT_POINTS and deadband == friction.DEADBAND:
         return scene.point_drag  # the same for every model
     where = (scene.voxmap, scene.shell, scene.trajectory)
     how = {"sampling": scene.sampling, "deadband": deadband}
@@ -56,11 +62,16 @@ class DragModel(abc.ABC):
         scene: Probe, motion and rows.
         acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
         deadband: Sliding speed below which drag decreases in proportion [m/s].
+        presliding: Length over which drag builds up instead, and then holds a probe at
+            rest (`ttus_opt.haptic.presliding`); 0 for none [m].
+        no_presliding: Why there is none; empty where nobody asked.
     """
 
     scene: Scene = field(repr=False)
     acts_at: str = "contact"
     deadband: float = friction.DEADBAND
+    presliding: float = field(default=0.0, kw_only=True)
+    no_presliding: str = field(default="", kw_only=True, repr=False)
 
     @property
     @abc.abstractmethod
@@ -72,7 +83,16 @@ class DragModel(abc.ABC):
         """Patches and sliding velocities of the scene's poses."""
         scene = self.scene
         where = scene.voxmap, scene.shell, scene.trajectory
-        return Sliding.of(*where, self.acts_at, patches=scene.patches)
+        found = Sliding.of(*where, self.acts_at, patches=scene.patches)
+        if not self.presliding:
+            return found
+        law = DragLaw.of(
+            self._places(found) | {friction.FRICTION: 1.0}, scene.voxmap.grid
+        )
+        # in proportion to depth: only the ratio of successive forces matters
+        force = scene.N @ np.maximum(voxel_depths(scene.voxmap), 0.0)
+        how = law.numbers, scene.shell, scene.trajectory, force.reshape(-1, 3)
+        return with_bristle(found, *how)
 
     @cached_property
     def rows(self) -> DragRows:
@@ -111,14 +131,14 @@ class DragModel(abc.ABC):
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
         """Poses that slide in contact, shape (T,)."""
-        if self.acts_at == "points":  # the flanks slide where the patch does not
+        if self.acts_at == AT_POINTS:  # the flanks slide where the patch does not
             drag, contact = (
                 abs(rows).sum(axis=1).reshape(-1, 3).sum(axis=1)
                 for rows in (self.rows.force, self.scene.N)
             )
             return np.asarray(drag > AT_REST * contact)
-        speed = np.linalg.norm(self.sliding.velocity, axis=1)
-        return np.asarray(self.touching & (speed > AT_REST * self.deadband))
+        size = np.linalg.norm(self.sliding.direction(self.deadband), axis=1)
+        return np.asarray(self.touching & (size > AT_REST))
 
     def no_sliding(self) -> str:
         """Why no pose determines drag; empty if one does."""
@@ -139,11 +159,16 @@ class DragModel(abc.ABC):
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Coefficients and the other parameters that rendering needs, by name."""
-        return self.identified(values) | {
+        return self.identified(values) | self._places(self.sliding)
+
+    def _places(self, sliding: Sliding) -> dict[str, float]:
+        """Where and from which motion on drag acts, by name."""
+        preslides = {friction.PRESLIDING: self.presliding} if self.presliding else {}
+        return preslides | {
             friction.DRAG_DEADBAND: self.deadband,
             friction.DRAG_AT_REFERENCE: float(self.acts_at == "reference"),
-            friction.DRAG_AT_POINTS: float(self.acts_at == "points"),
-            **dict(zip(friction.DRAG_AXIS, self.sliding.axis.tolist(), strict=True)),
+            friction.DRAG_AT_POINTS: float(self.acts_at == AT_POINTS),
+            **dict(zip(friction.DRAG_AXIS, sliding.axis.tolist(), strict=True)),
         }
 
 
@@ -173,6 +198,21 @@ class GlobalCoulomb(DragModel):
         """The same drag with another μ; sliding and rows are shared."""
         return replaced(self, "sliding", "rows", coefficient=float(coefficient))
 
+    def per_unit(self, p: Array) -> tuple[Array, Array]:
+        """Force [N] and torque [N·m] of −drag of a field for μ = 1, (3T,) each."""
+        if self.acts_at == AT_POINTS:
+            return self.rows.force @ p, self.rows.torque @ p
+        sliding, force = self.sliding, (self.scene.N @ p).reshape(-1, 3)
+        pressed = np.einsum("ti,ti->t", sliding.normal, force)[:, None]
+        drag = pressed * sliding.direction(self.deadband)
+        return drag.ravel(), np.cross(sliding.arm, drag).ravel()
+
+    def with_presliding(self, length: float) -> Self:
+        """The same drag with another presliding length [m]."""
+        if length == self.presliding:
+            return self
+        return replace(self, presliding=length)
+
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         return {"p": sp.csr_array(contact - self.coefficient * drag)}
 
@@ -182,8 +222,9 @@ class GlobalCoulomb(DragModel):
 
     def not_identifiable(self) -> dict[str, str]:
         """The coefficient μ, if no pose tells it."""
-        why = self.no_friction()
-        return {friction.FRICTION: why} if why else {}
+        why = {friction.FRICTION: self.no_friction()}
+        why[friction.PRESLIDING] = self.no_presliding
+        return {name: reason for name, reason in why.items() if reason}
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,16 @@
 With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
 linear in (s, s μ). Least squares in these two unknowns gives μ, the boundary scale with
 drag, and whether drag acts on the contact patch, at the probe's reference point, or at
-every point of the probe.
+every point of the probe. On the patch or at the reference point, drag may build up over
+a presliding length and then hold a probe at rest: it does where that is likelier than
+drag that fades, and where the recordings tell the length from none and from any.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +21,8 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
-from ttus_opt.problem.terms.drag import GlobalCoulomb
+from ttus_opt.problem.terms.drag import AT_POINTS, GlobalCoulomb
+from ttus_opt.problem.terms.rows import replaced
 
 #: Gain above which drag is shown: a χ² of one degree of freedom exceeds it in one of a
 #: hundred cases [–]
@@ -26,6 +30,9 @@ LEAST_GAIN = 6.6
 
 #: Where drag may act
 PLACES = ("points", "contact", "reference")
+
+#: Presliding lengths that are compared [m]
+LENGTHS = 1e-4 * 2.0 ** np.arange(8)
 
 #: Relative misfit that is rounding [–]
 ROUNDING = 1e-9
@@ -111,12 +118,12 @@ def alike_drag(
         measured = np.concatenate([measured, scale * scene.tau])
         pressed = np.concatenate([pressed, scale * (scene.W @ p)])
     n_places = len(np.unique(scene.places[scene.touching]))
-    estimates = []
-    for place in places:
-        drag = GlobalCoulomb(scene, place, deadband)
-        dragged = drag.rows.force @ p
+
+    def judged(drag: GlobalCoulomb) -> DragEstimate:
+        force, torque = drag.per_unit(p)
+        dragged = force
         if not scene.measures_force_only:
-            dragged = np.concatenate([dragged, scale * (drag.rows.torque @ p)])
+            dragged = np.concatenate([force, scale * torque])
         columns = np.stack([pressed, -dragged], axis=1)
         (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
         if s > 0.0 > s_mu:  # drag that pushes is none: judged without it
@@ -130,7 +137,20 @@ def alike_drag(
         if without > misfit:
             least = max(misfit, ROUNDING * without)
             gain = 6.0 * n_places * math.log(without / least)
-        estimates.append(DragEstimate(mu, float(s), place, misfit, drag, gain))
+        return DragEstimate(mu, float(s), drag.acts_at, misfit, drag, gain)
+
+    fading = [judged(GlobalCoulomb(scene, place, deadband)) for place in places]
+    held = [
+        [judged(one.drag.with_presliding(length)) for length in LENGTHS]
+        for one in fading
+        if one.acts_at != AT_POINTS
+    ]
+    estimates, why = _presliding(fading, held)
+    if why:
+        estimates = [
+            replace(one, drag=replaced(one.drag, "sliding", "rows", no_presliding=why))
+            for one in fading
+        ]
     estimates.sort(key=lambda one: one.misfit)
     best = estimates[0]
     if not best.friction_coefficient:
@@ -147,6 +167,29 @@ def alike_drag(
     s = _scale(pressed, measured)
     misfit = _mean_size(measured - s * pressed)
     return [DragEstimate(0.0, s, best.acts_at, misfit, best.drag)]
+
+
+def _presliding(
+    fading: list[DragEstimate], held: Sequence[list[DragEstimate]]
+) -> tuple[list[DragEstimate], str]:
+    """The estimates with the likeliest presliding length, or why there is none.
+
+    Args:
+        fading: Drag that fades at rest, where it may act.
+        held: Drag with each of `LENGTHS`, for every place with a bristle.
+    """
+    if not held:
+        return fading, "drag acts at every point, for which a fit has none"
+    lengths = max(held, key=lambda some: max(one.gain for one in some))
+    gains = np.array([one.gain for one in lengths])
+    if gains.max() - max(one.gain for one in fading) <= LEAST_GAIN:
+        return fading, "drag that fades at rest explains the forces as well"
+    alike = LENGTHS[gains > gains.max() - LEAST_GAIN]
+    for end, side in ((LENGTHS[0], "below"), (LENGTHS[-1], "above")):
+        if end in alike:
+            other = alike[0 if side == "above" else -1]
+            return fading, f"any length {side} {1e3 * other:.2g} mm is as likely"
+    return [max(some, key=lambda one: one.gain) for some in held], ""
 
 
 def _scale(pressed: Array, measured: Array) -> float:

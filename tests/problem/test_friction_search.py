@@ -1,0 +1,99 @@
+"""The presliding length of recordings, made by an ODE of the bristle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+import ttus_opt as tt
+from tests.drags import SHELL, SURFACE, VOXMAP, pushing
+from ttus_opt.contact.friction import FRICTION, PRESLIDING, Sliding
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.contact.scene import Scene
+from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.probe.trajectory import Trajectory
+
+MU, LENGTH, NOISE = 0.3, 1e-3, 0.05
+
+#: Share of a contact and displacement there [mm]: strokes with holds, or one slide
+HOLDS = ([0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1], [0, 0, 6, 6, -6, -6, 2, 2])
+SLIDE = ([0, 1], [0, 24])
+
+
+def deflection(times, way, normal, strength):
+    """b of db/dt = v/l - b max(b v, 0)/l |b|^60, less where the normal force rises."""
+    path, across = CubicSpline(times, way), CubicSpline(times, normal)
+    rise = CubicSpline(times, np.log(strength)).derivative()
+
+    def rate(t, b):
+        n = across(t) / np.linalg.norm(across(t))
+        v = path(t, 1)
+        v = (v - n * (n @ v)) / LENGTH
+        stopped = max(b @ v, 0.0) * min(np.linalg.norm(b), 1.2) ** 60
+        return v - b * (stopped + max(float(rise(t)), 0.0))
+
+    span = times[0], times[-1]
+    return solve_ivp(rate, span, np.zeros(3), t_eval=times, max_step=0.005).y.T
+
+
+def recorded(stroke):
+    """Six contacts of 5 s at 20 Hz, dragged by a bristle of 1 mm."""
+    rng, parts = np.random.default_rng(0), []
+    potential = pushing("trilinear", {})
+    times = np.arange(0.0, 5.0, 0.05)
+    share = times / times[-1]
+    for _ in range(6):
+        along = gaussian_filter1d(1e-3 * np.interp(share, *stroke), 2, mode="nearest")
+        pressed = 0.006 * np.clip(8.0 * np.minimum(share, 1.0 - share), 0.0, 1.0)
+        depth = gaussian_filter1d(pressed, 2, mode="nearest") - 0.002
+        where, way = rng.uniform([0.8, 0.07], [2.2, 0.13]), rng.uniform(0.0, 6.28)
+        angle, z = where[0] + along * np.cos(way) / 0.12, where[1] + along * np.sin(way)
+        r = SURFACE.radius_at(angle, z) + 0.012 - depth
+        at = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+        at -= SHELL.reference
+        R = np.tile(np.eye(3), (len(times), 1, 1))
+        rows = contact_rows(VOXMAP, SHELL, R, at, sampling="trilinear")
+        p = 2.0 * potential.values.ravel()
+        force, torque = ((m @ p).reshape(-1, 3) for m in (rows.N, rows.W))
+        sliding = Sliding.of(VOXMAP, SHELL, Trajectory.from_arrays(at, R, times=times))
+        i = np.flatnonzero((sliding.normal != 0.0).any(axis=1))
+        M = MU * np.einsum("ti,ti->t", sliding.normal, force)[i]
+        drag = np.zeros_like(force)
+        b = deflection(times[i], at[i], sliding.normal[i], M)
+        drag[i] = -M[:, None] * b
+        torque += np.cross(sliding.arm, drag) + 3e-3 * rng.normal(size=force.shape)
+        force += drag + NOISE * rng.normal(size=force.shape)
+        parts.append(Trajectory.from_arrays(at, R, force, torque, times=times))
+    return Scene.assemble(VOXMAP, SHELL, Trajectory.concatenate(parts))
+
+
+def fitted(stroke):
+    scene = recorded(stroke)
+    weights = {"force_weight": 10.0, "torque_weight": 10.0}
+    return scene, tt.fit(scene, "coulomb_global", acts_at="contact", **weights)
+
+
+def test_strokes_and_holds_determine_the_length():
+    scene, solution = fitted(HOLDS)
+    found, errors = solution.parameters, solution.standard_errors
+    assert errors[PRESLIDING] < 0.1 * LENGTH
+    assert abs(found[PRESLIDING] - LENGTH) < 3.0 * errors[PRESLIDING]
+    assert found[FRICTION] == pytest.approx(MU, abs=0.01)
+    assert any(line.startswith(PRESLIDING) for line in solution.identified)
+    felt = wrenches_along(solution.field, SHELL, scene.trajectory).force
+    fading = {n: v for n, v in found.items() if n != PRESLIDING}
+    faded = replace(solution.field, parameters=fading)
+    lost = wrenches_along(faded, SHELL, scene.trajectory).force
+    measured = scene.f.reshape(-1, 3)
+    left, more = (np.sqrt(np.mean((f - measured) ** 2)) for f in (felt, lost))
+    assert left < 0.2 * more  # held drag is rendered, with no option
+
+
+def test_a_slide_determines_none_and_says_so():
+    _, solution = fitted(SLIDE)
+    assert PRESLIDING not in solution.field.parameters
+    assert "fades at rest explains" in solution.not_identified[PRESLIDING]
+    assert f"{PRESLIDING}: not determined (drag" in solution.identified[-1]
