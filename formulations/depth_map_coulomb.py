@@ -6,7 +6,8 @@ min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² ((N − μ F) 
 The profile φ, σ, the lengths and the noise are chosen once, by their evidence at a
 first estimate of μ. F p is drag of every point of the probe, or of the whole patch
 (``acts_at``), by default what evidence says; drag of the patch may hold a probe at rest
-(`ttus_opt.haptic.presliding`) where the recordings determine it. See `depth_map` and `coulomb_global`.
+(`ttus_opt.haptic.presliding`) where the recordings determine it. See `depth_map` and
+`coulomb_global`.
 
 Source: as `depth_map`, with Coulomb's law.
 """

@@ -76,6 +76,7 @@ def fitted(stroke):
     return scene, tt.fit(scene, "coulomb_global", acts_at="contact", **weights)
 
 
+@pytest.mark.slow
 def test_strokes_and_holds_determine_the_length():
     scene, solution = fitted(HOLDS)
     found, errors = solution.parameters, solution.standard_errors

@@ -127,7 +127,7 @@ class Sliding:
         return cls(normal, arm, along, where, axis, acts_at)  # type: ignore[arg-type]
 
     def direction(self, deadband: float = DEADBAND) -> Array:
-        """t̂, the direction of sliding, shorter than 1 below the deadband; or the bristle.
+        """t̂, the direction of sliding, short below the deadband; or the bristle.
 
         Args:
             deadband: v₀ [m/s].
