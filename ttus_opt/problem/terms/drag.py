@@ -222,9 +222,10 @@ class GlobalCoulomb(DragModel):
 
     def not_identifiable(self) -> dict[str, str]:
         """The coefficient μ, if no pose tells it."""
-        why = {friction.FRICTION: self.no_friction()}
-        why[friction.PRESLIDING] = self.no_presliding
-        return {name: reason for name, reason in why.items() if reason}
+        if why := self.no_friction():
+            return {friction.FRICTION: why}
+        why = self.no_presliding
+        return {friction.PRESLIDING: why} if why else {}
 
 
 @dataclass(frozen=True)

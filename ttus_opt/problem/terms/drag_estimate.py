@@ -178,6 +178,8 @@ def _presliding(
         fading: Drag that fades at rest, where it may act.
         held: Drag with each of `LENGTHS`, for every place with a bristle.
     """
+    if max(one.gain for one in (*fading, *sum(held, []))) <= LEAST_GAIN:
+        return fading, ""  # no drag is shown
     if not held:
         return fading, "drag acts at every point, for which a fit has none"
     lengths = max(held, key=lambda some: max(one.gain for one in some))
