@@ -10,6 +10,7 @@ drag that fades, and where the recordings tell the length from none and from any
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -178,7 +179,7 @@ def _presliding(
         fading: Drag that fades at rest, where it may act.
         held: Drag with each of `LENGTHS`, for every place with a bristle.
     """
-    if max(one.gain for one in (*fading, *sum(held, []))) <= LEAST_GAIN:
+    if max(one.gain for one in (*fading, *itertools.chain(*held))) <= LEAST_GAIN:
         return fading, ""  # no drag is shown
     if not held:
         return fading, "drag acts at every point, for which a fit has none"
