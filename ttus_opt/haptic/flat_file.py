@@ -12,7 +12,7 @@ endian and 8 bytes wide, but for the first and the last word:
     points      float64 (3, M) [m]
     lever       float64 (M, 6): `FrameData.lever`
     radius      float64 (nodes over theta, nodes over z) [m]
-    spokes      float64 (n_theta n_z, 3): `depth_sampling.spoke_table`
+    spokes      float64 (n_theta n_z, 3): `sampling.spoke_table`
     values      float64 (n_r, n_theta, n_z) [N or N/cm²]
     checksum    uint32: CRC-32 of all bytes before it
 

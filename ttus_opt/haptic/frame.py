@@ -91,7 +91,7 @@ def _extent(a: Array) -> GridLimits:
 def _shifted(
     a: float, b: float, c: float, x: float, y: float, z: float, shift: float
 ) -> float:
-    """One coordinate of R x + t, rounded as `contact.rotated` rounds it (compiled)."""
+    """One coordinate of R x + t, rounded as `contact.rows` rounds it (compiled)."""
     return (a * x + b * y + c * z) + shift
 
 
@@ -313,7 +313,7 @@ def _sample(
         depths: Depths below the surface, shape (M,) [m].
         limits: Limits of the grid.
         counts: Number of voxels in θ and z [–].
-        spokes: `depth_sampling.spoke_table`.
+        spokes: `sampling.spoke_table`.
         values: The field, flat, shape (V,) [N/cm²].
         sampled: Out: samples at the first n points, shape (n,) [N/cm²].
     """

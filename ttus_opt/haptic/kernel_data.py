@@ -46,7 +46,7 @@ class FrameData(NamedTuple):
         radius: Radius at the surface's nodes, flat [m].
         nodes: Number of nodes over θ and z, shape (2,).
         layout: `Surface.kernel_layout`, shape (4,).
-        spokes: `depth_sampling.spoke_table`.
+        spokes: `sampling.spoke_table`.
         ceiling: `SurfaceCeiling.ceiling`.
         tiles: `SurfaceCeiling.tiles`, shape (4,).
         place: Scratch: r², θ, z, the two coordinates within the surface cell, r and

@@ -4,7 +4,7 @@ For a parameter cᵢ = aᵢᵀx the curvature J'' of the profile (`identificatio
 from fits with Σ w (aᵢᵀx - vᵢ)² added: a change of v moves the solution by
 R = X (I + X)⁻¹ times that change, X = 2w A J''⁻¹ Aᵀ, for any solver and any limits on
 the field. The same fits give the derivatives of the residuals by which errors that a
-place shares are accounted for (`place_standard_errors`). See
+place shares are accounted for (`identification.PlaceRows`). See
 docs/method/identification.md, 13.3.
 """
 
