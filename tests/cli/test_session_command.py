@@ -10,8 +10,7 @@ import pytest
 
 from tests.cli.conftest import empty, refused
 from tests.conftest import some
-from tests.session.recordings import changed, copied
-from tests.session.test_mistakes import jumped
+from tests.session.recordings import changed, copied, jumped
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import WrenchStream

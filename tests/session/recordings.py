@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.session import synthetic
 from ttus_opt.session.synthetic import Truth, write_recording
 
@@ -82,3 +82,16 @@ def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
         name: seen.select((seen.time >= start) & (seen.time <= end))
         for name, (start, end) in stretches.items()
     }
+
+
+def begins(recording: Path) -> float:
+    """When the first stretch to fit to begins [s]."""
+    return float(described(recording)["recordings"]["press_fit"]["from"])
+
+
+def jumped(recording: Path) -> None:
+    """Let a recording's poses jump by 50 mm, two seconds after its first press."""
+    poses = read_trajectory(recording / "tracker.csv")
+    late = (poses.time > begins(recording) + 2.0)[:, None]
+    position = poses.position + late * [0.05, 0.0, 0.0]
+    Trajectory(poses.time, position, poses.rotation).save(recording / "tracker.csv")

@@ -12,6 +12,7 @@ import ttus_opt as tt
 from tests.refusals import refuses
 from tests.session.recordings import (
     SECONDS,
+    begins,
     calibrated,
     changed,
     copied,
@@ -164,11 +165,6 @@ def test_forces_as_good_as_with_perfect_calibration(tmp_path):
     assert own < 1.2 * best
 
 
-def begins(recording):
-    """When the first stretch to fit to begins [s]."""
-    return float(described(recording)["recordings"]["press_fit"]["from"])
-
-
 def without(recording, stream, lost):
     """Take rows out of the tracker's or the sensor's file, by their times."""
     if stream == "tracker":
@@ -239,10 +235,3 @@ def test_repeated_rows_are_left_out(tmp_path):
     (recording / "tracker.csv").write_text("\n".join([head, *rows, ""]))
     with pytest.raises(OSError, match="repeats"):  # other numbers at the same time
         read_trajectory(recording / "tracker.csv")
-
-
-def jumped(recording):
-    poses = read_trajectory(recording / "tracker.csv")
-    late = (poses.time > begins(recording) + 2.0)[:, None]
-    position = poses.position + late * [0.05, 0.0, 0.0]
-    Trajectory(poses.time, position, poses.rotation).save(recording / "tracker.csv")
