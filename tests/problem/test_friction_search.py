@@ -95,6 +95,7 @@ def test_strokes_and_holds_determine_the_length():
 
 def test_a_slide_determines_none_and_says_so():
     _, solution = fitted(SLIDE)
-    assert PRESLIDING not in solution.field.parameters
+    assert solution.field.parameters[PRESLIDING] == 0.0
     assert "fades at rest explains" in solution.not_identified[PRESLIDING]
-    assert f"{PRESLIDING}: not determined (drag" in solution.identified[-1]
+    told = f"{PRESLIDING}: not identified (drag"
+    assert any(line.startswith(told) for line in solution.identified)

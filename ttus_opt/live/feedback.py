@@ -98,10 +98,11 @@ class ModelFeedback:
 
 def _held(field: PotentialField) -> PotentialField:
     """The field with presliding, where it has friction without."""
-    held = {PRESLIDING: PRESLIDING_LENGTH, DRAG_AT_POINTS: 1.0}
-    parameters = {**held, **field.parameters}
-    rubs = field.parameters.get(FRICTION, 0.0) > 0.0
-    return replace(field, parameters=parameters) if rubs else field
+    own = field.parameters
+    if not own.get(FRICTION, 0.0) or own.get(PRESLIDING, 0.0):
+        return field
+    held = {DRAG_AT_POINTS: 1.0, **own, PRESLIDING: PRESLIDING_LENGTH}
+    return replace(field, parameters=held)
 
 
 class MeasuredForce:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.contact.friction import PRESLIDING
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import TtusError
 from ttus_opt.core.html_card import page, table
@@ -185,12 +184,8 @@ class Solution:
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """The identified parameters, a line each, and why another one is not there."""
-        lines = [self._line(name, value) for name, value in self.parameters.items()]
-        absent = self.not_identified.get(PRESLIDING)
-        if absent and PRESLIDING not in self.parameters:
-            lines.append(f"{PRESLIDING}: not determined ({absent})")
-        return tuple(lines)
+        """The identified parameters, a line each."""
+        return tuple(self._line(name, value) for name, value in self.parameters.items())
 
     def _line(self, name: str, value: float) -> str:
         if name in self.not_identified:

@@ -16,7 +16,7 @@ sensor's and one in proportion to the force, of its direction and torque 0.2 rad
 measurement that disagrees by more than four standard deviations counts less, the less
 the more it disagrees.
 
-Friction μ ~ Normal(0, 0.3²) is in the state as well, by an extended Kalman filter: drag
+Friction μ ~ Normal(0, 0.1²) is in the state as well, by an extended Kalman filter: drag
 is μ times that of all points at μ = 1 (`ttus_opt.contact.point_drag`), which is linear
 in p. A press is heavier than its release; learned apart, that would be a stiffness that
 changes with every stroke.
@@ -57,8 +57,9 @@ SAMPLING = "trilinear"
 #: from where on g of the places
 LAW, MU, PLACES = 2, 2, 3
 
-#: Standard deviation of μ before anything slid, and largest μ [–]
-FRICTION_DEVIATION, MOST_FRICTION = 0.3, 1.0
+#: Standard deviation of μ before anything slid, and largest μ [–]; with a larger one
+#: the first press into tissue of another stiffness is taken for friction
+FRICTION_DEVIATION, MOST_FRICTION = 0.1, 1.0
 
 #: Normalised residual from which a measurement counts less [–]
 DISAGREES = 4.0

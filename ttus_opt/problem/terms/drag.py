@@ -163,7 +163,8 @@ class DragModel(abc.ABC):
 
     def _places(self, sliding: Sliding) -> dict[str, float]:
         """Where and from which motion on drag acts, by name."""
-        preslides = {friction.PRESLIDING: self.presliding} if self.presliding else {}
+        asked = self.presliding > 0.0 or bool(self.no_presliding)
+        preslides = {friction.PRESLIDING: self.presliding} if asked else {}
         return preslides | {
             friction.DRAG_DEADBAND: self.deadband,
             friction.DRAG_AT_REFERENCE: float(self.acts_at == "reference"),
@@ -221,11 +222,12 @@ class GlobalCoulomb(DragModel):
         return {friction.FRICTION: self.coefficient}
 
     def not_identifiable(self) -> dict[str, str]:
-        """The coefficient μ, if no pose tells it."""
-        if why := self.no_friction():
-            return {friction.FRICTION: why}
-        why = self.no_presliding
-        return {friction.PRESLIDING: why} if why else {}
+        """The coefficient μ and its presliding length, if no pose tells them."""
+        why = self.no_friction()
+        found = {friction.FRICTION: why} if why else {}
+        if self.no_presliding:
+            found[friction.PRESLIDING] = why or self.no_presliding
+        return found
 
 
 @dataclass(frozen=True)
