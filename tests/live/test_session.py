@@ -96,6 +96,27 @@ def test_a_clean_link_reaches_normal_and_the_model_learns(delay):
     assert np.linalg.norm(there - measured) < 0.36
 
 
+class Soft(Spring):
+    """Tissue without friction, of the prior's law and 0.6 of its stiffness."""
+
+    def sense(self, time, rotation, position):
+        found = super().sense(time, rotation, position)
+        depth = np.linalg.norm(found.wrench[:3]) / self.stiffness
+        # 2 N/cm² (d/10 mm)^1.3 over the part of the ball below a plane
+        size = 0.6 * 10.9 * (depth / 0.01) ** 2.3
+        found.wrench[:3] *= size / max(self.stiffness * depth, 1e-9)
+        return found
+
+
+def test_a_first_press_into_softer_tissue_is_not_taken_for_friction():
+    simulation, learned = session(Impairment(delay=0.25), patient=Soft()), []
+    for _ in simulation.run(8.0):
+        if simulation.operator.model is not None:
+            learned.append(simulation.operator.model.learner.friction)
+    assert max(learned) < 0.4
+    assert learned[-1] < 0.1
+
+
 def test_no_force_before_the_hand_was_lifted():
     """A model that arrives in the middle of a press does not push the hand."""
     simulation = session(moved=path(lifted=-2.0))  # it begins deepest
