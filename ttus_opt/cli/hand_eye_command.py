@@ -16,6 +16,7 @@ def hand_eye(
     seen: Annotated[Path, typer.Argument()],
     carried: Annotated[Path, typer.Argument()],
     camera: str,
+    inverted: bool = False,
     output: Path | None = None,
     stream: str | None = None,
     hand_stream: str | None = None,
@@ -40,6 +41,8 @@ def hand_eye(
         carried: Poses of the hand in its base, of a robot or a second tracker.
         camera: fixed: the camera stands still, the hand holds the marker; moving: the
             hand holds the camera.
+        inverted: The first file has the camera's poses in the frame of the marker, as a
+            map's or SLAM's, not the marker's in the camera.
         output: Write the motion from camera to base (fixed) or hand (moving) here, a
             matrix as JSON.
         stream: Name of the topic, transform, tool or body, if the first file has
@@ -81,6 +84,7 @@ def hand_eye(
                 first,
                 second,
                 camera,  # type: ignore[arg-type]  # checked there
+                inverted=inverted,
                 offset=offset,
                 around=around,
                 largest=largest_offset,
@@ -90,7 +94,12 @@ def hand_eye(
             apart = begin_apart(first.time, second.time, search)
             raise InputError(f"{error}{apart}") from error
         except InputError as error:
-            in_words = as_options(str(error), largest="--largest-offset")
+            in_words = as_options(
+                str(error),
+                largest="--largest-offset",
+                camera="--camera",
+                inverted="--inverted",
+            )
             raise InputError(in_words) from error
     if output is not None:
         io.write_text(output, json_module.dumps(found.camera.tolist()) + "\n")

@@ -5,11 +5,11 @@ the hand that carries it, B(s). As in `ttus_opt.sensors.hand_eye`,
 
     G X A = Z,   G = B (camera on the hand)   or   G = B⁻¹ (fixed camera).
 
-The clocks are aligned by the angular speeds, which are the same in every frame. Frames
-whose turns contradict the other stream's are left out (rotation angles between two
-instants are the same in both), and pairs are spread over the rotations. OpenCV's
-solvers on small random sets give a start that outliers do not spoil; X, Z and the
-offset of the clocks are then fitted together, with Huber's loss.
+The clocks are aligned by the angular speeds, which are the same in every frame, then by
+the angles between instants, which noise and gaps spoil less. Frames whose turns
+contradict the other stream's are left out, and pairs are spread over the rotations.
+OpenCV's solvers on small random sets give a start that outliers do not spoil; X, Z and
+the offset of the clocks are then fitted together, with Huber's loss.
 """
 
 from __future__ import annotations
@@ -34,7 +34,13 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors import hand_eye
 from ttus_opt.sensors.angular_offset import angular_offset
 from ttus_opt.sensors.clock import LARGEST_OFFSET, Offset
-from ttus_opt.sensors.stream_pairs import agreeing, aligned, far_apart, without_spikes
+from ttus_opt.sensors.stream_pairs import (
+    agreeing,
+    aligned,
+    far_apart,
+    offset_by_angles,
+    without_spikes,
+)
 from ttus_opt.sensors.streams import interpolated
 
 #: Most pairs, and fewest
@@ -42,6 +48,9 @@ MOST_PAIRS, LEAST_PAIRS = 200, 20
 
 #: Random sets of pairs for the start, and pairs in each
 STARTS, START_PAIRS = 24, 8
+
+#: Stretches of a recording whose fits are compared
+STRETCHES = 6
 
 #: Residuals beyond so many robust standard deviations are outliers
 OUTLIER = 4.0
@@ -54,6 +63,9 @@ LEAST_SCALE = np.array([1e-8] * 3 + [1e-9] * 3)
 
 #: A larger standard error of the position is no calibration [m]
 LARGEST_STD = 0.02
+
+#: Loops that close so much better with inverted poses say that they are inverted
+CLOSER = 1.0 / 3.0
 
 #: From the median absolute value of Normal errors to their standard deviation
 MEDIAN = 1.4826
@@ -106,6 +118,7 @@ def stream_hand_eye(
     carried: Trajectory,
     camera: hand_eye.Camera,
     *,
+    inverted: bool = False,
     offset: float | None = None,
     around: float = 0.0,
     largest: float = LARGEST_OFFSET,
@@ -118,13 +131,15 @@ def stream_hand_eye(
         carried: B: hand to base, on its own clock.
         camera: ``fixed``: the hand holds the marker. ``moving``: the hand holds the
             camera and the marker is fixed.
+        inverted: A holds the camera's poses in the marker's frame instead.
         offset: Seconds to add to the hand's clock, where it is known.
         around: As in `ttus_opt.sensors.clock.clock_offset`.
         largest: As in `ttus_opt.sensors.clock.clock_offset`.
         rng: Chooses the random sets.
 
     Raises:
-        InputError: The streams do not show one motion, or do not overlap.
+        InputError: The streams do not show one motion, do not overlap, or close their
+            loops with inverted poses only.
         GeometryError: The motion does not determine the camera's pose.
     """
     if camera not in ("fixed", "moving"):
@@ -132,12 +147,67 @@ def stream_hand_eye(
     rng = np.random.default_rng(0) if rng is None else rng
     n_seen = len(seen)
     seen, carried = without_spikes(seen), without_spikes(carried)
-    clock = (
-        Offset(offset, correlation=np.nan, rival=np.nan, std=0.0)
-        if offset is not None
-        else angular_offset(seen, carried, around=around, largest=largest)
+    if offset is not None:
+        clock = Offset(offset, correlation=np.nan, rival=np.nan, std=0.0)
+    else:
+        clock = angular_offset(seen, carried, around=around, largest=largest)
+        clock = clock._replace(seconds=offset_by_angles(seen, carried, clock.seconds))
+    A, path, left_out = _paired(seen, carried, clock.seconds, rng)
+    left_out += n_seen - len(seen)
+
+    def answer(A: Array) -> StreamHandEye:
+        problem = _Problem(A, path, camera == "fixed")
+        fit = _fitted(problem, _start(problem, rng), free_offset=offset is None)
+        hand_eye.check_motions(A[fit.used], path.poses(0.0)[fit.used])
+        return _answer(problem, fit, clock, left_out)
+
+    given, other = (inverse(A), A) if inverted else (A, inverse(A))
+    found = answer(given)
+    certain = bool(found.shift_std.max() < LARGEST_STD)
+    if not certain or found.median_gap > hand_eye.LARGEST_GAP:
+        try:
+            gap = answer(other).median_gap
+        except InputError:  # no better
+            gap = np.inf
+        if gap < CLOSER * found.median_gap:
+            raise InputError(_inverted(found.median_gap, gap, camera, inverted))
+    if not certain:
+        raise GeometryError(
+            "the motion hardly tells where the camera is: its position has a standard "
+            f"error of {1e3 * found.shift_std.max():.3g} mm with loops that close to "
+            f"{1e3 * found.median_gap:.2g} mm: turn the hand about two or more axes, "
+            "by 30° and more; poses that drift, as odometry's do, tell less"
+        )
+    return found
+
+
+def _inverted(
+    gap: float, other_gap: float, camera: hand_eye.Camera, inverted: bool
+) -> str:
+    """What is wrong where loops close with inverted poses only [m]."""
+    other = "moving" if camera == "fixed" else "fixed"
+    remedy = (
+        "marker's in the camera, leave inverted=True out"
+        if inverted
+        else "camera's in the marker's frame, give inverted=True"
     )
-    time, A, B = aligned(seen, carried, clock.seconds)
+    return (
+        f"the loops close to {1e3 * gap:.3g} mm, but to {1e3 * other_gap:.2g} mm with "
+        f"camera={other}, and so with the first stream's poses inverted: if they are "
+        f"the {remedy}"
+    )
+
+
+def _paired(
+    seen: Trajectory, carried: Trajectory, offset: float, rng: np.random.Generator
+) -> tuple[Array, _Path, int]:
+    """A (n, 4, 4) and B of pairs spread over rotations, and frames that disagree.
+
+    Raises:
+        InputError: The streams do not overlap, or turn differently.
+        GeometryError: They turn too little.
+    """
+    time, A, B = aligned(seen, carried, offset)
     agree = agreeing(A, B, rng)
     pairs = np.flatnonzero(agree)
     if len(pairs) < LEAST_PAIRS:
@@ -152,22 +222,7 @@ def stream_hand_eye(
             "or more axes"
         )
     hand_eye.check_motions(A[pairs], B[pairs])
-    problem = _Problem(
-        A[pairs], _Path(carried, time[pairs] - clock.seconds), camera == "fixed"
-    )
-    start = _start(problem, rng)
-    fit = _fitted(problem, start, free_offset=offset is None)
-    used = fit.used
-    hand_eye.check_motions(A[pairs][used], B[pairs][used])
-    left_out = n_seen - len(seen) + len(time) - int(agree.sum())
-    answer = _answer(problem, fit, clock, left_out)
-    if not answer.shift_std.max() < LARGEST_STD:
-        raise GeometryError(
-            "the motion hardly tells where the camera is: its position has a standard "
-            f"error of {1e3 * answer.shift_std.max():.3g} mm: turn the hand about two "
-            "or more axes, by 30° and more"
-        )
-    return answer
+    return A[pairs], _Path(carried, time[pairs] - offset), int((~agree).sum())
 
 
 class _Path:
@@ -306,8 +361,11 @@ def _fitted(problem: _Problem, start: Array, *, free_offset: bool) -> _Fit:
     spread = residuals[used].std(axis=0) / scale
     information = last.jac.T @ (last.jac / np.tile(spread**2, used.sum())[:, None])
     covariance = np.zeros((13, 13))
-    covariance[np.ix_(free, free)] = np.linalg.pinv(information)
-    covariance *= _dependence(residuals[used], problem.path.at[used])
+    model = np.linalg.pinv(information)
+    off = last.fun.reshape(-1, 6)
+    covariance[np.ix_(free, free)] = model * _dependence(
+        last.jac, off, model, problem.path.at[used]
+    )
     return _Fit(parameters, residuals, scale * spread, covariance, used)
 
 
@@ -319,16 +377,28 @@ def _scale(residuals: Array) -> Array:
     return np.asarray(np.maximum(out, LEAST_SCALE))
 
 
-def _dependence(residuals: Array, time: Array) -> float:
-    """Factor on the variance because errors at neighbouring times resemble, ≥ 1."""
-    ordered = residuals[np.argsort(time)]
-    ordered = ordered - ordered.mean(axis=0)
-    power = (ordered**2).sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        alike = (ordered[1:] * ordered[:-1]).sum(axis=0) / power
-    alike = float(np.nan_to_num(alike).mean())
-    alike = min(max(alike, 0.0), 0.95)
-    return (1.0 + alike) / (1.0 - alike)
+def _dependence(J: Array, residuals: Array, model: Array, time: Array) -> float:
+    """Factor on the variance because errors resemble each other, ≥ 1.
+
+    A camera's and an arm's errors depend on where they are, so that a fit is wrong by
+    more than independent errors say. Deleted in turn, long stretches of the recording
+    tell how much: the jackknife's variance over the model's, mean over parameters.
+
+    Args:
+        J: Derivatives of the scaled residuals, shape (6 n, k).
+        residuals: Scaled, shape (n, 6).
+        model: Covariance if errors were independent, shape (k, k).
+        time: Of the pairs, shape (n,) [s].
+    """
+    stretches = np.array_split(np.argsort(time), STRETCHES)
+    rows, off = J.reshape(len(time), 6, -1), residuals
+    total, squares = J.T @ J, 0.0
+    for own in stretches:
+        part = rows[own].reshape(-1, J.shape[1])
+        change = np.linalg.lstsq(total - part.T @ part, part.T @ off[own].ravel())[0]
+        squares += float(change @ np.linalg.lstsq(model, change)[0])
+    variance = (STRETCHES - 1) / STRETCHES * squares
+    return max(1.0, variance / len(model))
 
 
 def _answer(

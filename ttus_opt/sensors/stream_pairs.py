@@ -23,6 +23,12 @@ NEIGHBOURS, SPIKE, BRISK = 4, 6.0, 2.0
 #: Longest time between poses that is interpolated over [s]
 LONGEST_GAP = 0.2
 
+#: Offsets tried around that of the speeds, a coarse and a fine step [s]
+WITHIN, COARSE, FINE = 0.3, 0.01, 0.002
+
+#: Frames by which offsets are compared
+FRAMES = 2000
+
 #: Instants with which each frame's turns are compared
 REFERENCES = 60
 
@@ -86,6 +92,35 @@ def aligned(
             "clocks"
         )
     return np.concatenate(times), np.concatenate(own), np.concatenate(other)
+
+
+def offset_by_angles(seen: Trajectory, carried: Trajectory, near: float) -> float:
+    """Seconds to add to the second clock, by the angles between far instants.
+
+    They are the same in both streams, as speeds are, but the noise of one pose is
+    small against them; the median passes over outliers and gaps.
+
+    Args:
+        seen: Poses on the first clock.
+        carried: Poses of the same body on the second clock.
+        near: Offset by the speeds [s].
+    """
+    seen = seen.select(slice(None, None, 1 + len(seen) // FRAMES))
+
+    def apart(offset: float) -> float:
+        try:
+            _, A, B = aligned(seen, carried, offset)
+        except InputError:  # no common frames
+            return np.inf
+        own, other = (
+            (turn * turn[np.roll(np.arange(len(A)), len(A) // 3)].inv()).magnitude()
+            for turn in (Rotation.from_matrix(M[:, :3, :3]) for M in (A, B))
+        )
+        return float(np.median(np.abs(own - other)))
+
+    for reach, step in ((WITHIN, COARSE), (COARSE, FINE)):
+        near = min(near + np.arange(-reach, reach + step / 2, step), key=apart)
+    return float(near)
 
 
 def agreeing(A: Array, B: Array, rng: np.random.Generator) -> Mask:
