@@ -14,6 +14,9 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Added by hatchling itself, or of use in the repository only
 ELSE = {"pyproject.toml", "LICENSE", ".gitignore", ".ci"}
 
+#: Extras that a user's work may need; conda has none
+USED = ("reference", "phantom", "parallel", "sensors", "viewer", "live", "webrtc")
+
 
 def test_every_file_is_included():
     if shutil.which("git") is None or not (ROOT / ".git").exists():
@@ -59,13 +62,22 @@ def test_the_recipe_of_conda_requires_what_the_package_does():
     given = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     project = given["project"]
     text = (ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8")
-    (run,) = re.findall(r"^  run:\n((?:    - .*\n)+)", text, re.M)
-    found = dict(line[6:].partition(" ")[::2] for line in run.splitlines())
+
+    def listed(name):
+        (run,) = re.findall(rf"^  {name}:\n((?:    - .*\n)+)", text, re.M)
+        return dict(line[6:].partition(" ")[::2] for line in run.splitlines())
+
     expected = {"python": project["requires-python"]}
     for word in project["dependencies"]:
         name, pin = re.fullmatch(r"([\w-]+)(.*)", word).groups()
         # conda-forge does not count the wheels of one version of OpenCV
         expected[names.get(name, name)] = pin.replace("4.10.0.84", "4.10.0")
-    assert found == expected
+    assert listed("run") == expected
+    extras = project["optional-dependencies"]
+    optional = {word for name in USED for word in extras[name] if "[" not in word}
+    assert listed("run_constraints") == {
+        name: pin
+        for name, pin in (re.fullmatch(r"([\w-]+)(.*)", w).groups() for w in optional)
+    }
     assert f'version: "{project["version"]}"' in text
     assert f"- ttus-opt = {project['scripts']['ttus-opt']}" in text

@@ -1,5 +1,7 @@
 """Tables that other programs write."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -128,11 +130,17 @@ def test_decimal_commas_between_commas_are_suspected(tmp_path):
     refuses(FileError, "decimal commas", tt.read_trajectory, file)
 
 
-def test_what_is_no_text(tmp_path):
+def test_what_is_no_text(tmp_path, monkeypatch):
+    """Told from the beginning: 1 GB of zeros is not read."""
     file = tmp_path / "press.csv"
-    for content in (bytes(3000), "t,px".encode("utf-16")):
-        file.write_bytes(content)
-        refuses(FileError, "CSV in UTF-8", tt.read_trajectory, file)
+    file.write_bytes("t,px".encode("utf-16"))
+    refuses(FileError, "in UTF-16: save it in UTF-8", tt.read_trajectory, file)
+    file.write_bytes("t,px\nn".encode("latin-1") + b"\xe9")
+    refuses(FileError, "not a text file", tt.read_trajectory, file)
+    with file.open("wb") as stream:
+        stream.truncate(2**30)
+    monkeypatch.setattr(Path, "read_text", lambda *_: pytest.fail("read"))
+    refuses(FileError, "not a text file", tt.read_trajectory, file)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def refused(tmp_path, lines, text, end="\n"):
     [
         (without("qz"), "no column qz: the header must name"),
         (without("ty"), "no column ty"),
-        (rows()[1:], "no column t, px"),
+        (rows()[1:], "has no header: write t,px"),
         (["t," + rows()[0], *["0," + r for r in rows()[1:]]], "t more than once"),
         (rows(0), "empty"),
         (
@@ -84,7 +84,7 @@ def test_missing_empty_and_binary_files(tmp_path):
     (tmp_path / "no.csv").touch()
     refuses(FileError, "is empty", read_trajectory, tmp_path / "no.csv")
     (tmp_path / "no.csv").write_bytes(b"\xff\xfe\x00\x81")
-    refuses(FileError, "not a readable text", read_trajectory, tmp_path / "no.csv")
+    refuses(FileError, "in UTF-8", read_trajectory, tmp_path / "no.csv")
 
 
 def test_column_order_extra_columns_and_no_last_newline(tmp_path):

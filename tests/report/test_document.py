@@ -52,6 +52,17 @@ def test_a_table_of_many_columns_fits_where_its_words_do(width):
     assert told.count("0") == 3 and told.count("eight") == 1
 
 
+def test_columns_without_room_follow_below():
+    """Each once, after the first column, and all that is in it."""
+    names = [f"measure{k:02d}" for k in range(14)]
+    rows = [[f"recording{i}", *(f"{i}.{k:02d}" for k in range(14))] for i in range(2)]
+    told = Table(["of", *names], rows).fitted(80)
+    assert max(map(len, told.splitlines())) <= 80
+    assert all(told.count(name) == 1 for name in names)
+    assert all(told.count(cell) == 1 for row in rows for cell in row[1:])
+    assert told.count("recording1") == told.count("\n\n") + 1 == 2
+
+
 def test_a_terminal_gets_what_fits():
     words = " ".join(["word"] * 30)
     blocks = [Heading("Long"), Text(words), Items([words]), Table(["a"], [[words]])]

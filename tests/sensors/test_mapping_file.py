@@ -45,9 +45,9 @@ def test_matrices_of_opencv_are_mappings(tmp_path):
     [
         ("[1, 2]", "is not a session: it must map names to values"),
         ("1: a", "it must map names to values"),
-        ("a: 'b", r"cannot be read as YAML or JSON \(line 1\)"),
-        ('{"a": ', r"cannot be read as YAML or JSON \(line 1\)"),
-        ("a: !!python/object/apply:os.system ['true']", "cannot be read as YAML"),
+        ("a: 'b", r"cannot be read as XML, YAML or JSON \(line 1\)"),
+        ('{"a": ', r"cannot be read as XML, YAML or JSON \(line 1\)"),
+        ("a: !!python/object/apply:os.system ['true']", "cannot be read as XML, YAML"),
         ("", r"session file .* is empty"),
     ],
 )

@@ -81,6 +81,13 @@ def test_a_table_of_neither_kind_is_told_by_the_kind_it_is_nearer(tmp_path):
         assert "t,px,py,pz,qw,qx,qy,qz (poses) or t,fx,fy,fz (wrenches)" in told
 
 
+def test_wrenches_beside_most_of_a_pose_say_what_it_lacks(tmp_path):
+    file = tmp_path / "own.csv"
+    file.write_text("t,px,pz,qw,qx,qy,qz,fx,fy,fz\n" + "1,0,0,1,0,0,0,1,2,3\n")
+    (raw,) = raw_recordings(file)
+    assert not raw.has_poses and "no py: no poses" in raw.notes
+
+
 def test_what_is_no_such_stream_is_told_by_what_it_is(tmp_path):
     torso().save(tmp_path / "surface.nc")
     refuses(

@@ -7,6 +7,7 @@ with a clear message instead of a traceback.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import datetime
 import glob
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 
 #: Longest value of a file that an error shows [characters]
 LONGEST_VALUE = 40
+
+#: What tells text from other files [byte]
+HEAD = 4096
 
 LOG = logging.getLogger(__name__)
 
@@ -65,6 +69,27 @@ def existing_file(
         raise FileError(f"{file} is too large for a {what} file: wrong file?")
     LOG.debug("reads %s as a %s, %d bytes", file, what, size)
     return file
+
+
+def read_text(file: Path) -> str:
+    """Text of a file in UTF-8, without its byte-order mark.
+
+    Raises:
+        FileError: It is not such text; told from its beginning, whatever its size.
+    """
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD)
+        text = "" if b"\0" in head else file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        text = ""
+    except OSError as error:
+        raise FileError(f"{file} cannot be read: {error.strerror}") from error
+    if text or not head:
+        return text
+    if head[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        raise FileError(f"{file} is text in UTF-16: save it in UTF-8")
+    raise FileError(f"{file} is not a text file: export it as text in UTF-8")
 
 
 def read_npy(file: Path) -> NDArray[Any]:

@@ -83,6 +83,11 @@ class Fault(NamedTuple):
         """The first row."""
         return int(np.argmax(self.rows))
 
+    def told(self) -> str:
+        """What is wrong, and in how many more rows."""
+        more = int(self.rows.sum()) - 1
+        return f"{self.what} (and {more} more)" if more else self.what
+
 
 def faults(raw: RawRecording) -> list[Fault]:
     """All that is wrong, in the order of the first rows."""
@@ -213,17 +218,10 @@ def _listed(raw: RawRecording, found: list[Fault]) -> str:
     """One line: a single fault with its remedy, or all of them."""
     if len(found) == 1:
         (one,) = found
-        told = f"{one.what}{_more(one)}: {one.remedy}{_advice(found)}"
+        told = f"{one.told()}: {one.remedy}{_advice(found)}"
         return f"{raw.title}, {raw.place(one.first)}: {told}"
-    listed = "; ".join(
-        f"{raw.place(f.first)}: {f.what}" + _more(f) for f in found[:MOST_LISTED]
-    )
+    listed = "; ".join(f"{raw.place(f.first)}: {f.told()}" for f in found[:MOST_LISTED])
     return f"{raw.title} has {len(found)} kinds of faults: {listed}{_advice(found)}"
-
-
-def _more(fault: Fault) -> str:
-    more = int(fault.rows.sum()) - 1
-    return f" (and {more} more)" if more else ""
 
 
 def _advice(found: list[Fault]) -> str:

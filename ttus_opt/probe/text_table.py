@@ -55,11 +55,17 @@ class MissingColumnsError(FileError):
         self._file = file
 
     def _told(self, file: Path, names: str) -> str:
+        if not self._got:
+            return f"{file} has no header: write {names} as its first line"
         return (
             f"{file} has no column {', '.join(self.missing)}: the header must name "
             f"{names}, got {self._got}; map them by columns, for "
             f"instance {self.missing[0]}=NAME"
         )
+
+    def nearly(self) -> list[str]:
+        """What to say where half of the columns are there: likely a mistake."""
+        return [f"no {', '.join(self.missing)}: no poses"] if self._share < 0.5 else []
 
     def either(self, other: MissingColumnsError) -> FileError:
         """Of two readings of one file, told by the one that lacks least."""
@@ -159,16 +165,7 @@ def read_text_table(
         FileError: Not text, no such header, or no rows.
         InputError: ``columns`` names a column that does not exist.
     """
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, OSError) as error:
-        raise FileError(
-            f"{file} is not a readable text file ({type(error).__name__}): export it "
-            "as CSV in UTF-8"
-        ) from error
-    if "\0" in text[:LONGEST_HEADER]:
-        raise FileError(f"{file} is not a text file: export it as CSV in UTF-8")
-    lines = text.splitlines()
+    lines = io.read_text(file).splitlines()
     head, separator, given = _header(file, lines, required, columns or {})
     numbered = [
         (number, _split(line, separator))
@@ -253,7 +250,7 @@ def _header(
         passed += 1
         if passed > MOST_PREAMBLE:
             break
-    shown = ",".join(closest) or "none"
+    shown = "" if _are_numbers(closest) else ",".join(closest) or "none"
     if len(shown) > LONGEST_HEADER:
         shown = f"{shown[:LONGEST_HEADER]}… ({len(closest):,} in all)"
     raise MissingColumnsError(file, required, missing, shown)
@@ -265,13 +262,19 @@ def _lacking(required: Sequence[str], names: Sequence[str]) -> list[str]:
     return [n for n in required if n not in names and not (turned and n[0] == "q")]
 
 
-def _is_pose(cells: Sequence[str]) -> bool:
-    """Whether a line is a time, a position and a unit quaternion."""
+def _are_numbers(cells: Sequence[str]) -> bool:
+    """Whether a line has numbers only."""
     try:
-        numbers = [float(cell) for cell in cells]
+        return len([float(cell) for cell in cells]) > 0
     except ValueError:
         return False
-    length = float(np.linalg.norm(numbers[4:])) if len(numbers) == len(TUM) else 0.0
+
+
+def _is_pose(cells: Sequence[str]) -> bool:
+    """Whether a line is a time, a position and a unit quaternion."""
+    if len(cells) != len(TUM) or not _are_numbers(cells):
+        return False
+    length = float(np.linalg.norm([float(cell) for cell in cells[4:]]))
     return abs(length - 1.0) < QUATERNION_TOLERANCE
 
 

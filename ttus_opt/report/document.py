@@ -132,7 +132,9 @@ class Table(Block):
         return "\n".join(text)
 
     def fitted(self, width: int) -> str:
-        r"""As text in so many columns, where words allow: cells are broken at blanks.
+        r"""As text so wide, where words allow: cells are broken at blanks.
+
+        Columns for which there is no room follow below, after the first column again.
 
         >>> print(Table(["", "force [N]"], [["near the fitted skin", "1"]]).fitted(21))
                         force
@@ -153,6 +155,9 @@ class Table(Block):
             least = [max(column) for column in zip(*pieces, strict=True)]
             if sum(least) + n_blanks <= width:
                 break
+        else:
+            if len(least) > 2:
+                return self._folded(least, width)
         gap = 2 if sum(least) + 2 * n_blanks <= width else 1
         widths = least.copy()  # a header is broken to the width of what it stands over
         for row in self.rows:
@@ -168,11 +173,30 @@ class Table(Block):
                 lines.append((gap * " ").join(cells).rstrip())
         return "\n".join(lines)
 
+    def _folded(self, least: Sequence[int], width: int) -> str:
+        """Several tables below each other, each as wide as allowed.
+
+        Args:
+            least: Least widths of the columns.
+            width: Of the text.
+        """
+        groups: list[list[int]] = []
+        room = 0
+        for k, own in enumerate(least[1:], start=1):
+            if not groups or room < own + 1:  # with a blank
+                groups.append([0])
+                room = width - least[0]
+            groups[-1].append(k)
+            room -= own + 1
+        return "\n\n".join(self._only(group).fitted(width) for group in groups)
+
+    def _only(self, columns: Sequence[int]) -> Table:
+        rows = [[row[k] for k in columns] for row in self.rows]
+        return Table([self.header[k] for k in columns], rows)
+
     def without(self, column: str) -> Table:
         """All columns but one."""
-        kept = [k for k, name in enumerate(self.header) if name != column]
-        rows = [[row[k] for k in kept] for row in self.rows]
-        return Table([self.header[k] for k in kept], rows)
+        return self._only([k for k, h in enumerate(self.header) if h != column])
 
     def html(self, folder: Path) -> str:
         """As HTML."""

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 
@@ -50,13 +51,9 @@ def read_xyz(file: Path) -> Array:
         FileError: Not text, no points, ambiguous columns, or another number of points
             than the file announces.
     """
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileError(f"{file} is not a text file: check its suffix") from error
     lines = [
         _Line(n, line.strip())
-        for n, line in enumerate(text.splitlines(), start=1)
+        for n, line in enumerate(io.read_text(file).splitlines(), start=1)
         if line.strip()
     ]
     names, announced, rows = _preamble(lines)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError, TtusError
 from ttus_opt.core.optional import load
 
@@ -223,6 +224,7 @@ def _opened(path: Path, read: Callable[[Any, Any], T]) -> T:
     rosbag: Any = load("rosbags.rosbag1", "sensors")
     types: Any = load("rosbags.typesys", "sensors")
     known = types.get_typestore(types.Stores.ROS1_NOETIC)
+    io.existing_file(path, "recording")
     try:
         with rosbag.Reader(path) as reader:
             return read(reader, known)

@@ -186,7 +186,7 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
         _noise(sound),
         (*raw.notes, *raw.cautions),
         tuple(_doubts(sound, usual)),
-        tuple(f"{raw.place(f.first)}: {f.what}" for f in faults(raw))
+        tuple(f"{raw.place(f.first)}: {f.told()}" for f in faults(raw))
         if len(raw)
         else (NO_FRAME,),
         repair,

@@ -40,7 +40,7 @@ def read_mapping(path: str | os.PathLike[str], what: str) -> Mapping[str, Any]:
         raise
     except Exception as error:  # the parsers raise nearly every class
         raise FileError(
-            f"{file} cannot be read as YAML or JSON{_place(error)}: a {what} is a "
+            f"{file} cannot be read as XML, YAML or JSON{_place(error)}: a {what} is a "
             "mapping of names to values"
         ) from error
     if not isinstance(found, Mapping) or not all(isinstance(k, str) for k in found):

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError, TtusError, warn
 from ttus_opt.core.optional import load
 from ttus_opt.probe.raw_recording import RawRecording
@@ -87,9 +88,9 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
         FileError: Missing or damaged.
         MissingPackageError: rosbags is not installed.
     """
-    if not place.exists():
-        raise FileError(f"recording not found: {place}: check the path")
-    if place.is_dir() and not (place / "metadata.yaml").exists():
+    if not place.is_dir():
+        io.existing_file(place, "recording")
+    elif not (place / "metadata.yaml").exists():
         raise FileError(
             f"{place} is a folder without a recording of ROS 2 (metadata.yaml): name a "
             "file in it"
@@ -168,25 +169,11 @@ def _recording(
 ) -> RawRecording:
     time, values = np.array(times, np.float64), np.array(rows, np.float64)
     note = f"SI, {kind.rpartition('/')[2]} in {frame or 'an unnamed frame'}"
+    raw = RawRecording(str(place), time, name=topic, notes=(note,), units_stated=True)
+    first, second = values[:, :3], values[:, 3:]
     if kind in WRENCHES:
-        return RawRecording(
-            str(place),
-            time,
-            force=values[:, :3],
-            torque=values[:, 3:],
-            name=topic,
-            notes=(note,),
-            units_stated=True,
-        )
-    return RawRecording(
-        str(place),
-        time,
-        values[:, :3],
-        values[:, 3:],
-        name=topic,
-        notes=(note,),
-        units_stated=True,
-    )
+        return raw.replaced(force=first, torque=second)
+    return raw.replaced(position=first, quaternion=second)
 
 
 def _by_time(raw: RawRecording) -> RawRecording:

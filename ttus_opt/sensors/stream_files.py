@@ -51,7 +51,8 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         if wanted.kind:
             raise
         try:
-            return [raw_wrenches(io.existing_file(path, "wrench"), columns)]
+            raw = raw_wrenches(io.existing_file(path, "wrench"), columns)
+            return [raw.noted(*poses.nearly())]
         except MissingColumnsError as wrenches:
             raise poses.either(wrenches) from None
 
