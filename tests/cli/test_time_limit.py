@@ -10,7 +10,7 @@ import typer
 from tests.cli.conftest import empty, fit_words, refused
 from tests.cli.test_interrupts import deaf_at_work
 from ttus_opt.cli.app import app
-from ttus_opt.cli.time_limit import time_limited
+from ttus_opt.cli.time_limit import compiled_code_interrupted, time_limited
 from ttus_opt.core.errors import InputError, TtusError
 
 pytestmark = pytest.mark.skipif(
@@ -44,6 +44,17 @@ def test_a_command_ends_in_time(run, files, output):
         refused(run(f"{words} --time-limit 0.05"), told)
     assert empty(output)
     refused(run(f"{fit} --time-limit 0"), "--time-limit must be positive")
+
+
+def test_an_interrupt_that_compiled_code_wrapped_is_one():
+    def returned(cause):
+        with compiled_code_interrupted():
+            raise SystemError("returned a result with an exception set") from cause
+
+    with pytest.raises(KeyboardInterrupt):
+        returned(KeyboardInterrupt())
+    with pytest.raises(SystemError):
+        returned(None)
 
 
 def test_a_partial_result_is_no_success():

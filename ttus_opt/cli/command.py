@@ -24,7 +24,7 @@ from typer.core import TyperCommand
 
 from ttus_opt.cli.console import logging_to_stderr
 from ttus_opt.cli.standard_streams import standard_streams
-from ttus_opt.cli.time_limit import time_limited
+from ttus_opt.cli.time_limit import compiled_code_interrupted, time_limited
 from ttus_opt.core.errors import InputError, MistakeWarning
 
 #: Options that say the same in every command
@@ -121,7 +121,11 @@ def add_command(
             limit = None
             if time_limit is not None:
                 limit = given["time_limit"] if own_limit else given.pop("time_limit")
-            with warnings.catch_warnings(), time_limited(limit):
+            with (
+                warnings.catch_warnings(),
+                time_limited(limit),
+                compiled_code_interrupted(),
+            ):
                 if judges and given.pop("strict"):
                     warnings.simplefilter("error", MistakeWarning)
                 function(**given)

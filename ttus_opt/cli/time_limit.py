@@ -50,6 +50,21 @@ def time_limited(seconds: float | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def compiled_code_interrupted() -> Iterator[None]:
+    """Raise an interrupt as such where compiled code has made it a SystemError.
+
+    Raises:
+        KeyboardInterrupt: It came while compiled code returned.
+    """
+    try:
+        yield
+    except SystemError as error:  # "returned a result with an exception set"
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        raise
+
+
+@contextlib.contextmanager
 def _alarm(seconds: float, stop: Callable[[int, object], NoReturn]) -> Iterator[None]:
     """Call ``stop`` in time, where the system and the thread can."""
     main = threading.current_thread() is threading.main_thread()
