@@ -162,7 +162,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     refuses(FileError, "images of rgb8", read_depth, file)
     (tmp_path / "no.bag").write_text("none")
     for read in (read_depth, read_intrinsics):
-        refuses(FileError, "cannot be read as a recording", read, tmp_path / "no.bag")
+        refuses(
+            FileError, "cannot be read as a ROS recording", read, tmp_path / "no.bag"
+        )
 
 
 @pytest.mark.parametrize("n", [30, pytest.param(1000, marks=pytest.mark.slow)])

@@ -34,6 +34,10 @@ COMMON = {
     "verbose": "Say on stderr what is read, chosen and solved; -vv says more.",
     "quiet": "Show no bars; warnings and errors remain.",
     "time_limit": "Time limit of the command [s]; what is complete by then is kept.",
+    "repair": "Drop missing and repeated rows, sort, split at gaps and jumps, and say "
+    "so.",
+    "together": "Both recordings began at about the same time.",
+    "largest_offset": "Largest offset to search [s].",
     "strict": "End with an error where a mistake in what was given is likely, instead "
     "of a warning.",
 }
@@ -147,7 +151,9 @@ def _grouped(given: dict[str, Any], groups: dict[str, Any]) -> None:
 def _of_group(group: Any) -> list[inspect.Parameter]:
     """A group's fields as parameters of a command."""
     hints = typing.get_type_hints(group, include_extras=True)
-    words = _words(group)[1]
+    words: dict[str, str] = {}
+    for kind in reversed(group.__mro__[:-1]):
+        words |= _words(kind)[1]
     return [
         _option(name, hints[name], parameter, words)
         for name, parameter in inspect.signature(group).parameters.items()

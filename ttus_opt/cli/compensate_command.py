@@ -50,8 +50,6 @@ def compensate(
         model: Write the statements, bias, mass and centre of mass here (JSON).
         inertia: Subtract the load's inertia too.
         stream: Name of the topic, transform, tool or body, if a file has several.
-        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
-            so.
 
     Example:
         ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -119,15 +120,25 @@ def _camera_lines(file: Path, topic: str | None = None) -> list[str]:
 
 def _mapping(file: Path, asked: Asked) -> Found:
     """Intrinsics, or else a rigid motion or pairs of poses."""
+    return _first_of((_intrinsics, _motion, _pairs), file, asked)
+
+
+def _first_of(
+    ways: Sequence[Callable[[Path, Asked], Found]], file: Path, asked: Asked
+) -> Found:
+    """What the first way finds that can read a file; the error is the first one's."""
+    first, *others = ways
     try:
-        return Found("camera intrinsics", _camera_lines(file), {}, {})
-    except FileError as error:
-        for other in (_motion, _pairs):
-            try:
+        return first(file, asked)
+    except FileError:
+        for other in others:
+            with contextlib.suppress(TtusError):
                 return other(file, asked)
-            except TtusError:
-                pass
-        raise error
+        raise
+
+
+def _intrinsics(file: Path, asked: Asked) -> Found:
+    return Found("camera intrinsics", _camera_lines(file), {}, {})
 
 
 def _motion(file: Path, asked: Asked) -> Found:
@@ -241,15 +252,7 @@ def _cloud(file: Path, asked: Asked) -> Found:
 
 def _text_or_cloud(file: Path, asked: Asked) -> Found:
     """A table of poses or wrenches, a rigid motion, or points."""
-    try:
-        return _recording(file, asked)
-    except FileError as error:
-        for other in (_motion, _cloud):
-            try:
-                return other(file, asked)
-            except TtusError:
-                pass
-        raise error
+    return _first_of((_recording, _motion, _cloud), file, asked)
 
 
 def _depth(file: Path, asked: Asked) -> Found:

@@ -51,10 +51,6 @@ def hand_eye(
         columns: Column names of the first file, or a YAML file of them.
         hand_columns: The same of the second file.
         offset: Known offset, added to the hand's times [s].
-        together: Both recordings began at about the same time.
-        largest_offset: Largest offset to search [s].
-        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
-            so.
 
     Example:
         ttus-opt hand-eye tracker.csv robot.bag --hand-stream base:tool0 --camera fixed

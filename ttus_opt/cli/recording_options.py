@@ -72,8 +72,6 @@ class RecordingOptions:
         stream: Name of the topic, transform, tool or body, if a file has several.
         columns: Column names of the file, for instance px=tip_x[mm],t=sec+nanosec, or a
             YAML file of them. ROS's names are recognised.
-        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
-            so.
         quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
             was extracted from) or base (of the robot or tracker). By default patient,

@@ -66,11 +66,7 @@ def synchronise(
         wrench_stream: Name of the topic or device, if the wrenches' file has several.
         columns: Column names of the poses' file, or a YAML file of them.
         wrench_columns: Column names of the wrenches' file, or a YAML file of them.
-        together: Both recordings began at about the same time.
-        largest_offset: Largest offset to search [s].
         largest_gap: Longer gaps are not interpolated [s].
-        repair: Drop missing and repeated rows, sort, split at gaps and jumps, and say
-            so.
 
     Example:
         ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface

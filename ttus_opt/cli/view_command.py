@@ -27,24 +27,34 @@ EXAMPLE_FITTED, EXAMPLE_SHOWN = ("press_fit", "sweep_fit"), ("press_test",)
 
 
 @dataclass(frozen=True)
-class ShownRecordings(RecordingOptions):  # noqa: D101
-    __doc__ = RecordingOptions.__doc__  # the same options, none of them needed
+class ShownProbe(ProbeOptions):
+    """The probe, which a field may know.
+
+    Attributes:
+        probe: ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, or a
+            mesh file (STL, PLY, OBJ). By default the one that the field was fitted
+            with, if that is none of the last.
+    """
+
+    probe: str | None = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class ShownRecordings(RecordingOptions):
+    """The same options, none of them needed."""
 
     trajectory: Annotated[list[Path], typer.Option(metavar="PATH")] = ()  # type: ignore[assignment]
 
 
 def view(
     field: Annotated[Path | None, typer.Argument()] = None,
-    probe: str | None = None,
-    points: int = ProbeOptions.points,
-    probe_unit: str = ProbeOptions.probe_unit,
-    probe_surface: str = ProbeOptions.probe_surface,
     compare: Path | None = None,
     example: bool = False,
     port: int = 8050,
     no_browser: bool = False,
     json: bool = False,
     *,
+    tool: ShownProbe,
     recordings: ShownRecordings,
 ) -> None:
     """Show a field in the browser, and press it with the probe's mesh.
@@ -56,12 +66,6 @@ def view(
 
     Args:
         field: Field file (.nc).
-        probe: ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, or a
-            mesh file (STL, PLY, OBJ). By default the one that the field was fitted
-            with, if that is none of the last.
-        points: Number of points of the probe's shell.
-        probe_unit: Unit of a mesh file: m, cm, mm, in.
-        probe_surface: Which part of a mesh to keep: outer, all, hull.
         compare: Another field file of the same patient, beside the first.
         example: Fit the bundled example and show it.
         port: Where to serve on this machine; the next free one if it is taken.
@@ -83,9 +87,6 @@ def view(
             begin("fitting the example")
             shown, options = shown_example()
         else:
-            tool = None
-            if probe is not None:
-                tool = ProbeOptions(probe, points, probe_unit, probe_surface)
             begin("reading")
             files = [field] if compare is None else [field, compare]
             shown, options = _read(files, tool, recordings)
@@ -108,7 +109,7 @@ def view(
 
 
 def _read(
-    files: list[Path], tool: ProbeOptions | None, recordings: RecordingOptions
+    files: list[Path], tool: ProbeOptions, recordings: RecordingOptions
 ) -> tuple[list[PotentialField], dict[str, Any]]:
     """Fields, and what else is shown, from files.
 
@@ -122,7 +123,7 @@ def _read(
 
     fields = [PotentialField.load(file) for file in files]
     patient, mesh = fields[0].voxmap.surface, None
-    if tool is None:
+    if tool.probe is None:
         shell = probe_of(fields[0])
     else:
         shell = tool.read()

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core import io
-from ttus_opt.core.errors import FileError, InputError, TtusError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
+from ttus_opt.sensors.ros_bag import reading
 
 T = TypeVar("T")
 
@@ -224,14 +224,5 @@ def _opened(path: Path, read: Callable[[Any, Any], T]) -> T:
     rosbag: Any = load("rosbags.rosbag1", "sensors")
     types: Any = load("rosbags.typesys", "sensors")
     known = types.get_typestore(types.Stores.ROS1_NOETIC)
-    io.existing_file(path, "recording")
-    try:
-        with rosbag.Reader(path) as reader:
-            return read(reader, known)
-    except TtusError:
-        raise
-    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
-        raise FileError(
-            f"{path} cannot be read as a recording ({type(error).__name__}): copy it "
-            "again, or mend one that was not closed by rosbag reindex"
-        ) from error
+    with reading(path), rosbag.Reader(path) as reader:
+        return read(reader, known)

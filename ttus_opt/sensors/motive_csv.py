@@ -27,7 +27,13 @@ from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import factor
 from ttus_opt.probe.raw_recording import RawRecording, complete
 from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, numbers, read_cells
+from ttus_opt.sensors.stream_format import (
+    StreamFormat,
+    Wanted,
+    no_rows,
+    numbers,
+    read_cells,
+)
 
 #: Words in the first column of the last line of the header
 FRAME, TIME = "Frame", "Time"
@@ -112,9 +118,7 @@ def _sheet(file: Path) -> _Sheet:
         header[word] = [*row[:width], *[""] * (width - len(row))]
     lines = [i for i, row in enumerate(rows) if i > last and any(row)]
     if not lines:
-        raise FileError(
-            f"{file} is empty, it has a header and no rows: export it again"
-        )
+        raise no_rows(file)
     values = numbers([rows[i] for i in lines], width)
     return _Sheet(facts, header, values, np.array(lines, np.int64) + 1)
 

@@ -20,7 +20,13 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, number, read_cells
+from ttus_opt.sensors.stream_format import (
+    StreamFormat,
+    Wanted,
+    no_rows,
+    number,
+    read_cells,
+)
 
 POSE = ("q0", "qx", "qy", "qz", "tx", "ty", "tz")
 
@@ -51,9 +57,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         raise FileError(f"{file} has no line Q0,Qx,Qy,Qz,Tx,Ty,Tz: export it again")
     rows = [row for row in table[head + 1 :] if any(row)]
     if not rows:
-        raise FileError(
-            f"{file} is empty, it has a header and no rows: record it again"
-        )
+        raise no_rows(file)
     starts = _poses(table[head])
     line = np.array(
         [i for i, row in enumerate(table, 1) if i > head + 1 and any(row)], np.int64

@@ -81,6 +81,27 @@ TREE_FIELDS = "geometry_msgs/TransformStamped[] transforms"
 STATIC = "tf_static"
 
 
+@contextlib.contextmanager
+def reading(place: Path) -> Iterator[None]:
+    """Tell in one line what rosbags raises for a recording.
+
+    Raises:
+        FileError: Missing, empty or damaged.
+    """
+    if not place.is_dir():
+        io.existing_file(place, "recording")
+    try:
+        yield
+    except TtusError:
+        raise
+    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
+        raise FileError(
+            f"{place} cannot be read as a ROS recording ({type(error).__name__}): "
+            "damaged, or not closed (rosbag or ros2 bag reindex, mcap recover)? It is "
+            "a .bag, .mcap or .db3 file, or a folder of ROS 2"
+        ) from error
+
+
 def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
     """All streams of the wanted kind, those of ``/tf`` last.
 
@@ -88,9 +109,7 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
         FileError: Missing or damaged.
         MissingPackageError: rosbags is not installed.
     """
-    if not place.is_dir():
-        io.existing_file(place, "recording")
-    elif not (place / "metadata.yaml").exists():
+    if place.is_dir() and not (place / "metadata.yaml").exists():
         raise FileError(
             f"{place} is a folder without a recording of ROS 2 (metadata.yaml): name a "
             "file in it"
@@ -100,17 +119,10 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
         types |= WRENCHES
     kinds = [*types, *([] if wanted.kind == "wrenches" else TREES)]
     try:
-        return _streams(place, types, kinds, wanted)
+        with reading(place):
+            return _streams(place, types, kinds, wanted)
     except InputError as error:
         raise FileError(str(error)) from error
-    except TtusError:
-        raise
-    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
-        raise FileError(
-            f"{place} cannot be read as a ROS recording ({type(error).__name__}): "
-            "damaged, or not closed (ros2 bag reindex, mcap recover)? It is a .bag, "
-            ".mcap or .db3 file, or a folder of ROS 2"
-        ) from error
 
 
 def _streams(

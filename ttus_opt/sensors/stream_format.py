@@ -30,6 +30,11 @@ def read_cells(file: Path) -> list[list[str]]:
         raise FileError(f"{file} is no CSV file ({error}): export it again") from error
 
 
+def no_rows(file: Path) -> FileError:
+    """The error of a file that ends with its header."""
+    return FileError(f"{file} is empty, it has a header and no rows: record it again")
+
+
 def number(cell: str) -> float:
     """A cell as a number, NaN where it is none."""
     try:

@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
@@ -41,7 +41,7 @@ from ttus_opt.sensors.stream_pairs import (
     offset_by_angles,
     without_spikes,
 )
-from ttus_opt.sensors.streams import interpolated
+from ttus_opt.sensors.streams import placed
 
 #: Most pairs, and fewest
 MOST_PAIRS, LEAST_PAIRS = 200, 20
@@ -244,11 +244,9 @@ class _Path:
 
     def _pose(self, carried: Trajectory, at: Array) -> Array:
         """Poses at times, held at the ends, shape (n, 4, 4)."""
-        time, first = np.unique(carried.time, return_index=True)
-        held = np.clip(at, time[0], time[-1])
-        turns = Slerp(time, Rotation.from_matrix(carried.rotation[first]))(held)
-        place = interpolated(held, time, carried.position[first])
-        return homogeneous(turns.as_matrix(), place)
+        carried = carried.select(np.unique(carried.time, return_index=True)[1])
+        held = np.clip(at, carried.time[0], carried.time[-1])
+        return homogeneous(*placed(carried, held))
 
     def poses(self, later: float) -> Array:
         """Poses at a small shift of the clock [s], shape (n, 4, 4)."""

@@ -151,6 +151,12 @@ def interpolated(at: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
+def placed(poses: Trajectory, at: Array) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and positions (n, 3) [m] at times within those of poses."""
+    turns = Slerp(poses.time, Rotation.from_matrix(poses.rotation))(at)
+    return turns.as_matrix(), interpolated(at, poses.time, poses.position)
+
+
 def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajectory:
     """Poses interpolated at other times, without wrenches.
 
@@ -177,8 +183,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
             f"{poses.time[0]:.6g} to {poses.time[-1]:.6g} s: check the offset"
         )
     at = time[keep]
-    turns = Slerp(poses.time, Rotation.from_matrix(poses.rotation))(at)
-    position = interpolated(at, poses.time, poses.position)
+    rotation, position = placed(poses, at)
     # two kept times with a gap between them belong to different segments
     holes = np.flatnonzero(np.diff(poses.time) > largest_gap)
     edges = poses.time[holes]
@@ -188,7 +193,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     return Trajectory(
         at,
         position,
-        turns.as_matrix(),
+        rotation,
         segment=np.concatenate([[0], np.cumsum(new)]).astype(np.int64),
     )
 

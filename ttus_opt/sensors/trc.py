@@ -19,7 +19,7 @@ from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import factor
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, numbers
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted, no_rows, numbers
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
@@ -32,9 +32,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     text = file.read_text(encoding="utf-8-sig", errors="replace")
     lines = [line.split("\t") for line in text.splitlines()]
     if len(lines) < 6:
-        raise FileError(
-            f"{file} is empty, it has a header and no rows: record it again"
-        )
+        raise no_rows(file)
     facts = dict(zip(map(str.strip, lines[1]), map(str.strip, lines[2]), strict=False))
     unit = facts.get("Units", "")
     scale = factor("position", unit)
@@ -47,9 +45,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     rows = [line for line in lines[5:] if line and line[0].strip()]
     values = numbers(rows, width)
     if not len(values):
-        raise FileError(
-            f"{file} is empty, it has a header and no rows: record it again"
-        )
+        raise no_rows(file)
     points = scale * values[:, 2:].reshape(len(rows), len(names), 3)
     note = f"{unit}, axes of the file"
     found = bodies(str(file), values[:, 1], names, points, note)

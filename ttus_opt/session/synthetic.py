@@ -29,7 +29,7 @@ from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, motion_of
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
-from ttus_opt.sensors.streams import WrenchStream, interpolated
+from ttus_opt.sensors.streams import WrenchStream, interpolated, placed
 from ttus_opt.sensors.tool_load import GRAVITY
 
 #: The example's recordings in order, and their use
@@ -201,12 +201,11 @@ def at_times(moved: Trajectory, time: Array) -> Trajectory:
     """Pose and contact at other times, by slerp and linear interpolation."""
     assert moved.force is not None
     assert moved.torque is not None
-    turns = Slerp(moved.time, Rotation.from_matrix(moved.rotation))(time)
-    position, force, torque = (
-        interpolated(time, moved.time, values)
-        for values in (moved.position, moved.force, moved.torque)
+    rotation, position = placed(moved, time)
+    force, torque = (
+        interpolated(time, moved.time, values) for values in (moved.force, moved.torque)
     )
-    return Trajectory(time, position, turns.as_matrix(), force, torque)
+    return Trajectory(time, position, rotation, force, torque)
 
 
 def _patient_to_scan() -> Array:
