@@ -12,6 +12,7 @@ import ttus_opt as tt
 from tests.cli.conftest import Run
 from tests.conftest import small_scene, torso
 from tests.probe.test_repair import broken, written
+from tests.scan.test_room import person, room
 from tests.sensors.test_stream_formats import SAMPLES
 from tests.session.recordings import copied
 from ttus_opt import example
@@ -118,6 +119,15 @@ def test_units_of_a_cloud_and_of_columns(run: Run, tmp_path: Path) -> None:
     assert "likely in mm: px=NAME[mm]" in " ".join(run(f"doctor {file}").out.split())
     told = run(f"doctor {file} --columns px=px[mm],py=py[mm],pz=pz[mm]")
     assert told.status == 0 and "units?" not in told.out
+
+
+def test_several_bodies_in_a_room_are_named_in_its_own_unit(
+    run: Run, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "two.npy", 1.2 * np.r_[room(), person(-0.6), person(0.6)])
+    told = run(f"doctor {tmp_path / 'two.npy'}")
+    assert told.status == 2
+    assert "several bodies: crop it by --box" in " ".join(told.out.split())
 
 
 def test_one_stream_of_several(run: Run, tmp_path: Path) -> None:

@@ -225,16 +225,16 @@ def _cloud(file: Path, asked: Asked) -> Found:
 
     from ttus_opt.scan.cloud import UNITS, read_cloud
 
-    points, used = None, asked.unit
     guesses: list[Any] = [asked.unit] if asked.unit else ["m", "mm", "cm"]
-    for guess in guesses:
+    failed: list[InputError] = []
+    for used in guesses:
         try:
-            points, used = read_cloud(file, unit=guess, drop_nan=True), guess
+            points = read_cloud(file, unit=used, drop_nan=True)
             break
-        except InputError:
-            if guess == guesses[-1]:
-                raise
-    assert points is not None
+        except InputError as error:
+            failed.append(error)
+    else:
+        raise failed[0]
     low, high = points.min(axis=0), points.max(axis=0)
     spans = ", ".join(
         f"{axis} {a:.3f} to {b:.3f}"
@@ -242,7 +242,7 @@ def _cloud(file: Path, asked: Asked) -> Found:
     )
     lines = [f"{len(points):,} points, {spans} m"]
     if asked.unit is None and used != "m":
-        raw = (high - low).max() / UNITS[used or "m"]
+        raw = (high - low).max() / UNITS[used]
         lines.append(
             f"units? it spans {raw:.4g}, so it is likely in {used}: --unit {used}"
         )
