@@ -19,10 +19,9 @@ from websockets.sync.client import connect  # noqa: E402
 
 @pytest.fixture(scope="module")
 def link():
-    server, link = guard.guarded_server(0)
-    yield link
-    with guard.quiet():
-        server.stop()
+    served = guard.guarded_server(0)
+    yield served.url
+    served.end("")
 
 
 def get(link, path):
@@ -72,11 +71,10 @@ def test_only_this_machine_is_listened_to(link):
 
 def test_a_port_in_use_gives_the_next_and_links_differ(link):
     port = urlsplit(link).port
-    server, other = guard.guarded_server(port)
-    assert urlsplit(other).port != port
-    assert urlsplit(other).path != urlsplit(link).path
-    with guard.quiet():
-        server.stop()
+    served = guard.guarded_server(port)
+    assert urlsplit(served.url).port != port
+    assert urlsplit(served.url).path != urlsplit(link).path
+    served.end("")
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_started(monkeypatch):

@@ -20,6 +20,9 @@ import ttus_opt as tt
 from tests.viewer.conftest import field, probe, recorded
 from tests.viewer.test_viewer import until
 from ttus_opt.contact.standing import skin_points
+from ttus_opt.viewer.first_camera import FirstCamera
+from ttus_opt.viewer.guarded_server import guarded_server
+from ttus_opt.viewer.viewer import ENDED
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -137,7 +140,7 @@ def cameras(viewer, *, phone=False):
 
     The last visitor may be either: a page that was cut off comes back as a new one.
     """
-    every = [one.camera for one in viewer._server.get_clients().values()]
+    every = [one.camera for one in viewer._served.server.get_clients().values()]
     return [one for one in every if (one.image_width <= PHONE["width"]) == phone]
 
 
@@ -345,12 +348,24 @@ def test_another_host_cannot_be_asked(visit):
     visit.faults.clear()
 
 
-def test_a_page_whose_viewer_has_ended_says_so(browser):
-    with tt.view(field(), probe(), port=0) as one:
-        left = Visit(browser, one.url, DESK)
-        left.until(lambda: len(one._server.get_clients()) > 0)
-    left.page.get_by_text("the viewer has ended").wait_for()
-    left.page.close()
+def test_a_page_that_is_open_first_gets_field_and_camera_and_is_told_the_end(browser):
+    served = guarded_server(0)
+    page = browser.new_page(viewport=DESK)
+    page.set_default_timeout(1e3 * PATIENCE)
+    page.goto(served.url)
+    page.wait_for_selector("canvas")
+    while not served.server.get_clients():
+        page.wait_for_timeout(100)
+    with tt.view(field(), probe(), served=served) as one:
+        page.get_by_text("force", exact=True).first.wait_for()
+        surface = one.state.surface
+        ours, _ = FirstCamera.of(surface, float(np.ptp(surface.z))).cameras[0]
+        end = time.monotonic() + PATIENCE
+        while not any(np.allclose(c.position, ours, atol=1e-3) for c in cameras(one)):
+            assert time.monotonic() < end, "the camera stays where it was"
+            page.wait_for_timeout(100)
+    page.get_by_text(ENDED).wait_for()
+    page.close()
 
 
 def test_a_live_session_is_stopped_armed_again_and_delayed(browser):

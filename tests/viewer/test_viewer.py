@@ -9,12 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer import colouring
+from ttus_opt.viewer.arrow import TIP
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.page import along_line
@@ -84,9 +86,17 @@ def test_the_probe_goes_where_the_hand_is(viewer):
         until(lambda size=size: f"<b>{size:.2f}</b>" in viewer.page._numbers.content)
         assert name in viewer.page._numbers.content
     until(lambda: viewer.page.probe._depth.value == 9.0)
-    arrow = viewer.page.stage.nodes[1]._force.points[0]
-    force = viewer.state.touches[1].wrench.force
-    np.testing.assert_allclose(arrow[1] - arrow[0], 0.008 * force, atol=1e-6)
+    arrow, touch = viewer.page.stage.nodes[1]._force, viewer.state.touches[1]
+    until(lambda: np.allclose(arrow._frame.position, touch.centre, atol=1e-9))
+    np.testing.assert_allclose(drawn(arrow), 0.008 * touch.wrench.force, atol=1e-9)
+
+
+def drawn(arrow):
+    """From the start of an arrow to its tip; its shaft ends where its head begins."""
+    turn = Rotation.from_quat(arrow._frame.wxyz, scalar_first=True)
+    head = np.asarray(arrow._head.position)
+    assert arrow._shaft.scale == pytest.approx((1.0, 1.0, max(head[2], 1e-6)))
+    return turn.apply(head + np.array([0.0, 0.0, arrow._head.scale * TIP]))
 
 
 def test_arrows_are_drawn_from_what_can_be_felt(viewer):
@@ -94,14 +104,15 @@ def test_arrows_are_drawn_from_what_can_be_felt(viewer):
     mesh = TriangleMesh(probe().points, np.arange(3)[None])
     at = np.zeros(3), np.array([0.0, 1.0, 0.0])
     # apart from those that the page moves
-    nodes = PatientNodes(viewer._server.scene, "alone", skin, mesh, *at, (0, 0, 0))
+    nodes = PatientNodes(
+        viewer._served.server.scene, "alone", skin, mesh, *at, (0, 0, 0)
+    )
     for torque, is_shown in ((1e-4, False), (4e-4, True)):
         wrench = replace(touch.wrench, torque=np.array([torque, 0.0, 0.0]))
         nodes.show_touch(replace(touch, wrench=wrench), np.full(3, 0.01))
-        assert nodes._torque.visible is is_shown
-        assert not nodes._measured.visible
-    (arrow,) = nodes._torque.points
-    np.testing.assert_allclose(arrow[1] - arrow[0], [0.8 * 4e-4, 0, 0], atol=1e-6)
+        assert nodes._torque._frame.visible is is_shown
+        assert not nodes._measured._frame.visible
+    np.testing.assert_allclose(drawn(nodes._torque), [0.8 * 4e-4, 0, 0], atol=1e-9)
 
 
 def test_sections_follow_and_cut_the_skin_open(viewer):
@@ -260,11 +271,11 @@ def test_a_new_field_is_shown(viewer):
 
 def test_it_closes_twice_and_frees_its_port():
     one = tt.view(field(), probe(), port=0)
-    port = one._server.get_port()
+    port = one._served.server.get_port()
     one.close()
     one.close()
     again = tt.view(field(), probe(), port=port)
-    assert again._server.get_port() == port
+    assert again._served.server.get_port() == port
     assert again.url != one.url
     again.close()
 

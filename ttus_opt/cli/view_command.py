@@ -14,9 +14,12 @@ import typer
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import warn_of_another_probe
+from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
+    from ttus_opt.viewer.guarded_server import Served
+    from ttus_opt.viewer.viewer import Viewer
     from ttus_opt.voxmap.field import PotentialField
 
 #: Grid of the example's fit, a coarse one: it is fitted while one waits
@@ -74,38 +77,57 @@ def view(
     Example:
         ttus-opt view field.nc --trajectory press.csv
     """
-    from ttus_opt.core.optional import load
-    from ttus_opt.viewer.viewer import view as opened
+    from ttus_opt.viewer.guarded_server import guarded_server
 
-    load("viser", "viewer")  # before anything that takes long
     if (field is None) != example:
         raise InputError("give either a field file or --example")
     if example and compare is not None:
         raise InputError("--compare needs a field file, not --example")
-    with Stages(3) as begin:
-        if field is None:
-            begin("fitting the example")
-            shown, options = shown_example()
-        else:
-            begin("reading")
-            files = [field] if compare is None else [field, compare]
-            shown, options = _read(files, tool, recordings)
-        begin("opening the page")
-        viewer = opened(shown, port=port, **options)
+    files = [file for file in (field, compare) if file is not None]
+    for file in files:
+        io.existing_file(file, "field")
+    served = guarded_server(port)  # a browser begins while the rest is read
     tell(
-        {"url": viewer.url},
-        viewer.url,
+        {"url": served.url},
+        served.url,
         "open this link on this machine; Ctrl-C ends it",
         json=json,
     )
     sys.stdout.flush()
+    if not no_browser:
+        open_browser(served.url)
+    try:
+        viewer = _viewer(served, files, tool, recordings)
+    except BaseException as error:
+        served.end(f"nothing to show: {error}")
+        if isinstance(error, KeyboardInterrupt):
+            return
+        raise
     with viewer:
-        if not no_browser:
-            open_browser(viewer.url)
         try:
             viewer.wait()
         except KeyboardInterrupt:
             return
+
+
+def _viewer(
+    served: Served,
+    files: list[Path],
+    tool: ProbeOptions,
+    recordings: RecordingOptions,
+) -> Viewer:
+    """The viewer of fields from files, of the example without any, on open pages."""
+    with Stages(2) as begin:
+        work = "reading" if files else "fitting the example"
+        begin(work)
+        note = served.server.gui.add_html(f"<p>{work} …</p>")
+        from ttus_opt.viewer.viewer import view as opened
+
+        fields, options = _read(files, tool, recordings) if files else shown_example()
+        begin("drawing")
+        viewer = opened(fields, served=served, **options)
+        note.remove()
+        return viewer
 
 
 def _read(

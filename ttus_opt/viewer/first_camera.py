@@ -26,6 +26,9 @@ FIELD_OF_VIEW = 35.0
 #: as the panel of a phone covers the lower half [–]
 SHAPES = ((0.8, 2.7, 0.0), (0.6, 3.6, 0.0), (0.0, 5.0, 0.95))
 
+#: A picture no wider is a phone's, if it is not wide for its height [px]
+PHONE = 430
+
 #: Two cameras this far apart are one: pages compute with 32 bits [m]
 SAME = 1e-3
 
@@ -85,6 +88,8 @@ class FirstCamera:
             camera.image_width >= least * camera.image_height for least, *_ in SHAPES
         ]
         own = wide.index(True)
+        if own > 0 and camera.image_width <= PHONE:
+            own = len(SHAPES) - 1
         for k, (position, _) in enumerate(self.cameras):
             if k != own and np.allclose(camera.position, position, 0.0, SAME):
                 camera.position, camera.look_at = self.cameras[own]

@@ -11,12 +11,15 @@ from __future__ import annotations
 import contextlib
 import hmac
 import secrets
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.optional import load
+from ttus_opt.viewer.looks import dress
 
 if TYPE_CHECKING:
     import viser
@@ -56,17 +59,48 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
+#: Time that pages have to show what they are told at the end [s]
+GOODBYE = 0.3
+
 REFUSAL = "this page opens with the link that ttus-opt view printed\n"
 
 
-def guarded_server(port: int) -> tuple[viser.ViserServer, str]:
-    """Start a server.
+@dataclass(frozen=True)
+class Served:
+    """Pages that are open to whoever has their link.
+
+    Attributes:
+        server: Of the pages.
+        url: The link.
+        lights: Of `looks.dress`.
+    """
+
+    server: viser.ViserServer
+    url: str
+    lights: Sequence[Any] = ()
+
+    def tell(self, line: str, seconds: float | None) -> None:
+        """Show a line on every page for some time [s], None until it is closed."""
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                "ttus-opt", line, auto_close_seconds=seconds, color="orange"
+            )
+            client.flush()
+
+    def end(self, line: str) -> None:
+        """Serve no more; open pages keep what they show, and say why."""
+        if self.server.get_clients():
+            self.tell(line, None)
+            time.sleep(GOODBYE)
+        with quiet():
+            self.server.stop()
+
+
+def guarded_server(port: int) -> Served:
+    """Start a server of pages that are empty as yet.
 
     Args:
         port: Where to listen; the next free one if it is taken, 0 for any.
-
-    Returns:
-        The server and the link to its page.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -97,7 +131,8 @@ def guarded_server(port: int) -> tuple[viser.ViserServer, str]:
                 f"viser {viser.__version__} cannot be guarded by a token: install the "
                 'version that pip install "ttus-opt[viewer]" takes'
             )
-    return server, f"http://{HOST}:{server.get_port()}/{token}"
+    url = f"http://{HOST}:{server.get_port()}/{token}"
+    return Served(server, url, dress(server))
 
 
 def _checked(answer: Check, token: str) -> Check:

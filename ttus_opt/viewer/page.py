@@ -15,7 +15,9 @@ from ttus_opt.probe.pose import from_quaternions, to_quaternions
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.colour_map import RENDERED
 from ttus_opt.viewer.first_camera import FirstCamera
+from ttus_opt.viewer.guarded_server import Served
 from ttus_opt.viewer.jobs import Jobs
+from ttus_opt.viewer.looks import SIDES
 from ttus_opt.viewer.patient_nodes import PatientNodes
 from ttus_opt.viewer.probe_tab import ProbeTab
 from ttus_opt.viewer.readout import readout
@@ -27,21 +29,13 @@ from ttus_opt.viewer.stage import Stage
 from ttus_opt.viewer.state import ViewState
 
 if TYPE_CHECKING:
-    import viser
-
     from ttus_opt.viewer.skin_tab import Stated
 
 #: Distance between two patients, of a body's length [–]
 APART = 1.15
 
-#: Intensity of the even light; π shows a surface in its own colour
-LIGHT = 2.1
-
 #: How long a message is shown [s]
 SHOWN = 8.0
-
-#: Width of the panel [px]
-WIDTH = 360
 
 #: Least squared sine between the skin's normal and the pointer's ray: where one looks
 #: along the normal, the probe moves less than the pointer [–]
@@ -58,7 +52,7 @@ class Page:
         tabs: Where more tabs may be added.
 
     Args:
-        server: Serves the page.
+        served: Its pages.
         state: What is shown.
         names: Of the fields.
         mesh: The probe's own mesh, probe frame; None to take its points' hull.
@@ -67,22 +61,24 @@ class Page:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        served: Served,
         state: ViewState,
         names: Sequence[str],
         mesh: TriangleMesh | None = None,
         stated: Stated | None = None,
     ) -> None:
-        self._server, self.state = server, state
+        server = served.server
+        self._served, self._server, self.state = served, server, state
         self.jobs = Jobs(self.tell)
         length = float(state.surface.z[-1] - state.surface.z[0])
         offsets = [
             np.array([0.0, 0.0, k * APART * length]) for k in range(len(state.fields))
         ]
         first = FirstCamera.of(state.surface, length + float(offsets[-1][2]))
+        server.scene.set_up_direction(tuple(first.front.tolist()))
+        for light, side in zip(served.lights, SIDES, strict=True):
+            light.position = first.front + side
         first.show_on(server)
-        _light(server.scene, first.front)
-        _theme(server.gui)
         skin, shell = SkinMesh.of(state.surface), state.shell
         if shell is not None and mesh is None:
             # a hull does not look at faces
@@ -118,11 +114,7 @@ class Page:
 
     def tell(self, line: str, seconds: float | None = SHOWN) -> None:
         """Show a line on every page for some time [s], None until it is closed."""
-        for client in self._server.get_clients().values():
-            client.add_notification(
-                "ttus-opt", line, auto_close_seconds=seconds, color="orange"
-            )
-            client.flush()
+        self._served.tell(line, seconds)
 
     def move(self) -> None:
         """Draw probe and forces as they are now; 30 times a second or more."""
@@ -210,30 +202,6 @@ class Page:
 
         nodes.probe.on_drag("left")(slid)
         nodes.probe.on_drag("left", modifier="shift")(pressed)
-
-
-def _theme(gui: viser.GuiApi) -> None:
-    """The panel: on the right, without a share button."""
-    gui.configure_theme(
-        show_logo=False, show_share_button=False, control_width="medium",
-        brand_color=(11, 79, 156),
-    )  # fmt: skip
-    gui.main_panel.dock_right()
-    gui.main_panel.set_width(WIDTH)
-
-
-def _light(scene: viser.SceneApi, front: Array) -> None:
-    """The front up, and mostly even light, so that colours are the legend's."""
-    scene.set_up_direction(tuple(front.tolist()))
-    scene.world_axes.visible = False
-    scene.configure_default_lights(False)
-    scene.configure_environment_map(None)
-    scene.add_light_ambient("/light/even", intensity=LIGHT)
-    for k, side in enumerate((0.7, -0.7)):
-        at = front + np.array([side, 0.0, -0.5])
-        scene.add_light_directional(
-            f"/light/from{k}", intensity=0.35 * LIGHT, position=tuple(at.tolist())
-        )
 
 
 def along_line(point: Array, way: Array, ray: Array) -> float:

@@ -11,6 +11,7 @@ import trimesh
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import to_quaternions
+from ttus_opt.viewer.arrow import Arrow
 from ttus_opt.viewer.colour_map import MARK, MEASURED, Pixels, section_pixels
 from ttus_opt.viewer.section import Section
 from ttus_opt.viewer.skin import SkinMesh
@@ -25,8 +26,7 @@ PER_FORCE, PER_TORQUE = 0.008, 0.8
 #: Least force and torque that have an arrow [N], [N m]
 LEAST_FORCE, LEAST_TORQUE = 0.02, 2e-4
 
-#: Radius of an arrow's shaft and head, and length of the head [m]
-ARROW = {"shaft_radius": 0.0018, "head_radius": 0.0045, "head_length": 0.011}
+#: Recorded arrows: radius of shaft and head, and length of the head [m]
 SMALL = {"shaft_radius": 0.0007, "head_radius": 0.0016, "head_length": 0.004}
 
 #: Height of a mark's number over the skin, which hides the numbers behind it [m]
@@ -81,9 +81,8 @@ class PatientNodes:
                 side="double",
                 cast_shadow=False,
             )
-        none = np.zeros((1, 2, 3), dtype=np.float32)
         self._force, self._torque, self._measured = (
-            scene.add_arrows(f"/{name}/{what}", none, tint, visible=False, **ARROW)
+            Arrow(scene, f"/{name}/{what}", tint)
             for what, tint in (
                 ("force", colour),
                 ("torque", TORQUE),
@@ -164,12 +163,10 @@ class PatientNodes:
             (self._torque, touch.reference, wrench.torque, PER_TORQUE, LEAST_TORQUE),
             (self._measured, touch.centre, felt, PER_FORCE, LEAST_FORCE),
         ):
-            is_felt = bool(np.linalg.norm(vector) > least)
-            if arrow.visible != is_felt:
-                arrow.visible = is_felt
-            if is_felt:
-                ends = np.stack([start, start + scale * vector])
-                arrow.points = ends[None].astype(np.float32)
+            if np.linalg.norm(vector) > least:
+                arrow.show(start, scale * vector)
+            else:
+                arrow.hide()
 
     def _paint(self, colours: Pixels | None, faces: IntArray | None) -> None:
         """Draw the skin with other colours or faces, None for those it has."""

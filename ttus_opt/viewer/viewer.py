@@ -14,7 +14,7 @@ from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.viewer.guarded_server import PORT, guarded_server, quiet
+from ttus_opt.viewer.guarded_server import PORT, Served, guarded_server
 from ttus_opt.viewer.page import Page
 from ttus_opt.viewer.state import ViewState
 from ttus_opt.viewer.touch import Touch
@@ -29,8 +29,8 @@ MOVING, IDLE = 1.0 / 60.0, 1.0 / 20.0
 #: Time between updates of numbers and plots [s]
 WRITING = 0.1
 
-#: What pages say at the end, and the time that this may take [s]
-ENDED, GOODBYE = "the viewer has ended: this page no longer changes", 0.3
+#: What pages say at the end
+ENDED = "the viewer has ended: this page no longer changes"
 
 #: Height of a page in a notebook [px]
 HEIGHT = 640
@@ -49,6 +49,7 @@ class Viewer:
         mesh: The probe's own mesh, probe frame; None for the hull of its points.
         uncertainty: Of the first field's fit, for where to press next.
         port: Where to serve; the next free one if it is taken.
+        served: Pages that are open already, in place of a port.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -62,10 +63,13 @@ class Viewer:
         mesh: TriangleMesh | None = None,
         uncertainty: Stated | None = None,
         port: int = PORT,
+        served: Served | None = None,
     ) -> None:
         self.state = state
-        self._server, self.url = guarded_server(port)
-        self.page = Page(self._server, state, names, mesh, uncertainty)
+        self._served = served or guarded_server(port)
+        self.url = self._served.url
+        with self._served.server.atomic():  # drawn once, not part by part
+            self.page = Page(self._served, state, names, mesh, uncertainty)
         self._closing = threading.Event()
         self._drawn: tuple[Touch, ...] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -95,11 +99,7 @@ class Viewer:
         atexit.unregister(self.close)
         self._thread.join(timeout=5.0)
         self.page.jobs.close()
-        if self._server.get_clients():
-            self.page.tell(ENDED, None)
-            time.sleep(GOODBYE)
-        with quiet():
-            self._server.stop()
+        self._served.end(ENDED)
 
     def __enter__(self) -> Viewer:
         """The viewer itself."""
@@ -166,6 +166,7 @@ def view(
     mesh: TriangleMesh | None = None,
     uncertainty: Stated | None = None,
     port: int = PORT,
+    served: Served | None = None,
 ) -> Viewer:
     """Open a page that shows a field and lets one press it.
 
@@ -182,6 +183,7 @@ def view(
         uncertainty: Of the first field's fit (`ttus_opt.uncertainty`), for where to
             press next; or a function that gives it, called when somebody looks.
         port: Where to serve; the next free one if it is taken.
+        served: Pages that are open already (`guarded_server`), in place of a port.
 
     Raises:
         MissingPackageError: viser is not installed.
@@ -196,7 +198,13 @@ def view(
     named = list(names) or ["felt", "other"][: len(fields)]
     if len(named) != len(fields):
         raise InputError(f"{len(fields)} fields need as many names, got {len(named)}")
-    return Viewer(state, named, mesh=mesh, uncertainty=uncertainty, port=port)
+    return Viewer(
+        *(state, named),
+        mesh=mesh,
+        uncertainty=uncertainty,
+        port=port,
+        served=served,
+    )
 
 
 def probe_of(field: PotentialField) -> PointShell | None:

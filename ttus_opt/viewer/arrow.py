@@ -1,0 +1,70 @@
+"""An arrow that is moved: viser builds its own arrows anew whenever they change."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+
+from ttus_opt.core.arrays import Array
+from ttus_opt.probe.pose import to_quaternions
+
+if TYPE_CHECKING:
+    import viser
+
+#: Radius of the shaft and of the head, and length of the head [m]
+SHAFT, HEAD, TIP = 0.0018, 0.0045, 0.011
+
+#: Corners around it [–]
+SECTIONS = 12
+
+
+class Arrow:
+    """A shaft and a head, hidden until shown.
+
+    Args:
+        scene: The page's scene.
+        name: Of its node.
+        colour: Red, green and blue, 0 to 255.
+    """
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, colour: tuple[int, int, int]
+    ) -> None:
+        self._frame = scene.add_frame(name, show_axes=False, visible=False)
+        shaft = trimesh.creation.cylinder(SHAFT, 1.0, SECTIONS)
+        shaft.apply_translation([0.0, 0.0, 0.5])
+        head = trimesh.creation.cone(HEAD, TIP, SECTIONS)
+        self._shaft, self._head = (
+            scene.add_mesh_simple(
+                f"{name}/{part}", mesh.vertices, mesh.faces, color=colour,
+                cast_shadow=False, receive_shadow=False,
+            )
+            for part, mesh in (("shaft", shaft), ("head", head))
+        )  # fmt: skip
+
+    def show(self, start: Array, way: Array) -> None:
+        """Draw it from a point (3,) along a vector (3,) that is not zero [m]."""
+        length = float(np.linalg.norm(way))
+        self._frame.position = start
+        self._frame.wxyz = to_quaternions(_turned(way / length)[None])[0]
+        bare = max(length - TIP, 0.0)
+        self._shaft.scale = (1.0, 1.0, max(bare, 1e-6))
+        self._head.position = (0.0, 0.0, bare)
+        self._head.scale = min(length / TIP, 1.0)
+        if not self._frame.visible:
+            self._frame.visible = True
+
+    def hide(self) -> None:
+        """Draw nothing."""
+        if self._frame.visible:
+            self._frame.visible = False
+
+
+def _turned(axis: Array) -> Array:
+    """A rotation (3, 3) that takes the third axis to a unit vector (3,)."""
+    least = np.eye(3)[np.abs(axis).argmin()]
+    across = np.cross(least, axis)
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(axis, across), axis], axis=1)
