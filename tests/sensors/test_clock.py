@@ -8,6 +8,7 @@ from tests.refusals import refuses
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors import clock
 from ttus_opt.sensors.clock import (
     ROUNDED,
     Signal,
@@ -148,3 +149,24 @@ def test_an_error_is_never_below_that_of_the_parabola():
     time = np.arange(0.0, 60.0, 0.01)
     first = Signal(time, wander(time))
     assert clock_offset(first, first).std >= 0.99 * ROUNDED * 0.01
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_correlations_are_those_of_the_overlap_lag_by_lag(seed):
+    """Gaps, signals of other lengths, lags beyond both, and a stretch at rest."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(3.0, 1.0, 90).cumsum(), rng.normal(0.0, 1.0, 70).cumsum()
+    a[20:25] = b[rng.random(70) < 0.1] = np.nan
+    if seed == 3:
+        b[:60] = 5.0
+    lags = np.arange(-100, 101)
+    found = clock._correlations(a, b, lags)
+    for lag, one in zip(lags, found, strict=True):
+        pairs = [(a[lag + k], b[k]) for k in range(len(b)) if 0 <= lag + k < len(a)]
+        x, y = np.array([p for p in pairs if np.isfinite(p).all()]).reshape(-1, 2).T
+        least = 0.5 * min(np.isfinite(a).sum(), np.isfinite(b).sum())
+        if len(x) < max(least, 8) or np.ptp(y) == 0.0:
+            assert one == -1.0
+        else:
+            assert one == pytest.approx(np.corrcoef(x, y)[0, 1], abs=1e-9)
+    assert (found > -1.0).sum() > 20

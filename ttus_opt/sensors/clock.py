@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import irfft, next_fast_len, rfft
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -26,6 +27,9 @@ MOST_STEPS = 200_000
 
 #: Least overlap, as a fraction of the shorter signal
 LEAST_OVERLAP = 0.5
+
+#: Less variance than this part of all of a signal's is rounding
+ROUNDING = 1e-10
 
 #: Correlation below which two signals do not show the same motion
 LEAST_CORRELATION = 0.5
@@ -183,7 +187,7 @@ def clock_offset(
             "search range"
         )
     lags = np.arange(middle - reach, middle + reach + 1)
-    found = np.array([_correlation(a, b, int(lag)) for lag in lags])
+    found = _correlations(a, b, lags)
     best = int(np.argmax(found))
     if not found[best] > LEAST_CORRELATION:
         raise UnlikeSignalsError(
@@ -274,16 +278,34 @@ def _resampled(signal: Signal, step: float, gap: float) -> Array:
     return values
 
 
-def _correlation(a: Array, b: Array, lag: int) -> float:
-    """Correlation coefficient of a and b, b delayed by ``lag`` steps."""
-    known = min(np.isfinite(a).sum(), np.isfinite(b).sum())
-    x, y = _overlapping(a, b, lag)
-    both = np.isfinite(x) & np.isfinite(y)
-    if both.sum() < max(LEAST_OVERLAP * known, 8):
-        return -1.0
-    x, y = x[both] - x[both].mean(), y[both] - y[both].mean()
-    square = float((x @ x) * (y @ y))
-    return float(x @ y) / np.sqrt(square) if square > 0.0 else -1.0
+def _correlations(a: Array, b: Array, lags: IntArray) -> Array:
+    """Correlation coefficients of a and b, b delayed by each number of steps.
+
+    By Fourier transforms: sums over what both know at a lag. −1 for too short an
+    overlap, or where one is constant.
+    """
+    known = [np.isfinite(values) for values in (a, b)]
+    size = next_fast_len(len(a) + len(b), real=True)
+    powers = []
+    for values, own in zip((a, b), known, strict=True):
+        off = np.where(own, values - values[own].mean(), 0.0)
+        powers.append([rfft(off**power * own, size) for power in range(3)])
+
+    def summed(first: int, second: int) -> Array:
+        """Sums of powers of a and b over the overlap at each lag."""
+        product = powers[0][first] * powers[1][second].conj()
+        return np.asarray(irfft(product, size)[lags % size])
+
+    count = np.round(summed(0, 0))
+    count[(lags <= -len(b)) | (lags >= len(a))] = 0.0
+    enough = count >= max(LEAST_OVERLAP * min(own.sum() for own in known), 8)
+    n = np.where(enough, count, 1.0)
+    x, y, xx, yy = summed(1, 0), summed(0, 1), summed(2, 0), summed(0, 2)
+    variances = [xx - x**2 / n, yy - y**2 / n]
+    for variance, whole in zip(variances, (xx, yy), strict=True):
+        enough &= variance > ROUNDING * whole.max()
+    square = np.where(enough, variances[0] * variances[1], 1.0)
+    return np.where(enough, (summed(1, 1) - x * y / n) / np.sqrt(square), -1.0)
 
 
 def _std(a: Array, b: Array, lag: int) -> float:
