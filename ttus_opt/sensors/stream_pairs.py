@@ -8,7 +8,7 @@ angles between two instants are the same in both), and pairs are spread over rot
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
@@ -106,17 +106,25 @@ def offset_by_angles(seen: Trajectory, carried: Trajectory, near: float) -> floa
         near: Offset by the speeds [s].
     """
     seen = seen.select(slice(None, None, 1 + len(seen) // FRAMES))
+    carried = carried.select(np.unique(carried.time, return_index=True)[1])
+    own = Rotation.from_matrix(seen.rotation)
+    path = Slerp(carried.time, Rotation.from_matrix(carried.rotation))
+    gap = np.diff(carried.time) > LONGEST_GAP
+    gap |= np.diff(carried.segment) != 0
 
     def apart(offset: float) -> float:
-        try:
-            _, A, B = aligned(seen, carried, offset)
-        except InputError:  # no common frames
+        at = seen.time - offset
+        after = np.searchsorted(carried.time, at)
+        rows = np.flatnonzero((after > 0) & (after < len(carried)))
+        rows = rows[~gap[after[rows] - 1]]
+        if not len(rows):
             return np.inf
-        own, other = (
-            (turn * turn[np.roll(np.arange(len(A)), len(A) // 3)].inv()).magnitude()
-            for turn in (Rotation.from_matrix(M[:, :3, :3]) for M in (A, B))
-        )
-        return float(np.median(np.abs(own - other)))
+        pairs = np.roll(np.arange(len(rows)), len(rows) // 3)
+        angles = [
+            (turn * turn[pairs].inv()).magnitude()
+            for turn in (own[rows], path(at[rows]))
+        ]
+        return float(np.median(np.abs(angles[0] - angles[1])))
 
     for reach, step in ((WITHIN, COARSE), (COARSE, FINE)):
         near = min(near + np.arange(-reach, reach + step / 2, step), key=apart)
