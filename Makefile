@@ -34,7 +34,7 @@ NOTEBOOKS = $(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
 help:
 	@echo "make demo        run the whole method on the bundled example, into demo/"
 	@echo "make test        run the fast tests"
-	@echo "make slow        run the tests over ten seconds, and the notebooks"
+	@echo "make slow        run the tests over half a second, and the notebooks"
 	@echo "make browser     run the tests of the viewer's page, where Chromium is"
 	@echo "make long        run the longest tests: many mutations, every solver"
 	@echo "make check       check format, lint, types and layers"

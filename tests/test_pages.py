@@ -222,6 +222,7 @@ def numbers(text):
     return [float(n) for n in re.findall(r"-?\d+\.\d+", text)]
 
 
+@pytest.mark.slow
 def test_the_python_lines_print_what_is_said(readme):
     found = re.search(r"```python\n(.*?)```\n\nprints\n\n```\n(.*?)\n```", readme, re.S)
     code, said = found.groups()

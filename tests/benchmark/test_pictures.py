@@ -60,6 +60,7 @@ def test_curves_are_the_rows_and_failures_are_unfilled():
     assert not len(memory[3].get_xdata())  # a failure without a figure
 
 
+@pytest.mark.slow
 def test_a_picture_is_saved_for_each_formulation(tmp_path):
     other = [each | {"formulation": "robust", "kkt": None} for each in rows()[:2]]
     never = failed("three", NOT_RUN[0]) | {"voxels": 1000, "formulation": "gone"}

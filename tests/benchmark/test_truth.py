@@ -73,6 +73,7 @@ def kernel(truth, at, centres):
     return (1.0 + far) * np.exp(-far)
 
 
+@pytest.mark.slow
 def test_a_law_that_varies_as_the_process_says_is_recovered(
     truth, contacts, monkeypatch
 ):

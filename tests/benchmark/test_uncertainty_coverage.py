@@ -128,6 +128,7 @@ def test_true_errors_against_the_fields_part_alone(script):
     assert found["torque_error"] == pytest.approx(np.linalg.norm(off[1]))
 
 
+@pytest.mark.slow
 def test_finished_draws_are_not_computed_again(script, tmp_path, monkeypatch):
     computed = []
 

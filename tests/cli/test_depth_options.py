@@ -172,6 +172,7 @@ def test_bad_input_is_one_line(scans, tmp_path, monkeypatch, capsys, given, told
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_person_before_a_wall_is_cropped_and_faces_the_camera(tmp_path, capsys):
     """A front too flat for a circle, whose side only the camera's place tells."""
     camera = Camera((0.3, 2.4, 0.1), (0.0, 0.0, 0.0), shape=(240, 320), focal=300.0)

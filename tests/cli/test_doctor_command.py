@@ -19,6 +19,7 @@ from ttus_opt import example
 from ttus_opt.fitting.path.path_dataset import write_solution_path
 
 
+@pytest.mark.slow
 def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
     """Recordings of all makers, a cloud, a surface, a depth image, intrinsics."""
     import cv2

@@ -9,6 +9,7 @@ from tests.sensors.test_stream_hand_eye import CAMERA, LATE, streams
 from ttus_opt.probe.rigid_motion import read_rigid_motion
 
 
+@pytest.mark.slow
 def test_two_files(run, tmp_path):
     seen, carried = streams(outliers=0.05)
     seen.save(tmp_path / "tracker.csv")

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 import ttus_opt as tt
 from tests.cli.conftest import scene_words
 
@@ -10,6 +12,7 @@ def words(files, more=""):
     return f"next-press {scene_words(files, '8,12,6', 100)} --spacing 0.06 {more}"
 
 
+@pytest.mark.slow
 def test_it_names_places_and_writes_them(run, files, output):
     poses, picture = output / "next.csv", output / "next.png"
     answer = run(words(files, f"--count 2 --json -o {poses} --picture {picture}"))

@@ -45,6 +45,7 @@ def words(recording, output, more=""):
     )
 
 
+@pytest.mark.slow
 def test_the_command_names_the_mistake_and_the_option_mends_it(run, tmp_path):
     written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
     wrong = run(words(written, tmp_path / "wrong.nc"))

@@ -15,6 +15,7 @@ def words(files, output, more=""):
     return f"refine-poses {scene_words(files, '8,12,6', 100)} -o {output} {more}"
 
 
+@pytest.mark.slow
 def test_it_writes_recordings_for_fit(run, files, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_refinement, "CONVERGED", np.inf)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)

@@ -48,6 +48,7 @@ def test_what_is_refused(run, tmp_path, output):
     assert empty(output)
 
 
+@pytest.mark.slow
 def test_an_interrupt_says_what_is_complete(run, tmp_path, output, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
@@ -85,6 +86,7 @@ def test_a_recording_of_openigtlink(run, output):
     assert empty(output)
 
 
+@pytest.mark.slow
 def test_a_killed_recording_is_readable(output):
     """What is on disk after 0.3 s in place of 5 s; nothing half-written beside it."""
     pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")

@@ -38,6 +38,7 @@ def given(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["contact", "angular-speed"])
 def test_the_offset_is_found(run, given, output, by):
     words = (
@@ -55,6 +56,7 @@ def test_the_offset_is_found(run, given, output, by):
     assert "frames in 1 segments" in run(words).out
 
 
+@pytest.mark.slow
 def test_nanoseconds_of_one_clock_and_columns_of_each_file(run, given, output):
     """Forces that begin 2 s after the poses stay there; each file has its own names."""
     robot = read_trajectory(given / "robot.csv")

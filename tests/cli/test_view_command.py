@@ -79,6 +79,7 @@ def test_two_fields_the_probe_and_a_recording_are_shown(run, field, files, serve
     assert served[3] == "recording"
 
 
+@pytest.mark.slow
 def test_the_probe_is_the_one_of_the_fit(run, field, served):
     answer = run(f"view {field} --port 0 --no-browser")
     assert answer.status == 0, answer.err

@@ -8,6 +8,7 @@ import pytest
 from ttus_opt.core.child_process import SAFE, environment, python_module, safe_path
 
 
+@pytest.mark.slow
 def test_a_file_named_as_a_package_is_not_executed(tmp_path, monkeypatch):
     """Neither by a child, nor by what an interactive session or that child starts."""
     (tmp_path / "numba.py").write_text("open('executed', 'w').close()")

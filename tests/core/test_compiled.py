@@ -209,6 +209,7 @@ for path in sorted(root.glob("*/**/*kernels.py")):
 """
 
 
+@pytest.mark.slow
 def test_keys_are_the_same_in_all_processes():
     """The order of a set, in which options are given, is another in each."""
     other = subprocess.run(

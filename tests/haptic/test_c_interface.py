@@ -153,6 +153,7 @@ def test_a_caller_in_c_sees_what_limited_a_frame(library):
     assert {"", "force", "torque"} <= seen
 
 
+@pytest.mark.slow
 def test_one_function_for_all_and_one_context_for_each(scene):
     renderer = Renderer(pressing(scene), scene.shell)
     first, second = renderer.c_function(), renderer.c_function()

@@ -78,6 +78,7 @@ def test_the_command_writes_what_evaluate_judges(law, tmp_path):
     assert judged.errors.frames_in_contact > 15
 
 
+@pytest.mark.slow
 def test_a_frame_of_the_bundled_drag_sweep():
     """Rendered as evaluated: without drag it was 1.3 N beside it."""
     surface = tt.Surface.load(example.path("surface.nc"))

@@ -227,6 +227,7 @@ def test_out_must_hold_a_wrench(scene):
         renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))
 
 
+@pytest.mark.slow
 def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
     """The newest field, settled, with its limits: as a renderer built of it."""
     scene = small_scene("trilinear")

@@ -51,6 +51,7 @@ def pose():
     return at, Rotation.from_matrix(R).as_quat()
 
 
+@pytest.mark.slow
 def test_the_newest_pose_then_silence(package, files, pose):
     """Its wrench is the renderer's; without new poses it fades, 0.1 s to 0.2 s."""
     settings = package.Settings(str(files / "field.nc"), PROBE)

@@ -68,6 +68,7 @@ def until(condition, loop, state=State.NORMAL, seconds=60.0):
         time.sleep(0.002)
 
 
+@pytest.mark.slow
 def test_fields_that_are_published_are_felt_and_a_stop_takes_the_force_away():
     model, given = plan()
     with HapticProcess(given).begin(model.field) as loop:
@@ -94,6 +95,7 @@ def test_fields_that_are_published_are_felt_and_a_stop_takes_the_force_away():
         np.testing.assert_allclose(loop.pose[1][0], RADIUS + BALL - 0.01)
 
 
+@pytest.mark.slow
 def test_it_stops_and_ends_by_itself_when_the_operator_is_gone():
     model, given = plan()
     loop = HapticProcess(given).begin(model.field)
@@ -157,6 +159,7 @@ class Loopback:
         return [packet.data for packet in (*step.send, *more)]
 
 
+@pytest.mark.slow
 def test_a_recorded_session_is_rendered_again_bit_by_bit(tmp_path):
     """Every frame of the loop, with fields of another surface in between."""
     pytest.importorskip("mcap.reader", reason="needs mcap")
@@ -185,6 +188,7 @@ def test_a_recorded_session_is_rendered_again_bit_by_bit(tmp_path):
     assert (found.frames, found.identical) == (len(felt), len(felt))
 
 
+@pytest.mark.slow
 def test_a_session_with_the_loop_in_its_own_process_and_its_death():
     killed = []
 

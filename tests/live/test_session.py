@@ -39,6 +39,7 @@ links = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(links)
 def test_whatever_the_link_does(impairment):
@@ -108,6 +109,7 @@ class Soft(Spring):
         return found
 
 
+@pytest.mark.slow
 def test_a_first_press_into_softer_tissue_is_not_taken_for_friction():
     simulation, learned = session(Impairment(delay=0.25), patient=Soft()), []
     for _ in simulation.run(8.0):

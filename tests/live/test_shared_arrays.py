@@ -2,6 +2,7 @@ import multiprocessing
 import time
 
 import numpy as np
+import pytest
 
 from tests.refusals import refuses
 from ttus_opt.core.errors import NumericalError
@@ -50,6 +51,7 @@ def _writes(name, size, seconds):
             time.sleep(0)
 
 
+@pytest.mark.slow
 def test_no_copy_is_ever_torn():
     size = 20_000
     with SharedArray(size) as shared:

@@ -175,6 +175,7 @@ def test_an_unusable_address(links):
         links(port=there.port, calls=False)
 
 
+@pytest.mark.slow
 def test_a_session_over_sockets_reaches_normal_and_survives_a_new_operator(links):
     survives_a_new_operator(links)
 

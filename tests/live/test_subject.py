@@ -41,6 +41,7 @@ def test_a_place_beyond_the_surface(cylinder):
         Subject(cylinder, shell_of("sphere:0.02"), place=(0.0, 0.4))
 
 
+@pytest.mark.slow
 def test_below_a_sphere_tissue_follows_its_law(cylinder):
     ball, depth = tt.PointShell.sphere(0.01, 3000), 0.006
     tissue = FieldTissue.below(cylinder, ball)

@@ -14,6 +14,7 @@ from ttus_opt.live.subject import MEETING, ROUND, example_subject
 from ttus_opt.live.trial import COMPARATORS, Trial, run
 
 
+@pytest.mark.slow
 def test_over_a_delay_the_model_is_close_and_passive_and_the_measured_force_is_not():
     """Short sessions with a round trip of 600 ms."""
     names = ("model", "direct")

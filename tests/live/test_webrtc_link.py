@@ -164,6 +164,7 @@ def test_the_stream_waits_for_the_channel(links):
     until(arrived, here, there, seconds=15.0)
 
 
+@pytest.mark.slow
 def test_a_session_reaches_normal_and_survives_a_new_operator(links):
     survives_a_new_operator(links)
 
@@ -176,6 +177,7 @@ def operate(port):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_a_side_that_is_killed_falls_silent_and_another_takes_its_place(links):
     there = links(port=0, calls=False)
     context = multiprocessing.get_context("spawn")
@@ -192,6 +194,7 @@ def test_a_side_that_is_killed_falls_silent_and_another_takes_its_place(links):
     connect(links(port=there.port, calls=True), there)
 
 
+@pytest.mark.slow
 def test_a_follower_that_starts_again_is_called_again(links):
     here, there = pair(links)
     there.close()
@@ -212,6 +215,7 @@ while b"to" not in there.receive(time.monotonic()):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["here.close(); there.close()", "there.close()", ""])
 def test_nothing_is_said_at_exit(links, end):
     words = [sys.executable, "-X", "dev", "-c", EXIT + end]

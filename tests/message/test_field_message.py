@@ -188,6 +188,7 @@ def test_fields_beyond_any_link_are_not_encoded(monkeypatch):
         encode(fitted(), base=sent()[0])
 
 
+@pytest.mark.slow
 def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
     monkeypatch,
 ):

@@ -210,6 +210,7 @@ def test_a_hole_is_told_where_it_is(end):
         PointShell.from_triangles(np.array(made.vertices), faces, 100)
 
 
+@pytest.mark.slow
 def test_a_fine_mesh_votes_by_groups_as_a_coarse_one_face_by_face():
     """Turned faces, an inner wall and a torus: the same answer from fewer votes."""
     made = trimesh.creation.torus(0.03, 0.01, major_sections=160, minor_sections=120)

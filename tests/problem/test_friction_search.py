@@ -93,6 +93,7 @@ def test_strokes_and_holds_determine_the_length():
     assert left < 0.2 * more  # held drag is rendered, with no option
 
 
+@pytest.mark.slow
 def test_a_slide_determines_none_and_says_so():
     _, solution = fitted(SLIDE)
     assert solution.field.parameters[PRESLIDING] == 0.0

@@ -42,6 +42,7 @@ def presses(angle, depth):
     )
 
 
+@pytest.mark.slow
 def test_depth_and_place_of_a_ball_on_a_cylinder():
     n = CHUNK + 50  # more than is in memory at once
     angle, depth = np.linspace(0.3, 5.0, n), np.linspace(-0.002, 0.008, n)

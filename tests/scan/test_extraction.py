@@ -302,6 +302,7 @@ def test_ct_torso_seen_by_cameras(frame):
     assert np.sqrt(np.mean(score**2)) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bed", [True, False])
 def test_errors_of_a_hidden_back_are_as_stated(bed):
     """The CT skin from the front alone: without a bed, 3 of 4 nodes lay outside."""
@@ -331,6 +332,7 @@ def seen_from_the_front(scan, rng, *, bed):
     return rng.permutation(seen)[:50_000]
 
 
+@pytest.mark.slow
 def test_caps_of_a_cut_body_are_not_its_side():
     """The front half of the CT skin with its cut ends: cliffs of up to 65 mm."""
     vertices = ct_skin().vertices
@@ -392,6 +394,7 @@ def test_real_scan_is_followed():
     assert 12 < np.median(per_section) < 26  # 16-25 of 36 by eye
 
 
+@pytest.mark.slow
 def test_real_shoulders_are_not_a_side():
     """The last slices fell by up to 59 mm from one to the next, marked as seen."""
     _, s = real_scan()

@@ -30,6 +30,7 @@ def room():
     return np.concatenate([wall, floor])
 
 
+@pytest.mark.slow
 def test_the_side_that_the_camera_saw_is_the_front():
     axis = Axis.from_cloud(person(), head=[0, -1, 0])
     np.testing.assert_array_equal(camera_of(person()), 0.0)

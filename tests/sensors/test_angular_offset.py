@@ -42,6 +42,7 @@ def tracked(shared, run, noise, offset, rng):
 RUNS = ("run_A_20_17_35_10", "run_B_20_16_44_10")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", some(zip(RUNS * 2, (0.5, 0.2, 0.2, 0.5), strict=True), 1)
 )

@@ -3,6 +3,7 @@
 import pytest
 
 
+@pytest.mark.slow
 def test_the_page_of_devices():
     for needed in ("rosbags", "pyigtl", "yaml"):
         pytest.importorskip(needed, reason="needs ttus-opt[sensors] and pyigtl")

@@ -103,6 +103,7 @@ def serving(messages, *, closing=False):
             thread.join(2.0)
 
 
+@pytest.mark.slow
 def test_poses_and_forces_are_recorded():
     """Every message, in metres, on the sender's clock."""
     sent = [m for i in range(30) for m in (transform(i), sensor(i))]
@@ -267,6 +268,7 @@ def test_a_header_that_is_none(at, damage):
     refuses(InputError, "a header that is none", received, Bytes(bytes(content)))
 
 
+@pytest.mark.slow
 def test_silence_is_told_and_outlasted(monkeypatch):
     """A tracker may say nothing of a probe it does not see."""
     assert igt.SILENCE + igt.PAUSE <= 2.0
@@ -294,6 +296,7 @@ def test_a_recording_is_bounded(monkeypatch):
     assert 20 < found.count < 2000
 
 
+@pytest.mark.slow
 def test_what_came_is_kept_while_recording(monkeypatch):
     assert igt.KEEPING <= 5.0
     monkeypatch.setattr(igt, "KEEPING", 0.1)

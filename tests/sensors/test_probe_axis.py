@@ -103,6 +103,7 @@ def test_on_a_real_torso():
     assert surface.observed.mean() > 0.8
 
 
+@pytest.mark.slow
 def test_refusals():
     cloud = scan(np.random.default_rng(0))
     for held in (("z", "z"), ("z", "-z")):

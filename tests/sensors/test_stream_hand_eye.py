@@ -68,6 +68,7 @@ def streams(
     return noisy(seen, time, turn, shift, seed), other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixed", [True, False])
 def test_exact_poses_give_the_exact_camera(fixed):
     """Up to the interpolation of the hand's poses between 100 Hz."""
@@ -82,6 +83,7 @@ def test_exact_poses_give_the_exact_camera(fixed):
     assert found.offset == pytest.approx(LATE, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_outliers_and_noise():
     """A quarter of all frames is wrong altogether."""
     found = stream_hand_eye(*streams(outliers=0.25), "fixed", around=0.8, largest=0.4)

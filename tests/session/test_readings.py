@@ -32,6 +32,7 @@ def offset(session, later):
     return synchronise(session, poses, wrenches, SURFACE, frames).offset
 
 
+@pytest.mark.slow
 def test_offsets_of_raw_readings_are_found_as_far_as_is_looked(recording):
     """About zero, or where clocks of other epochs would begin together."""
     truth = Truth().offset
@@ -78,6 +79,7 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(recording, frame)
     np.testing.assert_allclose(found.torque, own.torque[at], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_poses_clock_and_load(recording):
     """Against the truth, on the true surface: nothing but noise is left."""
     session, truth = read_description(recording), Truth()

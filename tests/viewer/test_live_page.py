@@ -22,6 +22,7 @@ def run(session, seconds):
             session._remember()
 
 
+@pytest.mark.slow
 def test_a_session_without_a_page():
     session = LiveSession(Trial(round_trip=0.0, prior=1.6))
     run(session, 3.0)

@@ -72,6 +72,7 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer):
         )
 
 
+@pytest.mark.slow
 def test_the_probe_goes_where_the_hand_is(viewer):
     viewer.state.slide(2.0, 0.08)
     viewer.state.press(0.009)
@@ -133,6 +134,7 @@ def test_sections_follow_and_cut_the_skin_open(viewer):
     assert not nodes._image.visible
 
 
+@pytest.mark.slow
 def test_a_recording_plays_to_its_end(viewer):
     tab = viewer.page.recording
     tab._go(0)
@@ -280,6 +282,7 @@ def test_it_closes_twice_and_frees_its_port():
     again.close()
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page():
     named = replace(field(), provenance={"probe": "ellipsoid:0.02,0.015,0.015"})
     with named.view(port=0) as one:

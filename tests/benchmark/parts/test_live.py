@@ -44,12 +44,14 @@ def test_the_loop_beats_a_thousand_times_a_second_for_its_time():
     assert found.p99 <= found.worst
 
 
+@pytest.mark.slow
 def test_packets_come_back():
     found = link(0.5)
     assert 0 < found.frames <= 0.5 * PACKETS
     assert 0.0 < found.median <= found.p99 <= found.worst
 
 
+@pytest.mark.slow
 def test_packets_come_back_by_webrtc_beyond_the_round_trip():
     pytest.importorskip("aiortc", reason="needs ttus-opt[webrtc]")
     found = webrtc(1.0, 0.1)

@@ -29,6 +29,7 @@ def named(recorded):
     return likely_mistake(scene, recorded, Conventions(), contact_readings(scene))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_turned_axes_are_told():
     """Of probe and wrenches, of the probe alone, of wrenches alone; not of neither."""

@@ -192,6 +192,7 @@ def warned(declared):
     return f"fit of {declared}"
 
 
+@pytest.mark.slow
 def test_a_warning_of_several_points_is_told_once():
     points = [(0,), (1,), (2,)]
     found = several_at_a_time(warned, points, lambda i: i[0] % 2, 2, "")

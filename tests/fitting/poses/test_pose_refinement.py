@@ -96,6 +96,7 @@ def depths(found, true, force):
     return np.asarray(((found.position - true.position)[pressed] * into).sum(axis=1))
 
 
+@pytest.mark.slow
 def test_errors_of_depth_are_found():
     scene, true = examined()
     force = scene.trajectory.force
@@ -209,6 +210,7 @@ def test_no_forces_refine_nothing():
     refuses(InputError, "poses are refined by measured forces", refine_poses, without)
 
 
+@pytest.mark.slow
 def test_steps_that_do_not_end_give_no_poses(monkeypatch):
     monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
@@ -218,6 +220,7 @@ def test_steps_that_do_not_end_give_no_poses(monkeypatch):
     assert len(begun) == 2
 
 
+@pytest.mark.slow
 def test_exact_poses_stay_where_the_evidence_is_not_asked(monkeypatch):
     """Places left out tell that the field of moved poses is a worse one."""
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)

@@ -122,6 +122,7 @@ def test_covariance_is_that_of_dense_algebra():
     assert exact().method == "exact"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
 @pytest.mark.parametrize("sized", [1.0, 0.0])
 def test_another_torque_length_with_its_weight_is_the_same_fit(sized):

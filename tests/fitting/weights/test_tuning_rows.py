@@ -133,6 +133,7 @@ def test_a_coefficient_moves_the_rows_of_the_basis():
     np.testing.assert_allclose(*covariance, atol=2e-3 * np.abs(covariance[1]).max())
 
 
+@pytest.mark.slow
 def test_any_squares_are_a_prior():
     """Of a Laplace and a Tikhonov term, whose Hessian is factorised."""
     declared = load("tikhonov", three_presses(), ridge=0.1, reference="zero")

@@ -137,6 +137,7 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights():
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
     """The same by name in that scene; with drag where the recordings show it."""
     choice = choice_of("auto", drawn())
@@ -193,6 +194,7 @@ def test_where_drag_acts_is_found_and_given_options_come_first(monkeypatch):
     ]
 
 
+@pytest.mark.slow
 def test_the_sampling_is_that_of_drag_where_the_depth_map_has_it():
     """Of the example's sweep, which a Laplace field takes for drag of every point."""
     surface = tt.Surface.load(example.path("surface.nc"))

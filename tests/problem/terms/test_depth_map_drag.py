@@ -64,6 +64,7 @@ def test_given_values_are_held():
     assert found.depth_length == 0.02
 
 
+@pytest.mark.slow
 def test_the_example_drags_where_its_sweep_does():
     """Drag of the whole patch; a Laplace field takes it for that of every point."""
     surface = tt.Surface.load(example.path("surface.nc"))

@@ -211,6 +211,7 @@ def recordings(shared):
     return found
 
 
+@pytest.mark.slow
 def test_recordings_that_press_release_and_slide_tell_friction(shared):
     shell = tt.PointShell.from_spec(example.PROBE, n_points=200)
     for place, recording in recordings(shared):

@@ -390,6 +390,7 @@ def limited(scene, weight=1.0, slope=5.0):
     return eq10(scene, weight, Sign(scene), Monotone(scene, slope))
 
 
+@pytest.mark.slow
 def test_other_values_weights_and_slopes_agree_with_a_fresh_solve():
     scene = contested(0)
     first = limited(scene)

@@ -50,6 +50,7 @@ def test_many_steps_ask_for_another_preconditioner(monkeypatch):
     assert by_multigrid < by_diagonal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "volume_weighted"])
 def test_with_few_rows_the_multigrid_is_the_inverse(name, monkeypatch):
     """Laplace's rows of any weight and scale beside heavy ones: all eigenvalues 1."""
