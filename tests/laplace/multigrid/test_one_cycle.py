@@ -1,5 +1,7 @@
 """One V-cycle as a map: linear, symmetric, positive definite, near the inverse."""
 
+from collections import deque
+
 import numpy as np
 import scipy.linalg
 
@@ -42,3 +44,18 @@ def test_it_is_linear_and_leaves_fixed_voxels_alone(small):
     assert not together[~free].any()
     assert not cycle.solve(np.zeros(free.size)).x.any()
     assert cycle.solve(a).iterations == 1
+
+
+class Taken(deque):
+    """What another thread empties between a look and a grip."""
+
+    def __bool__(self):
+        return True
+
+
+def test_two_threads_do_not_take_the_same_scratch_arrays(small):
+    free = small.free.reshape(-1)
+    cycle, b = OneCycle(small.grid, free), noise(small.free)
+    alone = cycle.solve(b).x
+    cycle._idle = Taken()
+    np.testing.assert_array_equal(cycle.solve(b).x, alone)

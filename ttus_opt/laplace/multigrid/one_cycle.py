@@ -83,7 +83,10 @@ class OneCycle:
         most, least = (f(where=self._free, initial=0.0) for f in (rhs.max, rhs.min))
         largest = max(float(most), -float(least))
         if largest > 0.0:
-            work = self._idle.pop() if self._idle else Workspace(self._hierarchy)
+            try:  # scratch arrays that no other thread has
+                work = self._idle.pop()
+            except IndexError:
+                work = Workspace(self._hierarchy)
             refinement.residual(
                 work.b, rhs, rhs, self._order, 1.0 / largest, is_zero=True
             )
