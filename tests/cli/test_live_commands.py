@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from ttus_opt.cli.live_commands import _say
+
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 pytest.importorskip("cryptography", reason="needs ttus-opt[live]")
 
@@ -35,3 +37,13 @@ def test_both_commands_meet(link, tmp_path):
         follower.wait()
     assert told.returncode == 0, told.stderr
     assert "NORMAL" in json.loads(told.stdout)["seen"]
+
+
+@pytest.mark.parametrize("link", ["udp", "webrtc"])
+def test_a_stop_over_webrtc_names_the_other_link(link, capsys):
+    say = _say("operator", link)
+    say("HOLD", "no packet for 100 ms")
+    say("STOP", "the operator's button")
+    assert "udp" not in capsys.readouterr().err
+    say("STOP", "no packet for 500 ms")
+    assert ("--link udp" in capsys.readouterr().err) == (link == "webrtc")

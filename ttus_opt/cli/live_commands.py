@@ -19,6 +19,12 @@ if TYPE_CHECKING:  # needs the extra live
 #: Port that sessions use unless told otherwise
 PORT = 7411
 
+#: What may stop a session over WebRTC
+STALLS = (
+    "; WebRTC pauses where packets are lost over a round trip of 0.8 s or more: use "
+    "--link udp there"
+)
+
 #: How a probe is held: its axes into the patient, and to the head
 HELD = "z,-y"
 
@@ -284,7 +290,7 @@ def follower(
             start.rotation[0],
             start.position[0],
             seconds=seconds,
-            tell=_say("follower"),
+            tell=_say("follower", link),
         )
     finally:
         opened.close()
@@ -332,14 +338,21 @@ def operator(
     warm_up()
     opened = open_link(link, secret, host, port, calls=True)
     try:
-        side, ended = _operate(opened, who, seconds, probe, recording)
+        side, ended = _operate(
+            opened, who, seconds, probe, recording, _say("operator", link)
+        )
     finally:
         opened.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
 
 
 def _operate(
-    link: Any, who: Subject, seconds: float, probe: str, recording: Path | None
+    link: Any,
+    who: Subject,
+    seconds: float,
+    probe: str,
+    recording: Path | None,
+    say: Callable[[str, str], None],
 ) -> tuple[Any, Any]:
     """The haptic loop in a process of its own; the operator, and how it ended."""
     from contextlib import ExitStack
@@ -366,17 +379,28 @@ def _operate(
         side = Operator(epoch, shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         ended = run_operator(
-            side, link, start, seconds=seconds, record=record, tell=_say("operator")
+            side,
+            link,
+            start,
+            seconds=seconds,
+            record=record,
+            tell=say,
         )
     return side, replace(ended, lateness=loop.lateness or ended.lateness)
 
 
-def _say(name: str) -> Callable[[str, str], None]:
-    """Says on stderr what state a side is in."""
+def _say(name: str, link: str) -> Callable[[str, str], None]:
+    """Says on stderr what state a side is in, and what may help."""
     import typer
 
     def say(state: str, cause: str) -> None:
-        typer.echo(f"{name}: {state}" + (f" ({cause})" if cause else ""), err=True)
+        may_stall = link == "webrtc" and cause.startswith("no packet")
+        typer.echo(
+            f"{name}: {state}"
+            + (f" ({cause})" if cause else "")
+            + (STALLS if may_stall and state == "STOP" else ""),
+            err=True,
+        )
 
     return say
 
