@@ -26,17 +26,14 @@ from ttus_opt.viewer.viewer import Viewer
 FOLDER = Path(__file__).parent / "pictures"
 SIZE, LIVE_SIZE = (1000, 760), (1000, 920)  # [px]
 
-#: Bars of colour stay smooth; a third of the bytes
-N_COLOURS = 256
-
 #: Frame of the recording at its hardest press
 PRESSED = 276
 
 #: Software draws slowly: a frame is waited for [ms]
 PATIENCE, DRAWN = 240_000, 6_000
 
-#: A live session has pressed several times [ms]
-LEARNED = 20_000
+#: A live session has pressed several times [ms], and presses [N]
+LEARNED, PRESSING = 20_000, 4.5
 
 
 def press(viewer: Viewer, page: Page) -> None:
@@ -99,6 +96,8 @@ def main() -> int:
             page = opened(browser, live.viewer, LIVE_SIZE)
             page.get_by_role("tab", name="Live").click()
             page.wait_for_timeout(LEARNED)
+            while live.viewer.state.touches[0].wrench.force[1] < PRESSING:
+                page.wait_for_timeout(10)
             save(page, "live_page")
         browser.close()
     return 0
@@ -119,11 +118,11 @@ def opened(browser: Browser, viewer: Viewer, size: tuple[int, int]) -> Page:
 
 
 def save(page: Page, name: str) -> None:
-    """What a page shows, in few colours."""
+    """What a page shows; a palette would lose a red arrow or make steps of a bar."""
+    path = FOLDER / f"{name}.png"
     seen = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
-    few = seen.convert("RGB").quantize(N_COLOURS, dither=Image.Dither.NONE)
-    few.save(FOLDER / f"{name}.png", optimize=True)
-    print(FOLDER / f"{name}.png")
+    seen.convert("RGB").save(path, optimize=True)
+    print(path)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer import colouring
-from ttus_opt.viewer.arrow import TIP
+from ttus_opt.viewer.arrow import STEP, TIP
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.page import along_line
@@ -93,11 +93,12 @@ def test_the_probe_goes_where_the_hand_is(viewer):
 
 
 def drawn(arrow):
-    """From the start of an arrow to its tip; its shaft ends where its head begins."""
+    """From the start of an arrow to its tip; its shaft ends within its head."""
     turn = Rotation.from_quat(arrow._frame.wxyz, scalar_first=True)
-    head = np.asarray(arrow._head.position)
-    assert arrow._shaft.scale == pytest.approx((1.0, 1.0, max(head[2], 1e-6)))
-    return turn.apply(head + np.array([0.0, 0.0, arrow._head.scale * TIP]))
+    head, *across, shaft = *np.asarray(arrow._head.position)[2:], *arrow._shaft.scale
+    assert across == [1.0, 1.0]
+    assert head < shaft <= head + STEP + 1e-12
+    return turn.apply([0.0, 0.0, head + arrow._head.scale * TIP])
 
 
 def test_arrows_are_drawn_from_what_can_be_felt(viewer):
@@ -113,7 +114,8 @@ def test_arrows_are_drawn_from_what_can_be_felt(viewer):
         nodes.show_touch(replace(touch, wrench=wrench), np.full(3, 0.01))
         assert nodes._torque._frame.visible is is_shown
         assert not nodes._measured._frame.visible
-    np.testing.assert_allclose(drawn(nodes._torque), [0.8 * 4e-4, 0, 0], atol=1e-9)
+    # 0.3 mm: the shortest arrow there is
+    np.testing.assert_allclose(drawn(nodes._torque), [STEP, 0.0, 0.0], atol=1e-9)
 
 
 def test_sections_follow_and_cut_the_skin_open(viewer):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
 #: Radius of the shaft and of the head, and length of the head [m]
 SHAFT, HEAD, TIP = 0.0018, 0.0045, 0.011
+
+#: The shaft's length is a multiple of this; within a head it is hidden [m]
+STEP = 0.005
 
 #: Corners around it [–]
 SECTIONS = 12
@@ -45,14 +49,22 @@ class Arrow:
         )  # fmt: skip
 
     def show(self, start: Array, way: Array) -> None:
-        """Draw it from a point (3,) along a vector (3,) that is not zero [m]."""
+        """Draw it from a point (3,) along a vector (3,) that is not zero [m].
+
+        One shorter than its head is as long as the next multiple of `STEP`.
+        """
         length = float(np.linalg.norm(way))
         self._frame.position = start
         self._frame.wxyz = to_quaternions(_turned(way / length)[None])[0]
         bare = max(length - TIP, 0.0)
-        self._shaft.scale = (1.0, 1.0, max(bare, 1e-6))
         self._head.position = (0.0, 0.0, bare)
-        self._head.scale = min(length / TIP, 1.0)
+        # a page takes its time over a size: few changes, whose end the head hides
+        shaft = (1.0, 1.0, STEP * (math.floor(bare / STEP) + 1.0))
+        head = min(STEP * math.ceil(length / STEP) / TIP, 1.0)
+        if self._shaft.scale != shaft:
+            self._shaft.scale = shaft
+        if self._head.scale != head:
+            self._head.scale = head
         if not self._frame.visible:
             self._frame.visible = True
 
