@@ -73,6 +73,16 @@ def test_other_parts_are_not_run_twice_either(tmp_path, monkeypatch):
         assert tiny_suite(tmp_path, parts=["assembly"]).run() == rows
 
 
+def test_a_package_that_was_missing_is_looked_for_again(tmp_path, monkeypatch):
+    def missing(spec, *others):
+        return [parts()[spec.part].row(spec, "not installed", "pip install it")]
+
+    for run, status in ((missing, "not installed"), (ended, "time limit")):
+        monkeypatch.setattr(suite, "run_isolated", run)
+        rows = tiny_suite(tmp_path, parts=["ripple"]).run()["ripple"]
+        assert {row["status"] for row in rows} == {status}
+
+
 def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
     names = ("ripple", "rendering")
 

@@ -83,11 +83,15 @@ class Suite:
         ]
 
     def done(self) -> dict[str, list[Row]]:
-        """Rows of an earlier run in the same folder, by key."""
+        """Rows of an earlier run in the same folder, by key.
+
+        Without those for which a package was missing, which may be there by now.
+        """
         finished = {}
         for rows in read_lines(self.rows_file):
             with contextlib.suppress(LookupError, TypeError):  # of another version
-                finished[rows[0]["key"]] = rows
+                if rows[0]["status"] != "not installed":
+                    finished[rows[0]["key"]] = rows
         return finished
 
     def run(
