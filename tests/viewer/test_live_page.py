@@ -1,5 +1,7 @@
 """A live session in a page, without a browser: the hand, the link, the button."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,20 @@ def test_the_page_follows_the_hand_until_somebody_drags(page):
     page.tab._release(True)
     until(lambda: state.source == "outside")
     assert page.session.hand.lead is None
+
+
+@pytest.mark.slow
+def test_one_click_takes_the_probe_over_whenever_it_comes(page):
+    state = page.viewer.state
+    page.tab.presses.value = True
+    page.tab._release(True)
+    until(lambda: state.source == "outside")
+    with state.lock:
+        time.sleep(0.3)  # a batch ends meanwhile, and waits to move the probe
+        state.press(-0.02)
+        wanted = state.pose[1]
+    until(lambda: np.linalg.norm(page.session.hand.position - wanted) < 0.002, 10.0)
+    page.tab.presses.value = True  # a visitor's tick, before the page acts on it
+    before = page.session.view().time
+    until(lambda: page.session.view().time > before + 0.1)
+    assert page.tab.presses.value

@@ -76,12 +76,14 @@ class LivePage:
     def _show(self) -> None:
         """After a batch of frames: probe, numbers, field."""
         state, now = self.viewer.state, time.monotonic()
-        if state.source == "hand":  # a visitor leads
-            self.tab.presses.value = False
-        if self.tab.presses.value:
-            self._follow(state)
-        else:
-            self._lead(state)
+        with state.lock:  # a visitor who takes over now would be overruled
+            leads = state.source == "hand"
+            if leads and self.session.hand.lead is None:
+                self.tab.presses.value = False
+            if leads or not self.tab.presses.value:
+                self._lead(state)
+            else:
+                self._follow(state)
         if now - self._written >= WRITING:
             self._written = now
             self.tab.write()

@@ -97,9 +97,10 @@ class LiveTab:
 
     def _release(self, presses: bool) -> None:
         if presses:
-            hand = self._session.hand
-            hand.lead = None
-            self._stage.state.follow(hand.rotation, hand.position)
+            state, hand = self._stage.state, self._session.hand
+            with state.lock:
+                hand.lead = None
+                state.follow(hand.rotation, hand.position)
 
     def _columns(self) -> tuple[Any, ...]:
         samples = list(self._session.samples)
