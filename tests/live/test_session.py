@@ -1,5 +1,7 @@
 """Whole sessions in virtual time, over links that do what links do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,6 +21,7 @@ from ttus_opt.live.messages import (
     PoseCommand,
     Sample,
     StateReport,
+    measurement,
     pose_command,
 )
 from ttus_opt.live.model import LiveModel
@@ -193,8 +196,25 @@ def test_an_unusable_measurement_stops_both(wrench):
     for _ in simulation.run(1.0):
         pass
     simulation.patient.wrench = wrench
-    assert reaches(simulation, State.STOP, "follower", 0.05)
-    assert reaches(simulation, State.STOP, "operator", 0.05)
+    began = simulation.time
+    # in the follower's next frame (100 Hz), and a frame of its own later (200 Hz)
+    assert reaches(simulation, State.STOP, "follower", 0.05) - began <= 0.011
+    assert reaches(simulation, State.STOP, "operator", 0.05) - began <= 0.021
+
+
+def test_a_stop_is_not_kept_waiting_by_what_is_to_be_learned():
+    """What came with its cause is learned a frame later, and nothing is lost."""
+    simulation = deepest()
+    operator, hand, peer = simulation.operator, simulation.hand, Peer(3)
+    peer._sequence = 10**6
+    sample = replace(simulation.sensed, time=simulation.time + 1234.6)
+    news = peer.pack(sample.time, measurement(10**6, [sample], sample.time)).data
+    operator.stop()
+    before, now = operator.folded, simulation.time
+    assert operator.step(now, [news], hand.rotation, hand.position).state is State.STOP
+    assert operator.folded == before
+    operator.step(now + 0.005, [], hand.rotation, hand.position)
+    assert operator.folded == before + 1
 
 
 def test_an_invalid_hand_pose_stops():
@@ -416,8 +436,6 @@ def test_a_new_surface_is_felt_without_a_jump():
     simulation = session(moved=path(period=20.0))
     for _ in simulation.run(4.0):
         pass
-    from dataclasses import replace
-
     from ttus_opt.live.model_codec import encode_model
     from ttus_opt.message import decode, encode
 

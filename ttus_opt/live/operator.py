@@ -113,6 +113,8 @@ class Operator:
         self._last_sent: tuple[Array, Array] | None = None
         self._seen: dict[int, None] = {}
         self._newest: Sample | None = None
+        self._unlearned: list[Sample] = []
+        self._state = self.peer.safety.state
         self._pending = False
         self._changed_at = -math.inf
         self._gate = Gate(self.peer.safety.limits.contact)
@@ -142,18 +144,22 @@ class Operator:
         samples: list[Sample] = []
         for data in packets:
             self._take(now, data, samples, send)
-        for sample in sorted(samples, key=lambda sample: sample.time):
-            self._learn(sample)
-        self._refresh(now)
-        safety = self.peer.safety
+        safety, before = self.peer.safety, self._state
         state = safety.judge(
             now, "" if self.feedback else "no model of the patient yet"
         )
+        self._unlearned += sorted(samples, key=lambda sample: sample.time)
+        if state is before or state is not State.STOP:  # let go first, learn later
+            for sample in self._unlearned:
+                self._learn(sample)
+            self._unlearned = []
+            self._refresh(now)
         if not math.isfinite(float(position.sum() + rotation.sum())):
             safety.stop("the hand's pose is not a number")
             state = safety.state
         else:
             self._report(now, rotation, position, send)
+        self._state = state
         self.peer.announce(now, send)
         return OperatorStep(tuple(send), state, safety.cause)
 

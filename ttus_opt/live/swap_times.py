@@ -1,7 +1,8 @@
 """From contact to the operator's hand in real time: both sides over UDP on one machine.
 
 Patient, operator and haptic loop are a process each, as in a session. Their clocks are
-one, so that a sample's time says how long it took to change what the hand feels.
+one, so that a sample's time says how long it took to change what the hand feels. The
+session ends by the operator's button, a second before its time is over.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ import numpy as np
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
-from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
+from ttus_opt.live.haptic_process import STOPPED, TIME, HapticProcess, LoopPlan
 from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import MOST_TICKS, TICKS, Sample
+from ttus_opt.live.model import LiveModel
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.real_time import promptly, run_follower, run_operator
 from ttus_opt.live.safety import State
@@ -38,22 +41,29 @@ CONTACT, MOST = 0.5, 0.9
 #: Time after which the clock in packets begins again [s]
 FULL = MOST_TICKS / TICKS
 
+#: Time between the button and the session's end [s]; frames of the haptic loop in it
+LAST, LAST_FRAMES = 1.0, 1500
+
 #: Time in which a side starts, compilation included, on a busy machine [s]
 START = 120.0
 
 
 @dataclass(frozen=True)
 class SwapTimes:
-    """Of every new field with a sample in contact.
+    """Of every new field with a sample in contact; of the first model; of the button.
 
     Attributes:
         begun: From its first such sample to the hand's loop, less the way there [s].
         felt: From there until nine tenths of it, or of a newer one, are felt [s].
+        rendered: From the first model's arrival to the haptic loop's first frame [s].
+        stopped: From the button to that loop's first frame that lets go [s].
         state: Of the operator's side at the end.
     """
 
     begun: list[float]
     felt: list[float]
+    rendered: float
+    stopped: float
     state: str
 
 
@@ -72,6 +82,14 @@ class TimedLoop(HapticProcess):
         self._way, self._first = way, np.nan
         self._published: deque[tuple[int, float]] = deque()  # number, first sample
         self._taken: deque[tuple[int, float]] = deque()  # number, when
+        self.rendered = np.nan
+
+    @property
+    def stopped(self) -> float:
+        """When the newest frames began to let go [s]; NaN where they do not."""
+        newest = self._hand.since(max(self.frames - LAST_FRAMES, 0))
+        times = newest[newest[:, STOPPED] > 0.0, TIME]
+        return float(times[0]) if 0 < len(times) < len(newest) else np.nan
 
     def measured(self, sample: Sample) -> None:
         """Note the first contact that the last field does not know."""
@@ -91,6 +109,8 @@ class TimedLoop(HapticProcess):
         super().tell(friction, state)
         if not self.frames:
             return
+        if np.isnan(self.rendered):
+            self.rendered = float(self._hand.since(0)[0, TIME])
         (taken, share), now = self.swap, time.monotonic()
         while self._published and self._published[0][0] <= taken:
             number, first = self._published.popleft()
@@ -100,6 +120,19 @@ class TimedLoop(HapticProcess):
             self._taken.append((number, now))
         while self._taken and share >= MOST:
             self.felt_after.append(now - self._taken.popleft()[1])
+
+
+class _Noted(WorseLink):
+    """A link that knows when something arrived last."""
+
+    newest = np.nan
+
+    def receive(self, now: float) -> list[bytes]:
+        """What has arrived."""
+        arrived = super().receive(now)
+        if arrived:
+            self.newest = now
+        return arrived
 
 
 def measure(seconds: float, round_trip: float) -> SwapTimes:
@@ -163,11 +196,28 @@ def _operate(
     warm_up()
     plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
     link = SocketLink(key, "127.0.0.1", port, calls=True)
-    worse = WorseLink(link, Impairment(delay=0.5 * round_trip))
+    worse = _Noted(link, Impairment(delay=0.5 * round_trip))
+    arrived = pressed = until = np.nan
     with TimedLoop(plan, 0.5 * round_trip) as loop:
-        side = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
+
+        def begin(model: LiveModel) -> TimedLoop:
+            nonlocal arrived
+            arrived = worse.newest
+            loop.begin(model.field)
+            return loop
+
+        def press(state: LiveState) -> None:
+            nonlocal pressed, until
+            if np.isnan(until):
+                until = state.time + seconds - LAST
+            if np.isnan(pressed) and state.time >= until:
+                pressed = time.monotonic()
+                side.stop()
+
+        side = Operator(2, shell, feedback=begin)
         promptly()
         start = path.rotation[0], path.position[0]
-        ended = run_operator(side, worse, start, seconds=seconds)
+        ended = run_operator(side, worse, start, seconds=seconds, show=press)
+        rendered, stopped = loop.rendered - arrived, loop.stopped - pressed
     link.close()
-    end.send(SwapTimes(loop.begun, loop.felt_after, ended.state))
+    end.send(SwapTimes(loop.begun, loop.felt_after, rendered, stopped, ended.state))

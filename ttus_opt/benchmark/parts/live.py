@@ -30,8 +30,9 @@ if TYPE_CHECKING:  # needs the extra live
 SECONDS, FIELDS = 10.0, 20.0
 
 #: Round trip of the session; goals of a swap: until it begins, after half of that, and
-#: from there until nine tenths are felt [s]
-TRIP, BEGUN, FELT = 0.2, 0.15, 0.6
+#: from there until nine tenths are felt; of a first model until it is rendered; of the
+#: button, a frame of the operator's loop and one of the haptic loop [s]
+TRIP, BEGUN, FELT, RENDERED, STOPPED = 0.2, 0.15, 0.6, 0.5, 0.006
 
 #: Packets a second, and their length [bytes]
 PACKETS, LENGTH = 100.0, 120
@@ -59,8 +60,10 @@ class LivePart(Part):
         "machine: over UDP, over WebRTC, and over WebRTC beyond a round trip of 200 or "
         "500 ms with 1 % lost each way. From contact: until a model that knows of it "
         "is in the hand's loop, without the way there; then until nine tenths of it "
-        "are felt. Late is beyond a period, or the goals of 50 ms by WebRTC, 150 and "
-        "600 ms. Other work on the machine shows here."
+        "are felt; from the first model's arrival to its first frame; from the button "
+        "to the first frame that lets go. Late is beyond a period, or the goals of 50 "
+        "ms by WebRTC, 150 and 600 ms, 500 ms, 6 ms. Other work on the machine shows "
+        "here."
     )
     columns = (
         Column("what", "what"),
@@ -195,7 +198,7 @@ def echoes(here: Link, there: Link, seconds: float, pause: float = 0.0) -> list[
 
 
 def swaps(seconds: float) -> list[Row]:
-    """A session's swaps: until they begin, and until they are felt.
+    """A session's swaps, its first model, and its stop.
 
     Raises:
         NumericalError: A side died.
@@ -213,6 +216,8 @@ def swaps(seconds: float) -> list[Row]:
         for what, times, goal in (
             ("contact to model", found.begun, BEGUN),
             ("model to nine tenths felt", found.felt, FELT),
+            ("first model to rendering", [found.rendered], RENDERED),
+            ("button to stopped hand", [found.stopped], STOPPED),
         )
     ]
 
