@@ -1,6 +1,7 @@
 """Both sides of a session as commands, each in its process."""
 
 import json
+import math
 import socket
 import subprocess
 import sys
@@ -11,6 +12,8 @@ from ttus_opt.cli.live_commands import _say
 
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 pytest.importorskip("cryptography", reason="needs ttus-opt[live]")
+
+from ttus_opt.live.peer import Peer
 
 
 @pytest.mark.slow
@@ -40,10 +43,29 @@ def test_both_commands_meet(link, tmp_path):
 
 
 @pytest.mark.parametrize("link", ["udp", "webrtc"])
-def test_a_stop_over_webrtc_names_the_other_link(link, capsys):
-    say = _say("operator", link)
-    say("HOLD", "no packet for 100 ms")
-    say("STOP", "the operator's button")
-    assert "udp" not in capsys.readouterr().err
-    say("STOP", "no packet for 500 ms")
-    assert ("--link udp" in capsys.readouterr().err) == (link == "webrtc")
+def test_a_long_way_over_webrtc_is_warned_of_once(link, capsys):
+    peer = Peer(1)
+    say = _say("operator", link, peer)
+    for trip in (math.nan, 0.5, 0.9, 1.1):
+        peer.quality.round_trip = trip
+        say("HOLD", "no packet for 100 ms")
+        warned = "0.9 s" in (told := capsys.readouterr().err)
+        assert warned == ("--link udp" in told) == (link == "webrtc" and trip == 0.9)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("--delay=-5", "got -5 ms"),
+        ("--breathing 500", "got 500 mm"),
+        ("--seconds 2", "no error: it counts in contact, from 10 s on"),
+    ],
+)
+def test_what_a_report_cannot_say(run, words, says):
+    told = run(f"live report {words}")
+    assert says in told.out + told.err
+
+
+def test_a_demo_that_is_refused_leaves_no_folder(run, tmp_path):
+    assert run(f"live demo -o {tmp_path}/demo --loss 2").status != 0
+    assert [*tmp_path.iterdir()] == []

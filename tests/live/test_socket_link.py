@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.live.springy import Spring, parts, path
+from tests.live.springy import Spring, parts, path, session
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
@@ -183,6 +183,8 @@ def test_a_session_over_sockets_reaches_normal_and_survives_a_new_operator(links
 def survives_a_new_operator(links):
     """A session becomes NORMAL, stops without its operator, and begins with another."""
     surface, shell, content = parts()
+    for _ in session().run(1.0):  # compiles all that follows, before a clock runs
+        pass
     there = links(port=0, calls=False)
     follower, patient, hand = Follower(3, surface, content), Spring(), Hand(path())
     target = hand.rotation, hand.position

@@ -19,10 +19,11 @@ if TYPE_CHECKING:  # needs the extra live
 #: Port that sessions use unless told otherwise
 PORT = 7411
 
-#: What may stop a session over WebRTC
+#: Round trip from which WebRTC pauses where packets are lost [s], and what to do
+LONG = 0.8
 STALLS = (
-    "; WebRTC pauses where packets are lost over a round trip of 0.8 s or more: use "
-    "--link udp there"
+    f"WebRTC pauses where packets are lost over a round trip of {LONG:g} s or more: "
+    "use --link udp there"
 )
 
 #: How a probe is held: its axes into the patient, and to the head
@@ -185,7 +186,13 @@ def report(
         found = run(trial, watch)
     if picture is not None:
         save_picture(live_picture([found]), picture)
-    tell(found.as_dict(), fitted(comparison([found])), json=json)
+    lines = [fitted(comparison([found]))]
+    if math.isnan(found.error):
+        lines.append(
+            f"no error: it counts in contact, from {trial.settled:g} s on; take more "
+            "--seconds"
+        )
+    tell(found.as_dict(), *lines, json=json)
 
 
 def replay(recording: Path, json: bool = False) -> None:
@@ -290,7 +297,7 @@ def follower(
             start.rotation[0],
             start.position[0],
             seconds=seconds,
-            tell=_say("follower", link),
+            tell=_say("follower", link, side.peer),
         )
     finally:
         opened.close()
@@ -338,9 +345,7 @@ def operator(
     warm_up()
     opened = open_link(link, secret, host, port, calls=True)
     try:
-        side, ended = _operate(
-            opened, who, seconds, probe, recording, _say("operator", link)
-        )
+        side, ended = _operate(opened, link, who, seconds, probe, recording)
     finally:
         opened.close()
     _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
@@ -348,11 +353,11 @@ def operator(
 
 def _operate(
     link: Any,
+    name: str,
     who: Subject,
     seconds: float,
     probe: str,
     recording: Path | None,
-    say: Callable[[str, str], None],
 ) -> tuple[Any, Any]:
     """The haptic loop in a process of its own; the operator, and how it ended."""
     from contextlib import ExitStack
@@ -384,23 +389,24 @@ def _operate(
             start,
             seconds=seconds,
             record=record,
-            tell=say,
+            tell=_say("operator", name, side.peer),
         )
     return side, replace(ended, lateness=loop.lateness or ended.lateness)
 
 
-def _say(name: str, link: str) -> Callable[[str, str], None]:
-    """Says on stderr what state a side is in, and what may help."""
+def _say(name: str, link: str, peer: Any) -> Callable[[str, str], None]:
+    """Says on stderr what state a side is in, and once what may stop it."""
     import typer
 
+    warned = link != "webrtc"
+
     def say(state: str, cause: str) -> None:
-        may_stall = link == "webrtc" and cause.startswith("no packet")
-        typer.echo(
-            f"{name}: {state}"
-            + (f" ({cause})" if cause else "")
-            + (STALLS if may_stall and state == "STOP" else ""),
-            err=True,
-        )
+        nonlocal warned
+        typer.echo(f"{name}: {state}" + (f" ({cause})" if cause else ""), err=True)
+        trip = peer.quality.round_trip
+        if not warned and trip >= LONG:
+            warned = True
+            typer.echo(f"{name}: the round trip is {trip:.1f} s. {STALLS}", err=True)
 
     return say
 

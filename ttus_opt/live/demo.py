@@ -8,6 +8,7 @@ a recording of one session that `ttus-opt live replay` renders again.
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import time
@@ -90,13 +91,14 @@ def run_demo(
         InputError: A prior or a loss out of range.
         FileError: The folder cannot be written to.
     """
-    start, out = time.perf_counter(), io.made_folder(Path(folder))
-    recording = out / "session.mcap"
+    start = time.perf_counter()
     trials = [
         Trial(name, round_trip, prior, loss=loss, burst=3.0)
         for name in COMPARATORS
         for round_trip in ROUND_TRIPS
     ]
+    out = io.made_folder(Path(folder))
+    recording = out / "session.mcap"
     results = _all(trials, recording, processes, progress or (lambda _: None))
     save_picture(live_picture(results), out / "live.png")
     found = LiveDemo(tuple(results), recording, time.perf_counter() - start)
@@ -164,7 +166,7 @@ def comparison(results: Sequence[TrialResult]) -> Table:
         (
             one.trial.comparator,
             f"{1e3 * one.trial.round_trip:.0f}",
-            f"{one.error:.2f}",
+            "–" if math.isnan(one.error) else f"{one.error:.2f}",
             f"{one.largest:.1f}",
             f"{one.energy:.3f}",
             f"{one.step:.3f}",

@@ -22,6 +22,9 @@ from ttus_opt.live.peer import Outgoing
 #: [s]: the least of TCP
 RESEND = 0.2
 
+#: Longest delay in one direction, and longest jitter [s]
+LONGEST_DELAY = 60.0
+
 
 @dataclass(frozen=True)
 class Impairment:
@@ -50,8 +53,10 @@ class Impairment:
     def __post_init__(self) -> None:
         """Refuse what no link does."""
         for name in ("delay", "jitter"):
-            if not 0.0 <= (value := getattr(self, name)) <= 60.0:
-                raise InputError(f"{name} must lie between 0 and 60 s, got {value} s")
+            if not 0.0 <= (value := getattr(self, name)) <= LONGEST_DELAY:
+                raise InputError(
+                    f"{name} must lie between 0 and {LONGEST_DELAY:g} s, got {value} s"
+                )
         for name in ("loss", "duplicates"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise InputError(f"{name} is a share from 0 to below 1")

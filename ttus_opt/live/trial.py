@@ -20,7 +20,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
-from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.impairment import LONGEST_DELAY, Impairment
 from ttus_opt.live.model import LiveModel, ModelPlan
 from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
@@ -50,6 +50,9 @@ COMPARATORS = {
 
 #: Age of what a camera tells of the skin [s]; its images a second [Hz]
 CAMERA, IMAGES = 0.05, 30.0
+
+#: Largest amplitude of breathing [m]: five times a quiet breath's
+MOST_BREATHING = 0.025
 
 #: Of so many frames one is compared with the truth [–]
 KEPT = 20
@@ -101,6 +104,16 @@ class Trial:
                 raise InputError(f"{name} must be positive, got {value}")
         if self.seed < 0:
             raise InputError(f"seed must not be negative, got {self.seed}")
+        if not 0.0 <= self.round_trip <= 2.0 * LONGEST_DELAY:
+            raise InputError(
+                f"a round trip takes from 0 to {2e3 * LONGEST_DELAY:.0f} ms, got "
+                f"{1e3 * self.round_trip:g} ms"
+            )
+        if not 0.0 <= self.breathing <= MOST_BREATHING:
+            raise InputError(
+                f"breathing moves skin by 0 to {1e3 * MOST_BREATHING:.0f} mm, got "
+                f"{1e3 * self.breathing:g} mm"
+            )
         self.impairment()
 
     def impairment(self) -> Impairment:
