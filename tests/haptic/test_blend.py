@@ -137,7 +137,7 @@ def test_stored_energy_is_found_on_the_way_away_from_the_axis():
     at, probe = np.array([r * np.cos(0.5), r * np.sin(0.5), 0.1]), shell()
     ledger, pair = settled_ledger(0.0), (field_of(1.0), field_of(1.6))
     follow(ledger, R, at, probe.reference)
-    data = FrameData.of(VOXMAP, probe, trilinear=True)
+    data = FrameData.of(VOXMAP, probe, "trilinear")
     opened = opened_ledger(ledger, *(f.values.reshape(-1) for f in pair), data)
     way = (at + R @ probe.reference) * [1.0, 1.0, 0.0]
     way /= np.linalg.norm(way)

@@ -48,7 +48,7 @@ def test_a_field_is_copied_and_names_its_drag(scene):
 def test_before_the_first_frame_a_field_is_simply_taken(scene):
     old, field = RenderedField.of(random_field(scene)), random_field(scene)
     new = RenderedField.of(replace(field, parameters={FRICTION: 0.2}))
-    data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
+    data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, old, settled_ledger(0.5))
     after = swapped(fields, new, data, np.zeros((len(scene.shell), 7)))
     assert after.pair.current is after.pair.target is new.values
@@ -85,7 +85,7 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(scene, touches):
     ledger[ROTATION:PLACE] = scene.trajectory.rotation[pose].reshape(-1)
     away = 0.0 if touches else 0.5
     ledger[PLACE:DIFFERENCE] = scene.trajectory.position[pose] + away
-    data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
+    data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, target, ledger)
     after = swapped(fields, new, data, np.ones((len(scene.shell), 7)))
     now = after.pair
@@ -106,7 +106,7 @@ def test_after_a_swap_the_field_in_force_is_its_target(scene):
     old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.1, 0.0))
     ledger = settled_ledger(0.5)
     ledger[SEEN] = 1.0
-    data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
+    data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, target, ledger)
     now = swapped(fields, new, data, np.ones((len(scene.shell), 7))).pair
     assert now.current is target.values and now.target is new.values

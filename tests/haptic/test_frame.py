@@ -28,7 +28,7 @@ def shell():
 
 @functools.cache
 def data_of(sampling):
-    return FrameData.of(VOXMAP, shell(), trilinear=sampling == "trilinear")
+    return FrameData.of(VOXMAP, shell(), sampling)
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def turned(direction, to):
 
 def test_a_point_on_its_blocks_sphere_is_found():
     """Each block's farthest point, 1 µm inside, all others of the block above it."""
-    data = FrameData.of(tube(), shell(), trilinear=True)
+    data = FrameData.of(tube(), shell(), "trilinear")
     blocks, points = ShellBlocks.of(shell()), shell().points
     inwards, alone = np.array([-1.0, 0.0, 0.0]), 0
     for b, centre in enumerate(blocks.centre):
@@ -118,7 +118,7 @@ def test_a_point_on_its_blocks_sphere_is_found():
 )
 def test_one_point_in_the_grid_is_enough(direction, edge, far):
     """10 nm within an end or the outer radius, in the air or inside the patient."""
-    data = FrameData.of(tube(), shell(), trilinear=True)
+    data = FrameData.of(tube(), shell(), "trilinear")
     along, points = np.array(direction), shell().points
     for rotation in Rotation.random(20, rng=np.random.default_rng(1)):
         R = rotation.as_matrix()

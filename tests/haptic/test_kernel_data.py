@@ -15,12 +15,12 @@ OFFSET = np.array([0.01, -0.02, 0.03])
 SHELL = replace(ellipsoid(333), points=ellipsoid(333).points + OFFSET, reference=OFFSET)
 
 
-@pytest.mark.parametrize("trilinear", [False, True])
-def test_points_and_levers_are_the_shells_in_block_order(trilinear):
-    data = FrameData.of(VOXMAP, SHELL, trilinear=trilinear)
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_points_and_levers_are_the_shells_in_block_order(sampling):
+    data = FrameData.of(VOXMAP, SHELL, sampling)
     order = ShellBlocks.of(SHELL).order
     np.testing.assert_array_equal(data.points.T, SHELL.points[order])
-    weight = SHELL.areas / REFERENCE_AREA if trilinear else np.ones(len(SHELL))
+    weight = SHELL.areas / REFERENCE_AREA if data.trilinear else np.ones(len(SHELL))
     moments = np.cross(SHELL.points - SHELL.reference, SHELL.normals)
     lever = np.concatenate([SHELL.normals, moments], axis=1) * weight[:, None]
     np.testing.assert_allclose(data.lever, lever[order], rtol=1e-12, atol=1e-15)
@@ -32,14 +32,14 @@ def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(n_points)
     per_point = ("points", "normals", "areas")
     each = np.resize(np.arange(len(SHELL)), n_points)
     shell = replace(SHELL, **{name: getattr(SHELL, name)[each] for name in per_point})
-    data = FrameData.of(VOXMAP, shell, trilinear=True)
+    data = FrameData.of(VOXMAP, shell, "trilinear")
     least = max(RUN * BLOCK, len(ShellBlocks.of(shell).reach))
     for name in ("place", "node"):
         assert getattr(data, name).shape[1] >= least
 
 
 def test_scratch_of_its_own_shares_no_scratch():
-    data = FrameData.of(VOXMAP, SHELL, trilinear=False)
+    data = FrameData.of(VOXMAP, SHELL, "voxel-mean")
     other = data.with_own_scratch()
     scratch = "place near node touched depth spot voxel share sampled hits"
     for name in scratch.split():

@@ -64,15 +64,15 @@ def test_compiled_code_reads_and_writes_what_is_listed():
     assert summed(table, 2) == 21
 
 
-@pytest.mark.parametrize("trilinear", [False, True])
-def test_a_frame_s_arrays_come_out_in_their_places(trilinear):
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_a_frame_s_arrays_come_out_in_their_places(sampling):
     """Name by name, by address, shape and kind: none has another's place."""
-    data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=trilinear)
+    data = FrameData.of(SCENE.voxmap, ellipsoid(), sampling)
     buffers, limits = FrameBuffers.empty(), FrameLimits(np.ones(3), np.ones((2, 2)))
     table = frame_table(data, buffers, limits)
     assert len(table) == WORDS * N_ARRAYS
-    found = _data(trilinear, table)
-    assert found.trilinear == trilinear
+    found = _data(data.trilinear, table)
+    assert found.trilinear == data.trilinear
     for name in FrameData._fields[1:]:
         own, there = getattr(data, name), getattr(found, name)
         assert there.dtype == own.dtype, name

@@ -15,8 +15,6 @@ are one, and this is the drag of the patch (`ttus_opt.contact.friction`).
 
 from __future__ import annotations
 
-import numpy as np
-
 from ttus_opt.contact.friction import DEADBAND, DragRows, Sliding, coulomb_rows
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.contact.slip import Slip
@@ -48,16 +46,13 @@ def point_drag_rows(
     Raises:
         InputError: Unknown sampling or unusable poses.
     """
-    twist = trajectory.twist()  # of the frame's origin; from there to the reference
-    reference = np.einsum("tij,j->ti", trajectory.rotation, shell.reference)
-    twist[:, :3] += np.cross(twist[:, 3:], reference)
     rows = contact_rows(
         voxmap,
         shell,
         trajectory.rotation,
         trajectory.position,
         sampling=sampling,
-        slip=Slip(twist, float(deadband)),
+        slip=Slip.of(shell, trajectory.rotation, trajectory.twist(), deadband),
     )
     return DragRows(rows.N, rows.W)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
+from ttus_opt.probe.point_shell import PointShell
 
 
 class Slip(NamedTuple):
@@ -22,6 +23,24 @@ class Slip(NamedTuple):
 
     twist: Array
     deadband: float
+
+    @classmethod
+    def of(
+        cls, shell: PointShell, rotation: Array, twist: Array, deadband: float
+    ) -> Slip:
+        """From the velocity of the probe frame's origin.
+
+        Args:
+            shell: The probe.
+            rotation: Probe to patient, shape (T, 3, 3) [–].
+            twist: Velocity of that origin and angular velocity, patient axes, shape
+                (T, 6) [m/s, rad/s].
+            deadband: Speed below which drag decreases in proportion [m/s].
+        """
+        reference = np.einsum("tij,j->ti", rotation, shell.reference)
+        moved = np.array(twist, dtype=np.float64)
+        moved[:, :3] += np.cross(moved[:, 3:], reference)
+        return cls(moved, float(deadband))
 
     @classmethod
     def none(cls) -> Slip:

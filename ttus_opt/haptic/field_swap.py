@@ -110,14 +110,7 @@ def require_alike(old: PotentialField, new: PotentialField) -> None:
     Raises:
         InputError: One of them differs.
     """
-    own, other = old.voxmap.surface, new.voxmap.surface
-    alike = {
-        "sampling": new.sampling == old.sampling,
-        "grid": new.voxmap.grid == old.voxmap.grid,
-        "surface": other is own or np.array_equal(other.radius, own.radius),
-    }
-    for name, same in alike.items():
-        if not same:
-            raise InputError(
-                f"an update cannot change the field's {name}: make a new Renderer"
-            )
+    if name := old.differs_in(new):
+        raise InputError(
+            f"an update cannot change the field's {name}: make a new Renderer"
+        )

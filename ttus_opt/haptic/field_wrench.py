@@ -30,16 +30,21 @@ from numpy.typing import NDArray
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arrays import Array
-from ttus_opt.haptic.blend import BENT, follow, settled_ledger
-from ttus_opt.haptic.drag import ACTS_AT, AT_POINTS, PRESLIDING, DragLaw, drag_of
+from ttus_opt.haptic.drag import (
+    ACTS_AT,
+    AT_POINTS,
+    FRICTION,
+    PRESLIDING,
+    DragLaw,
+    drag_of,
+)
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.point_drag import add_point_drag
-from ttus_opt.haptic.presliding import add_presliding, bend, strength_of
+from ttus_opt.haptic.presliding import add_presliding, bent_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.sampling import least_length
 
 #: Largest force [N] and torque [N·m] of a renderer by default: 40 N at the end of a
 #: lever of 10 cm, which a hand holds; a scan takes up to about 25 N
@@ -177,19 +182,18 @@ def _drags(
         along = np.concatenate([sliding.normal, np.zeros_like(sliding.normal)], axis=1)
         pushed = _point_drags(law, potential, shell, trajectory, along)
         flanks = -np.einsum("ti,ti->t", pushed[:, :3], sliding.normal)
+        flanks = np.maximum(flanks, 0.0)
     R, at, numbers = np.empty((3, 3)), np.empty(3), law.numbers
+    if presliding > 0.0:
+        pressed = np.einsum("ti,ti->t", sliding.normal, contact[:, :3])
+        strength = numbers[FRICTION] * np.maximum(pressed, 0.0)
+        bent = bent_along(shell, trajectory, patch, strength, flanks, numbers)
     for t in range(len(trajectory)):
         # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
         drag_of(R, at, twist[t], reference, patch[t], contact[t], numbers, drag[t])
         if presliding > 0.0:
-            if t == 0 or trajectory.segment[t] != trajectory.segment[t - 1]:
-                ledger = settled_ledger(0.0)
-            way = follow(ledger, R, at, reference)
-            strength = strength_of(patch[t], contact[t], numbers)
-            bent, flank = ledger[BENT:], max(flanks[t], 0.0)
-            bend(bent, way, R, patch[t], strength, flank, numbers)
-            add_presliding(bent, patch[t], contact[t], flank, numbers, drag[t])
+            add_presliding(bent[t], patch[t], contact[t], flanks[t], numbers, drag[t])
     if at_points and presliding == 0.0:
         drag += _point_drags(law, potential, shell, trajectory, twist)
     return drag
@@ -203,13 +207,8 @@ def _point_drags(
     twist: Array,
 ) -> Array:
     """Drag of all shell points at given twists (T, 6), by the renderer's code."""
-    sampling, drag = potential.sampling, np.zeros_like(twist)
-    data = FrameData.of(
-        potential.voxmap,
-        shell,
-        trilinear=sampling != "voxel-mean",
-        length=least_length(sampling),
-    )
+    data = FrameData.of(potential.voxmap, shell, potential.sampling)
+    drag = np.zeros_like(twist)
     values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
     R, at, wrench = np.empty((3, 3)), np.empty(3), np.empty(6)
     for t in range(len(trajectory)):

@@ -34,7 +34,6 @@ from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.sampling import least_length
 
 MAGIC = b"TTUSFLT1"
 
@@ -68,12 +67,7 @@ def write_flat(
     for name, limit in (("force_limit", force_limit), ("torque_limit", torque_limit)):
         if not limit > 0.0:
             raise InputError(f"{name} must be positive, got {limit}")
-    data = FrameData.of(
-        field.voxmap,
-        shell,
-        trilinear=field.sampling != "voxel-mean",
-        length=least_length(field.sampling),
-    )
+    data = FrameData.of(field.voxmap, shell, field.sampling)
     counts = [data.points.shape[1], *data.shape, *data.nodes, data.trilinear]
     numbers = (
         *(data.limits, data.layout, [force_limit, torque_limit]),

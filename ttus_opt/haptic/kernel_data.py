@@ -15,7 +15,7 @@ from ttus_opt.contact.rows import shell_arrays
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.sampling import spoke_table
+from ttus_opt.voxmap.sampling import least_length, spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Most blocks processed at once, so that their scratch stays in the L1 cache
@@ -89,15 +89,9 @@ class FrameData(NamedTuple):
     hits: NDArray[np.int32]
 
     @classmethod
-    def of(
-        cls,
-        voxmap: Voxmap,
-        shell: PointShell,
-        *,
-        trilinear: bool,
-        length: float = 0.0,
-    ) -> FrameData:
-        """Prepare a probe and a voxmap; ``length`` is ℓ₀ of `voxmap.sampling`."""
+    def of(cls, voxmap: Voxmap, shell: PointShell, sampling: str) -> FrameData:
+        """Prepare a probe and a voxmap for fields of a sampling."""
+        trilinear = sampling != "voxel-mean"
         blocks = ShellBlocks.of(shell)
         above = SurfaceCeiling.of(voxmap.surface, float(blocks.reach.max()))
         points, normals, weights, reference = shell_arrays(shell)
@@ -112,7 +106,7 @@ class FrameData(NamedTuple):
             reference,
             blocks.start,
             np.ascontiguousarray(np.column_stack([blocks.centre, blocks.reach]).T),
-            np.array([*voxmap.grid.kernel_limits, length]),
+            np.array([*voxmap.grid.kernel_limits, least_length(sampling)]),
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),

@@ -28,9 +28,14 @@ rendering, 2000.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import rotated
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.compiled import compiled
 from ttus_opt.haptic.drag import (
     ACTS_AT,
@@ -42,6 +47,8 @@ from ttus_opt.haptic.drag import (
 )
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.point_drag import add_point_drag
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
 
 #: Entries of a bristle: b [–], then the M [N] and ℓ [m] it was last bent at, b_n [–],
 #: and the M_n it was last bent at [N]
@@ -164,3 +171,81 @@ def add_presliding(
     drag[3] += ay * fz - az * fy
     drag[4] += az * fx - ax * fz
     drag[5] += ax * fy - ay * fx
+
+
+def with_bristle(
+    sliding: Sliding,
+    numbers: Array,
+    shell: PointShell,
+    trajectory: Trajectory,
+    force: Array,
+) -> Sliding:
+    """Sliding with b for its direction; the same for a law without presliding.
+
+    In the rows of a fit b takes the place of the direction of sliding t̂: both depend on
+    the motion alone, b also on the ratio of successive normal forces.
+
+    Args:
+        sliding: Patches of the poses.
+        numbers: `DragLaw.numbers`.
+        shell: The probe.
+        trajectory: The poses.
+        force: Of the contact without drag, in any unit, shape (T, 3).
+    """
+    if numbers[PRESLIDING] == 0.0:
+        return sliding
+    pressed = np.einsum("ti,ti->t", sliding.normal, force)
+    patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
+    strength, flank = np.maximum(pressed, 0.0), np.zeros(len(pressed))
+    bristle = bent_along(shell, trajectory, patch, strength, flank, numbers)
+    return replace(sliding, bristle=bristle[:, :3])
+
+
+def bent_along(
+    shell: PointShell,
+    trajectory: Trajectory,
+    patch: Array,
+    strength: Array,
+    flank: Array,
+    numbers: Array,
+) -> Array:
+    """The bristle in every frame of a trajectory, shape (T, BRISTLE).
+
+    Args:
+        shell: The probe.
+        trajectory: The poses; a recording begins with a straight bristle.
+        patch: n̂ [–] and c [m] of every frame, patient axes, shape (T, 6).
+        strength: M, shape (T,) [N].
+        flank: M_n, shape (T,) [N].
+        numbers: `DragLaw.numbers`.
+    """
+    R = np.ascontiguousarray(trajectory.rotation)
+    places = trajectory.position + R @ np.asarray(shell.reference)
+    turns = Rotation.from_matrix(R[1:] @ R[:-1].transpose(0, 2, 1)).as_rotvec()
+    ways = np.zeros((len(R), 6))
+    ways[1:] = np.concatenate([np.diff(places, axis=0), turns], axis=1)
+    begins = np.concatenate([[True], np.diff(trajectory.segment) != 0])
+    strengths = np.stack([strength, flank], axis=1)
+    return np.asarray(_bent(begins, ways, R, patch, strengths, numbers))
+
+
+@compiled(error_model="numpy")
+def _bent(
+    begins: Mask,
+    ways: Array,
+    rotation: Array,
+    patch: Array,
+    strengths: Array,
+    numbers: Array,
+) -> Array:
+    """`bent_along`, with M and M_n as columns of strengths (compiled)."""
+    out, bristle = np.empty((len(begins), BRISTLE)), np.zeros(BRISTLE)
+    for t in range(len(begins)):
+        if begins[t]:
+            bristle[:] = 0.0
+        a = ways[t]
+        way = (a[0], a[1], a[2], a[3], a[4], a[5])
+        strength, flank = strengths[t, 0], strengths[t, 1]
+        bend(bristle, way, rotation[t], patch[t], strength, flank, numbers)
+        out[t] = bristle
+    return out

@@ -55,7 +55,6 @@ from ttus_opt.haptic.wrench import (
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.sampling import least_length
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 if TYPE_CHECKING:
@@ -125,12 +124,7 @@ class Renderer:
             "force_limit": force_limit,
             "torque_limit": torque_limit,
         }
-        self._data = FrameData.of(
-            field.voxmap,
-            shell,
-            trilinear=field.sampling != "voxel-mean",
-            length=least_length(field.sampling),
-        )
+        self._data = FrameData.of(field.voxmap, shell, field.sampling)
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
         numbers = (
             *blend.kernel_limits(shell.rms_radius),

@@ -88,7 +88,8 @@ class PatientRenderer:
 
     def update(self, field: PotentialField) -> None:
         """Replace the field, over this or another surface."""
-        if self._next is None and _over_the_same(self._field, field):
+        another = self._field.differs_in(field) in ("grid", "surface")
+        if self._next is None and not another:
             self._now.update(field)
             self._field = field
         elif self._old is not None:
@@ -142,12 +143,3 @@ class PatientRenderer:
         if self._next is not None:
             waiting, self._next = self._next, None
             self.update(waiting)
-
-
-def _over_the_same(old: PotentialField, new: PotentialField) -> bool:
-    """Whether two fields have the same grid and surface."""
-    own, other = old.voxmap, new.voxmap
-    return own.grid == other.grid and (
-        own.surface is other.surface
-        or np.array_equal(own.surface.radius, other.surface.radius)
-    )

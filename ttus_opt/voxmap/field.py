@@ -91,6 +91,16 @@ class PotentialField:
         """Unit of the values."""
         return field_unit(self.sampling)
 
+    def differs_in(self, other: PotentialField) -> str:
+        """The first of grid, surface, sampling that is another's own; "" if none."""
+        one, another = self.voxmap.surface, other.voxmap.surface
+        alike = {
+            "grid": self.voxmap.grid == other.voxmap.grid,
+            "surface": one is another or np.array_equal(one.radius, another.radius),
+            "sampling": self.sampling == other.sampling,
+        }
+        return next((name for name, same in alike.items() if not same), "")
+
     def __repr__(self) -> str:
         return f"PotentialField({', '.join(self._facts().values())})"
 

@@ -412,15 +412,13 @@ class RecursiveDepthMap:
         """
         if twist is None:
             return []
-        slides = np.array(twist, dtype=np.float64)
-        slides[:3] += np.cross(slides[3:], R[0] @ self.shell.reference)
         rows = contact_rows(
             self.lattice.voxmap,
             self.shell,
             R,
             at,
             sampling=SAMPLING,
-            slip=Slip(slides[None], LEAST_SPEED),
+            slip=Slip.of(self.shell, R, np.asarray(twist)[None], LEAST_SPEED),
         )
         return [-rows.N, sp.csr_array(rows.W / -self.shell.rms_radius)]
 

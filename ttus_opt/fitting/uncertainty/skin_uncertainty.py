@@ -75,19 +75,11 @@ def require_own(uncertainty: Uncertainty, field: PotentialField) -> None:
     Raises:
         InputError: One of them differs.
     """
-    known = uncertainty.potential
-    one, other = known.voxmap.surface, field.voxmap.surface
-    alike = {
-        "grid": known.voxmap.grid == field.voxmap.grid,
-        "surface": one is other or np.array_equal(one.radius, other.radius),
-        "sampling": known.sampling == field.sampling,
-    }
-    for name, same in alike.items():
-        if not same:
-            raise InputError(
-                f"the uncertainty belongs to a field with another {name}: pass its "
-                "own field"
-            )
+    if name := uncertainty.potential.differs_in(field):
+        raise InputError(
+            f"the uncertainty belongs to a field with another {name}: pass its own "
+            "field"
+        )
 
 
 def skin_nodes(surface: Surface, spacing: float) -> tuple[Array, Array]:

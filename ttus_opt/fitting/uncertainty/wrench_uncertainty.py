@@ -26,8 +26,8 @@ from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
-from ttus_opt.haptic.bristle_path import with_bristle
 from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.presliding import with_bristle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField

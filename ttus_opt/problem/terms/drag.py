@@ -23,8 +23,8 @@ from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.haptic.bristle_path import with_bristle
 from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.presliding import with_bristle
 from ttus_opt.problem.terms.base import Fitted
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.distinct_drag import (
