@@ -8,7 +8,7 @@ import numpy as np
 from tests.conftest import ellipsoid, torso
 from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import Patch
-from ttus_opt.comparators.patch_law import PatchLaw
+from ttus_opt.comparators.patch_law import PatchLaw, RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.core.arrays import Array
 
@@ -45,7 +45,8 @@ def after_one_sample(
     kind: type[PatchLaw], depth: float, rate: float, force: float
 ) -> Array:
     """A law's parameters after its very first sample, without forgetting."""
-    estimator = made(kind, forgetting=1.0)._estimator()
+    law = made(kind, forgetting=1.0)
+    recursions = [RecursiveLeastSquares.start(*pair, 1.0) for pair in law.first]
     contact = Contact(depth, rate, np.array([0.0, 0.1, 0.1]), STILL, NO_PATCH)
-    estimator.take(Sample(contact, force, STILL), 1.0)
-    return estimator.parameters
+    law._take(recursions, Sample(contact, force, STILL), 1.0)
+    return law._parameters(recursions)

@@ -59,14 +59,14 @@ def test_boundary_values_and_comparators_of_another_shape_are_made_anew(
     tmp_path, judge, monkeypatch
 ):
     factors = [10.0**k for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
-    told = {"digest": "digest", "weight": 1.0, "factors": factors}
+    told = {"digest": judge.stamp, "weight": 1.0, "factors": factors}
     file = tmp_path / "boundary.json"
     write_json(file, {**told, "rows": [{"patient": "lean"}]})
-    refuses(BegunError, "", boundary_errors, judge, 1.0, file, "digest")
+    refuses(BegunError, "", boundary_errors, judge, 1.0)
     kept = {"digest": "digest", "rival": "kelvin_voigt", "rows": [{}], "facts": {}}
     write_json(tmp_path / "rival-kelvin_voigt.json", kept)
     monkeypatch.setattr(rivals, "_judged", begin)
-    refuses(BegunError, "", rivals.rival, judge, "kelvin_voigt", tmp_path, "digest")
+    refuses(BegunError, "", rivals.rival, judge, "kelvin_voigt")
 
 
 def test_an_edited_file_of_ones_own_is_fitted_again(tmp_path, judge):

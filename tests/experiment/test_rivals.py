@@ -50,11 +50,13 @@ class Share:
 
 
 @pytest.fixture
-def patient(monkeypatch):
+def patient(tmp_path, monkeypatch):
     """A patient's fits, with recordings and a comparator of no physics."""
     measured, true = recordings(0), recordings(1)
     fits = SimpleNamespace(
         shell=None,
+        folder=tmp_path,
+        digest="digest",
         examination=SimpleNamespace(
             patient=SimpleNamespace(name="lean"),
             surface=torso(),
@@ -75,8 +77,8 @@ def patient(monkeypatch):
     return fits
 
 
-def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient, tmp_path):
-    found = rival(patient, "share", tmp_path, "digest")
+def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient):
+    found = rival(patient, "share")
     measured, true = patient.examination.measured, patient.examination.true
     (model,) = patient.made
     assert len(model.fitted) == 2
@@ -98,18 +100,18 @@ def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient, tmp
     assert found.facts["processor_seconds"] >= 0.0
 
 
-def test_what_was_found_is_kept(patient, tmp_path):
+def test_what_was_found_is_kept(patient):
     """Until the recordings are others."""
-    first = rival(patient, "share", tmp_path, "digest")
-    again = rival(patient, "share", tmp_path, "digest")
+    first, again = rival(patient, "share"), rival(patient, "share")
     assert len(patient.made) == 1
     assert again.facts == first.facts and repr(again.rows) == repr(first.rows)
-    rival(patient, "share", tmp_path, "another")
+    patient.digest = "another"
+    rival(patient, "share")
     assert len(patient.made) == 2
 
 
-def test_one_that_cannot_be_fitted_has_its_reason(patient, tmp_path):
+def test_one_that_cannot_be_fitted_has_its_reason(patient):
     for _ in range(2):  # found, and kept
-        found = rival(patient, "cannot", tmp_path, "digest")
+        found = rival(patient, "cannot")
         assert found.rows == ()
         assert found.facts == {"failure": "no sliding in these recordings"}

@@ -16,9 +16,11 @@ from ttus_opt.report.calibration_curve import CalibrationCurve
 SETTING = Setting("eq10_auto", "eq10", weights=AUTO)
 
 
-def fits(status=Status.SOLVED):
+def fits(folder, stamp, status=Status.SOLVED):
     solution = SimpleNamespace(status=status, field=None)
     return SimpleNamespace(
+        folder=folder,
+        stamp=stamp,
         solved=lambda setting: (solution, None, {}),
         evaluation=lambda field, name, against: None,
         examination=SimpleNamespace(measured={"press_test": None, "sweep_test": None}),
@@ -32,15 +34,15 @@ def test_what_is_kept_comes_back(tmp_path, monkeypatch):
     monkeypatch.setattr(uncertainties, "uncertainty", lambda *_: None)
     monkeypatch.setattr(uncertainties, "check_uncertainty", lambda *_: figures)
     monkeypatch.setattr(uncertainties, "calibration_curve", lambda *_: curve)
-    made = stated_uncertainty(fits(), SETTING, tmp_path, "word")
+    made = stated_uncertainty(fits(tmp_path, "word"), SETTING)
     monkeypatch.setattr(uncertainties, "uncertainty", None)
-    again = stated_uncertainty(fits(), SETTING, tmp_path, "word")
+    again = stated_uncertainty(fits(tmp_path, "word"), SETTING)
     assert list(again.figures) == list(made.figures) == ["press_test", "sweep_test"]
     for one in again.figures.values():
         assert one.force_coverage == 0.95 and np.isnan(one.torque_coverage)
     np.testing.assert_array_equal(again.curves["press_test"].force, curve.force)
     with pytest.raises(TypeError):  # another input is computed, not read
-        stated_uncertainty(fits(), SETTING, tmp_path, "another word")
+        stated_uncertainty(fits(tmp_path, "another word"), SETTING)
 
 
 def test_a_refusal_and_a_failed_fit_are_told(tmp_path, monkeypatch):
@@ -48,9 +50,9 @@ def test_a_refusal_and_a_failed_fit_are_told(tmp_path, monkeypatch):
         raise InputError("no uncertainty for viscous_drag: …")
 
     monkeypatch.setattr(uncertainties, "uncertainty", refuse)
-    assert stated_uncertainty(fits(), SETTING, tmp_path, "a").refused.startswith(
+    assert stated_uncertainty(fits(tmp_path, "a"), SETTING).refused.startswith(
         "no uncertainty"
     )
-    failed = stated_uncertainty(fits(Status.TIME_LIMIT), SETTING, tmp_path, "b")
+    failed = stated_uncertainty(fits(tmp_path, "b", Status.TIME_LIMIT), SETTING)
     assert failed.refused == "the fit ended time_limit"
     assert not failed.figures and not failed.curves

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, Self, Unpack
+from typing import ClassVar, Unpack
 
 import numpy as np
 
@@ -74,26 +74,14 @@ class RecursiveLeastSquares:
         return RecursiveLeastSquares(self.estimate.copy(), widened, self.forgetting)
 
 
+Recursions = list[RecursiveLeastSquares]
+
 #: Forgetting factor: after 400 frames the first has two thirds of its weight [–]
 FORGETTING = 0.999
 
 
 #: Patches around the patient, and their height [m]: both about 4 cm
 AROUND, HEIGHT = 24, 0.04
-
-
-class Estimator(Protocol):
-    """A recursion that estimates a law's parameters."""
-
-    def take(self, sample: Sample, weight: float) -> None:
-        """Update with one weighted sample."""
-
-    def as_prior(self) -> Self:
-        """A copy to initialise a patch."""
-
-    @property
-    def parameters(self) -> Array:
-        """The current parameters of the law."""
 
 
 class PatchLaw(PatchModel):
@@ -103,7 +91,11 @@ class PatchLaw(PatchModel):
         forgetting: Factor of the recursions [–].
         patches: Grid of the patches.
         per_patch: Parameters, shape (patches, parameters).
+        first: Of every recursion the initial estimate and its deviations over the
+            noise.
     """
+
+    first: ClassVar[tuple[tuple[Array, Array], ...]]
 
     def __init__(
         self, *, forgetting: float = FORGETTING, **given: Unpack[Given]
@@ -116,16 +108,20 @@ class PatchLaw(PatchModel):
         self.per_patch = np.zeros((self.patches.n_patches, 0))
 
     def _fit_law(self, samples: list[Sample]) -> None:
-        whole = self._estimator()
+        whole = [
+            RecursiveLeastSquares.start(*pair, self.forgetting) for pair in self.first
+        ]
         for sample in samples:
-            whole.take(sample, 1.0)
-        by_patch: dict[int, Estimator] = {}
+            self._take(whole, sample, 1.0)
+        by_patch: dict[int, Recursions] = {}
         for sample in samples:
             for patch, share in self.patches.shares(sample.contact.place):
-                by_patch.setdefault(patch, whole.as_prior()).take(sample, share)
-        self.per_patch = np.tile(whole.parameters, (self.patches.n_patches, 1))
-        for patch, estimator in by_patch.items():
-            self.per_patch[patch] = estimator.parameters
+                if patch not in by_patch:
+                    by_patch[patch] = [one.as_prior() for one in whole]
+                self._take(by_patch[patch], sample, share)
+        self.per_patch = np.tile(self._parameters(whole), (self.patches.n_patches, 1))
+        for patch, recursions in by_patch.items():
+            self.per_patch[patch] = self._parameters(recursions)
 
     def _normal_force(self, contact: Contact) -> float:
         blend = sum(
@@ -135,8 +131,12 @@ class PatchLaw(PatchModel):
         return self._law(np.asarray(blend), contact)
 
     @abstractmethod
-    def _estimator(self) -> Estimator:
-        """A recursion before its first sample."""
+    def _take(self, recursions: Recursions, sample: Sample, weight: float) -> None:
+        """Update one recursion per pair of `first` with a weighted sample."""
+
+    @abstractmethod
+    def _parameters(self, recursions: Recursions) -> Array:
+        """The law's parameters by the recursions."""
 
     @abstractmethod
     def _law(self, parameters: Array, contact: Contact) -> float:
@@ -167,25 +167,7 @@ class PatchGrid:
 
 
 #: Initial K [N per 10 mm] and B [N s per 10 mm], and their deviations over the noise
-LINEAR_FIRST, LINEAR_SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])
-
-
-@dataclass
-class _Linear:
-    """f = K h + B ḣ."""
-
-    recursion: RecursiveLeastSquares
-
-    def take(self, sample: Sample, weight: float) -> None:
-        regressors = np.array([sample.contact.depth, sample.contact.rate])
-        self.recursion.update(regressors, sample.normal_force, weight)
-
-    def as_prior(self) -> _Linear:
-        return _Linear(self.recursion.as_prior())
-
-    @property
-    def parameters(self) -> Array:
-        return np.maximum(self.recursion.estimate, 0.0)
+LINEAR = np.array([5.0, 0.0]), np.array([50.0, 5.0])
 
 
 class KelvinVoigt(PatchLaw):
@@ -201,42 +183,24 @@ class KelvinVoigt(PatchLaw):
     name = "kelvin_voigt"
     summary = "spring and damper per patch, recursive least squares (Diolaiti 2005)"
 
-    def _estimator(self) -> Estimator:
-        return _Linear(
-            RecursiveLeastSquares.start(LINEAR_FIRST, LINEAR_SPREAD, self.forgetting)
-        )
+    first = (LINEAR,)
+
+    def _take(self, recursions: Recursions, sample: Sample, weight: float) -> None:
+        regressors = np.array([sample.contact.depth, sample.contact.rate])
+        recursions[0].update(regressors, sample.normal_force, weight)
+
+    def _parameters(self, recursions: Recursions) -> Array:
+        return np.maximum(recursions[0].estimate, 0.0)
 
     def _law(self, parameters: Array, contact: Contact) -> float:
         return float(parameters @ [contact.depth, contact.rate])
 
 
 #: Initial ln K, n and B/K [s/10 mm], and their deviations over the noise of ln f
-LOG_FIRST, LOG_SPREAD = np.array([math.log(5.0), 1.5, 0.0]), np.array([20.0, 5.0, 1.0])
+LOGARITHM = np.array([math.log(5.0), 1.5, 0.0]), np.array([20.0, 5.0, 1.0])
 
 #: Lower limit of the exponent, below which force does not start from zero [–]
 LEAST_EXPONENT = 0.5
-
-
-@dataclass
-class _Logarithm:
-    """ln f = ln K + n ln h + (B/K) ḣ."""
-
-    recursion: RecursiveLeastSquares
-
-    def take(self, sample: Sample, weight: float) -> None:
-        contact = sample.contact
-        regressors = np.array([1.0, math.log(contact.depth), contact.rate])
-        self.recursion.update(regressors, math.log(sample.normal_force), weight)
-
-    def as_prior(self) -> _Logarithm:
-        return _Logarithm(self.recursion.as_prior())
-
-    @property
-    def parameters(self) -> Array:
-        log_stiffness, exponent, damping = self.recursion.estimate
-        return np.array(
-            [log_stiffness, max(exponent, LEAST_EXPONENT), max(damping, 0.0)]
-        )
 
 
 class HuntCrossleyLog(PatchLaw):
@@ -255,10 +219,15 @@ class HuntCrossleyLog(PatchLaw):
     name = "hunt_crossley_log"
     summary = "Hunt-Crossley per patch, recursion on ln f (Haddadi 2012)"
 
-    def _estimator(self) -> Estimator:
-        return _Logarithm(
-            RecursiveLeastSquares.start(LOG_FIRST, LOG_SPREAD, self.forgetting)
-        )
+    first = (LOGARITHM,)
+
+    def _take(self, recursions: Recursions, sample: Sample, weight: float) -> None:
+        contact = sample.contact
+        regressors = np.array([1.0, math.log(contact.depth), contact.rate])
+        recursions[0].update(regressors, math.log(sample.normal_force), weight)
+
+    def _parameters(self, recursions: Recursions) -> Array:
+        return np.maximum(recursions[0].estimate, [-math.inf, LEAST_EXPONENT, 0.0])
 
     def _law(self, parameters: Array, contact: Contact) -> float:
         log_stiffness, exponent, damping = parameters
@@ -267,45 +236,13 @@ class HuntCrossleyLog(PatchLaw):
 
 
 #: Initial n, and its deviation over the noise [–]; K and B begin as a spring and damper
-FIRST_EXPONENT, EXPONENT_SPREAD = np.array([1.5]), np.array([5.0])
+EXPONENT = np.array([1.5]), np.array([5.0])
 
 #: Upper limit of the exponent in the first stage [–]
 LARGEST_EXPONENT = 4.0
 
 #: Lower limit of K + B ḣ in the logarithm, over K [–]
 LEAST_SHARE = 0.2
-
-
-@dataclass
-class _TwoStages:
-    """K and B, then n."""
-
-    linear: RecursiveLeastSquares
-    exponent: RecursiveLeastSquares
-
-    @property
-    def _n(self) -> float:
-        n = float(self.exponent.estimate[0])
-        return min(max(n, LEAST_EXPONENT), LARGEST_EXPONENT)
-
-    def take(self, sample: Sample, weight: float) -> None:
-        contact, force = sample.contact, sample.normal_force
-        power = contact.depth**self._n
-        self.linear.update(power * np.array([1.0, contact.rate]), force, weight)
-        stiffness, damping = self.parameters[:2]
-        if stiffness <= 0.0:
-            return
-        level = max(stiffness + damping * contact.rate, LEAST_SHARE * stiffness)
-        self.exponent.update(
-            np.array([math.log(contact.depth)]), math.log(force / level), weight
-        )
-
-    def as_prior(self) -> _TwoStages:
-        return _TwoStages(self.linear.as_prior(), self.exponent.as_prior())
-
-    @property
-    def parameters(self) -> Array:
-        return np.append(np.maximum(self.linear.estimate, 0.0), self._n)
 
 
 class HuntCrossleyTwoStage(PatchLaw):
@@ -323,13 +260,25 @@ class HuntCrossleyTwoStage(PatchLaw):
     name = "hunt_crossley_two_stage"
     summary = "Hunt-Crossley per patch, two recursions in turn (Diolaiti 2005)"
 
-    def _estimator(self) -> Estimator:
-        return _TwoStages(
-            RecursiveLeastSquares.start(LINEAR_FIRST, LINEAR_SPREAD, self.forgetting),
-            RecursiveLeastSquares.start(
-                FIRST_EXPONENT, EXPONENT_SPREAD, self.forgetting
-            ),
+    first = (LINEAR, EXPONENT)
+
+    def _take(self, recursions: Recursions, sample: Sample, weight: float) -> None:
+        linear, exponent = recursions
+        contact, force = sample.contact, sample.normal_force
+        power = contact.depth ** self._parameters(recursions)[2]
+        linear.update(power * np.array([1.0, contact.rate]), force, weight)
+        stiffness, damping, _ = self._parameters(recursions)
+        if stiffness <= 0.0:
+            return
+        level = max(stiffness + damping * contact.rate, LEAST_SHARE * stiffness)
+        exponent.update(
+            np.array([math.log(contact.depth)]), math.log(force / level), weight
         )
+
+    def _parameters(self, recursions: Recursions) -> Array:
+        linear, exponent = recursions
+        n = np.clip(exponent.estimate[0], LEAST_EXPONENT, LARGEST_EXPONENT)
+        return np.append(np.maximum(linear.estimate, 0.0), n)
 
     def _law(self, parameters: Array, contact: Contact) -> float:
         stiffness, damping, exponent = parameters

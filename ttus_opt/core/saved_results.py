@@ -68,6 +68,11 @@ def computed_once(
     return result
 
 
+def restored(kind: type[Result], values: Mapping[str, Any]) -> Result:
+    """A dataclass from its fields in JSON, in which null is NaN."""
+    return kind(**{k: math.nan if v is None else v for k, v in values.items()})
+
+
 def read_json(file: Path) -> Any:
     """Content of a JSON file; None where it is missing or damaged."""
     try:

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ttus_opt.core.saved_results import computed_once
+from ttus_opt.core.saved_results import computed_once, restored
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.settings import LAPLACE
 from ttus_opt.fitting.batch import fit
@@ -50,30 +49,22 @@ class BoundaryError:
         """For JSON."""
         return asdict(self)
 
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> BoundaryError:
-        """Inverse of `as_dict`; NaN is null in a file."""
-        after = values["after_N"]
-        return cls(**{**values, "after_N": float("nan") if after is None else after})
 
-
-def boundary_errors(
-    fits: PatientFits, weight: float, file: Path, digest: str
-) -> tuple[BoundaryError, ...]:
+def boundary_errors(fits: PatientFits, weight: float) -> tuple[BoundaryError, ...]:
     """Errors over a decade of boundary values, computed or from their file.
 
     Args:
         fits: Fits of the patient.
         weight: λ_f = λ_τ of eq. 10.
-        file: Their file.
-        digest: Checksum of their input.
     """
     return computed_once(
-        file,
-        {"digest": digest, "weight": weight, "factors": list(FACTORS)},
+        fits.folder / "boundary.json",
+        {"digest": fits.stamp, "weight": weight, "factors": list(FACTORS)},
         lambda: tuple(_at(fits, weight, factor) for factor in FACTORS),
         save=lambda rows: {"rows": [row.as_dict() for row in rows]},
-        load=lambda content: tuple(map(BoundaryError.from_dict, content["rows"])),
+        load=lambda content: tuple(
+            restored(BoundaryError, row) for row in content["rows"]
+        ),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -34,19 +34,50 @@ AGAINST = ("measured", "true")
 
 @dataclass(frozen=True)
 class Fitted:
-    """A setting fitted to a patient.
+    """A setting, or a comparator, fitted to a patient.
 
     Attributes:
-        setting: Name.
-        rows: Its errors.
-        facts: Status, solver, seconds and identified parameters, for JSON.
-        field: The field, None where the fit failed.
+        name: Of the setting or comparator.
+        rows: Its errors; none where the fit failed.
+        facts: Status, solver, seconds and identified parameters, for JSON; of a
+            comparator processor seconds, milliseconds per frame and ripple, or the
+            failure.
+        field: The field; None of a comparator, and where the fit failed.
     """
 
-    setting: str
+    name: str
     rows: tuple[Row, ...] = field(repr=False)
     facts: Mapping[str, Any]
-    field: PotentialField | None = field(repr=False)
+    field: PotentialField | None = field(default=None, repr=False)
+
+    @classmethod
+    def once(
+        cls,
+        name: str,
+        file: Path,
+        inputs: Mapping[str, Any],
+        compute: Callable[[], Fitted],
+    ) -> Fitted:
+        """From its file, and its field's beside it where there is one, or computed."""
+
+        def load(content: dict[str, Any]) -> Fitted:
+            rows = tuple(Row.from_dict(row) for row in content["rows"])
+            beside = file.with_suffix(".nc")
+            has_field = bool(rows) and "setting" in inputs
+            field = PotentialField.load(beside) if has_field else None
+            return cls(name, rows, content["facts"], field)
+
+        done: Fitted = computed_once(
+            file,
+            inputs,
+            compute,
+            save=lambda done: {
+                "facts": done.facts,
+                "rows": [row.as_dict() for row in done.rows],
+            },
+            load=load,
+        )
+        return done
 
 
 class PatientFits:
@@ -61,6 +92,8 @@ class PatientFits:
     Attributes:
         examination: The patient with its recordings.
         shell: The probe.
+        folder: As given.
+        digest: As given.
         stamp: Digest and shape in one.
     """
 
@@ -73,7 +106,7 @@ class PatientFits:
     ) -> None:
         self.examination = examination
         self.shell = PointShell.from_spec(PROBE_SPEC)
-        self._folder, self._shape, self._digest = folder, shape, digest
+        self.folder, self._shape, self.digest = folder, shape, digest
         self.stamp = f"{digest} {shape}"
         self._scenes: dict[tuple[object, ...], Scene] = {}
 
@@ -111,21 +144,13 @@ class PatientFits:
     def fitted(self, setting: Setting) -> Fitted:
         """Fit a setting, or read the saved result."""
         inputs = {
-            "digest": self._digest,
+            "digest": self.digest,
             "shape": list(self._shape),
             "setting": setting.as_dict(),
             **setting.source,
         }
-        return computed_once(
-            self._folder / f"{setting.name}.json",
-            inputs,
-            lambda: self._fitted(setting),
-            save=lambda done: {
-                "facts": done.facts,
-                "rows": [row.as_dict() for row in done.rows],
-            },
-            load=lambda content: self._loaded(setting, content),
-        )
+        file = self.folder / f"{setting.name}.json"
+        return Fitted.once(setting.name, file, inputs, lambda: self._fitted(setting))
 
     def _fitted(self, setting: Setting) -> Fitted:
         begin = time.process_time()
@@ -140,8 +165,8 @@ class PatientFits:
             **weights,
         }
         if solution.status is not Status.SOLVED:
-            return Fitted(setting.name, (), facts, None)
-        solution.field.save(self._folder / f"{setting.name}.nc")
+            return Fitted(setting.name, (), facts)
+        solution.field.save(self.folder / f"{setting.name}.nc")
         rows = self.judged(setting.name, solution.field)
         return Fitted(setting.name, rows, facts, solution.field)
 
@@ -181,10 +206,3 @@ class PatientFits:
         return Row(
             patient, recording, recording in FITTED, name, against, Score.of(errors)
         )
-
-    def _loaded(self, setting: Setting, content: Mapping[str, Any]) -> Fitted:
-        """A saved result with its field, which exists where there are rows."""
-        rows = tuple(Row.from_dict(row) for row in content["rows"])
-        file = self._folder / f"{setting.name}.nc"
-        field = PotentialField.load(file) if rows else None
-        return Fitted(setting.name, rows, content["facts"], field)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -31,23 +32,28 @@ from ttus_opt.experiment.result import (
     Plan,
 )
 from ttus_opt.experiment.scores import Row
-from ttus_opt.experiment.settings import Setting
 from ttus_opt.experiment.uncertainties import stated_uncertainty
 from ttus_opt.fitting.path.task_pool import task_pool
 from ttus_opt.report.metrics import as_rendered, compare
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 
-
-class _Uncertainty(NamedTuple):
-    """A setting whose uncertainty is to be checked."""
-
-    setting: Setting
+#: Title of the task of boundary values
+BOUNDARY = "boundary values"
 
 
-#: A setting to fit or whose uncertainty to check, a comparator's name, or None for the
-#: boundary values
-Task = Setting | _Uncertainty | str | None
+def _tasks(plan: Plan) -> dict[str, Callable[[PatientFits], Any]]:
+    """What is computed of every patient, or read from its files, by title."""
+    tasks: dict[str, Callable[[PatientFits], Any]] = {}
+    for each in plan.settings:
+        tasks[each.name] = partial(PatientFits.fitted, setting=each)
+    tasks[BOUNDARY] = lambda fits: boundary_errors(fits, plan.weight)
+    for name in plan.rivals:
+        tasks[rivals.PREFIX + name] = partial(rivals.rival, name=name)
+    for each in plan.with_uncertainty:
+        title = f"uncertainty of {each.name}"
+        tasks[title] = partial(stated_uncertainty, setting=each)
+    return tasks
 
 
 def do_ahead(
@@ -69,36 +75,29 @@ def do_ahead(
         InputError: No scheduler answers.
     """
     delayed = optional.load("joblib", "parallel").delayed
-    tasks: list[Task] = [*plan.settings, None, *plan.rivals]
-    tasks += map(_Uncertainty, plan.with_uncertainty)
     with task_pool(plan.jobs, plan.dask) as run:
-        for done in run(delayed(_examined)(who, plan, folder) for who in patients):
+        for done in run(delayed(_done)(who, plan, folder) for who in patients):
             begin(done)
-        work = ((who, plan, folder, task) for task in tasks for who in patients)
+        work = ((who, plan, folder, task) for task in _tasks(plan) for who in patients)
         for done in run(delayed(_done)(*each) for each in work):
             begin(done)
 
 
-def _examined(patient: Patient, plan: Plan, folder: Path) -> str:
-    examine(patient, folder / patient.name, plan.resolution, lambda _: None)
-    return f"{patient.name}: recordings"
+def _done(patient: Patient, plan: Plan, folder: Path, task: str = "") -> str:
+    """Do one task of a patient, without one only examine it; what to say of it."""
+    fits = _fits(patient, plan, folder, lambda _: None)
+    if task:
+        _tasks(plan)[task](fits)
+    return f"{patient.name}: {task or 'recordings'}"
 
 
-def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
-    place, digest = folder / patient.name, patient.digest(plan.resolution)
-    examination = examine(patient, place, plan.resolution, lambda _: None)
-    fits = PatientFits(examination, place, plan.shape, digest)
-    if isinstance(task, Setting):
-        fits.fitted(task)
-        return f"{patient.name}: {task.name}"
-    if task is None:
-        boundary_errors(fits, plan.weight, place / "boundary.json", fits.stamp)
-        return f"{patient.name}: boundary values"
-    if isinstance(task, _Uncertainty):
-        stated_uncertainty(fits, task.setting, place, fits.stamp)
-        return f"{patient.name}: uncertainty of {task.setting.name}"
-    rivals.rival(fits, task, place, digest)
-    return f"{patient.name}: {task}"
+def _fits(
+    patient: Patient, plan: Plan, folder: Path, begin: Callable[[str], None]
+) -> PatientFits:
+    """The fits of a patient, after its examination."""
+    place, resolution = folder / patient.name, plan.resolution
+    examination = examine(patient, place, resolution, begin)
+    return PatientFits(examination, place, plan.shape, patient.digest(resolution))
 
 
 def run(
@@ -126,7 +125,8 @@ def run(
 
     todo, out = plan or Plan(), Path(folder)
     begin = progress or (lambda stage: None)
-    settings, others, wanted = todo.settings, todo.rivals, _wanted(todo)
+    _tasks(todo)  # refuses unknown names
+    wanted = _wanted(todo)
     for name in (*REPORTS, FIGURES + "/boundary.png"):
         io.check_output(out / name)
     for name in wanted:
@@ -142,10 +142,7 @@ def run(
     io.made_folder(out)
     if todo.jobs > 1 or todo.dask:
         do_ahead(chosen, todo, out, begin)
-    results = tuple(
-        _on_patient(each, todo, out / each.name, (settings, others), begin)
-        for each in chosen
-    )
+    results = tuple(_on_patient(each, todo, out, begin) for each in chosen)
     result = ExperimentResult(todo, results)
     begin("figures and reports")
     write_json(out / "results.json", result.as_dict())
@@ -201,36 +198,18 @@ def _scanned(plan: Plan, folder: Path) -> Surface:
 
 
 def _on_patient(
-    patient: Patient,
-    plan: Plan,
-    folder: Path,
-    todo: tuple[Sequence[Setting], Sequence[str]],
-    begin: Callable[[str], None],
+    patient: Patient, plan: Plan, folder: Path, begin: Callable[[str], None]
 ) -> PatientResult:
-    settings, others = todo
-    digest = patient.digest(plan.resolution)
-    examination = examine(patient, folder, plan.resolution, begin)
-    fits = PatientFits(examination, folder, plan.shape, digest)
-    fitted = {}
-    for setting in settings:
-        begin(f"{patient.name}: {setting.name}")
-        fitted[setting.name] = fits.fitted(setting)
-    begin(f"{patient.name}: boundary values")
-    boundary = boundary_errors(fits, plan.weight, folder / "boundary.json", fits.stamp)
-    compared_with = []
-    for name in others:
-        begin(f"{patient.name}: {name}")
-        compared_with.append(rivals.rival(fits, name, folder, digest))
-    uncertainties = []
-    for setting in plan.with_uncertainty:
-        begin(f"{patient.name}: uncertainty of {setting.name}")
-        uncertainties.append(stated_uncertainty(fits, setting, folder, fits.stamp))
+    fits, found = _fits(patient, plan, folder, begin), {}
+    for title, task in _tasks(plan).items():
+        begin(f"{patient.name}: {title}")
+        found[title] = task(fits)
     return PatientResult(
-        examination,
-        fitted,
-        boundary,
-        tuple(compared_with),
-        tuple(uncertainties),
+        fits.examination,
+        {each.name: found[each.name] for each in plan.settings},
+        found[BOUNDARY],
+        tuple(found[rivals.PREFIX + name] for name in plan.rivals),
+        tuple(found[f"uncertainty of {s.name}"] for s in plan.with_uncertainty),
         _itself(fits),
     )
 

@@ -12,7 +12,6 @@ from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError
 from ttus_opt.experiment.fits import Fitted
 from ttus_opt.experiment.patients import Examination, Patient
-from ttus_opt.experiment.rivals import Rival
 from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import (
     FORMULATIONS,
@@ -143,7 +142,7 @@ class PatientResult:
     examination: Examination
     fits: dict[str, Fitted] = field(repr=False)
     boundary: tuple[BoundaryError, ...] = field(repr=False)
-    rivals: tuple[Rival, ...] = field(repr=False)
+    rivals: tuple[Fitted, ...] = field(repr=False)
     uncertainties: tuple[StatedUncertainty, ...] = field(repr=False)
     itself: tuple[Row, ...] = field(repr=False)
 

@@ -7,37 +7,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from ttus_opt.core.errors import InputError, TtusError
-from ttus_opt.core.saved_results import computed_once
-from ttus_opt.experiment.fits import AGAINST, FITTED, PatientFits
+from ttus_opt.experiment.fits import AGAINST, FITTED, Fitted, PatientFits
 from ttus_opt.experiment.scores import Row
 from ttus_opt.report.metrics import as_rendered, compare
 
 #: Begins the setting of a comparator's rows
 PREFIX = "comparator "
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A comparator on one patient.
-
-    Attributes:
-        name: Its name.
-        rows: Its errors; none where it could not be fitted.
-        facts: ``ms_per_frame``, ``ripple`` [–] and ``processor_seconds`` of its fit; or
-            ``failure``.
-    """
-
-    name: str
-    rows: tuple[Row, ...] = field(repr=False)
-    facts: Mapping[str, Any]
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
@@ -59,23 +39,15 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     return known if "all" in names else tuple(dict.fromkeys(names))
 
 
-def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
+def rival(fits: PatientFits, name: str) -> Fitted:
     """Fit and evaluate one comparator, or read the saved result."""
-    return computed_once(
-        folder / f"rival-{name}.json",
-        {"digest": digest, "rival": name},
-        lambda: _judged(fits, name),
-        save=lambda done: {
-            "facts": done.facts,
-            "rows": [row.as_dict() for row in done.rows],
-        },
-        load=lambda content: Rival(
-            name, tuple(map(Row.from_dict, content["rows"])), content["facts"]
-        ),
+    file, inputs = fits.folder / f"rival-{name}.json", {"digest": fits.digest}
+    return Fitted.once(
+        name, file, {**inputs, "rival": name}, lambda: _judged(fits, name)
     )
 
 
-def _judged(fits: PatientFits, name: str) -> Rival:
+def _judged(fits: PatientFits, name: str) -> Fitted:
     from ttus_opt.comparators import create
     from ttus_opt.comparators.comparison import ripple, timed_wrenches
 
@@ -89,7 +61,7 @@ def _judged(fits: PatientFits, name: str) -> Rival:
         )
         model.fit([examined.measured[recording] for recording in FITTED])
     except TtusError as error:
-        return Rival(name, (), {"failure": str(error)})
+        return Fitted(name, (), {"failure": str(error)})
     spent = time.process_time() - begin
     rows: list[Row] = []
     per_frame = []
@@ -104,4 +76,4 @@ def _judged(fits: PatientFits, name: str) -> Rival:
         "ripple": ripple(model, examined.true["sweep_test"]),
         "processor_seconds": round(spent, 2),
     }
-    return Rival(name, tuple(rows), facts)
+    return Fitted(name, tuple(rows), facts)

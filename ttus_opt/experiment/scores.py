@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.saved_results import restored
 from ttus_opt.report.metrics import (
     FORCE_THRESHOLD,
     NOTICEABLE_FORCE,
@@ -122,11 +123,8 @@ class Row:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Row:
         """Inverse of `as_dict`."""
-        rest: dict[str, Any] = {
-            k: float("nan") if v is None else v for k, v in values.items()
-        }
-        key: dict[str, Any] = {k: rest.pop(k) for k in _KEYS}
-        return cls(**key, score=Score(**rest))
+        score = {k: v for k, v in values.items() if k not in _KEYS}
+        return cls(**{k: values[k] for k in _KEYS}, score=restored(Score, score))
 
 
 _KEYS = ("patient", "recording", "seen", "setting", "against")

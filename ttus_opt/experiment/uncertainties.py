@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.core.saved_results import computed_once
+from ttus_opt.core.saved_results import computed_once, restored
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.settings import Setting
@@ -47,20 +46,16 @@ class StatedUncertainty:
         }
 
 
-def stated_uncertainty(
-    fits: PatientFits, setting: Setting, folder: Path, digest: str
-) -> StatedUncertainty:
+def stated_uncertainty(fits: PatientFits, setting: Setting) -> StatedUncertainty:
     """Uncertainty of a setting and its check, computed or from its file.
 
     Args:
         fits: Fits of the patient.
         setting: The setting.
-        folder: Its folder.
-        digest: Checksum of their input.
     """
     return computed_once(
-        folder / f"uncertainty-{setting.name}.json",
-        {"digest": digest, "setting": setting.as_dict(), **setting.source},
+        fits.folder / f"uncertainty-{setting.name}.json",
+        {"digest": fits.stamp, "setting": setting.as_dict(), **setting.source},
         lambda: _checked(fits, setting),
         save=StatedUncertainty.as_dict,
         load=lambda content: _read(setting.name, content),
@@ -87,7 +82,7 @@ def _checked(fits: PatientFits, setting: Setting) -> StatedUncertainty:
 def _read(name: str, content: Mapping[str, Any]) -> StatedUncertainty:
     return StatedUncertainty(
         name,
-        {k: Calibration.from_dict(v) for k, v in content["figures"].items()},
+        {k: restored(Calibration, v) for k, v in content["figures"].items()},
         {k: CalibrationCurve.from_dict(v) for k, v in content["curves"].items()},
         content["refused"],
     )

@@ -10,9 +10,8 @@ Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -83,14 +82,6 @@ class Calibration:
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Inverse of `as_dict`; null is NaN."""
-        known: dict[str, Any] = {
-            k: np.nan if v is None else v for k, v in values.items()
-        }
-        return cls(**known)
 
 
 def check_uncertainty(
