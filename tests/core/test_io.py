@@ -4,14 +4,20 @@ import signal
 import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from tests.refusals import refuses
+from ttus_opt import example
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError, TtusWarning
+from ttus_opt.core.errors import FileError, InputError, TtusWarning
+from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.stream_files import read_wrenches
+from ttus_opt.sensors.streams import WrenchStream
 
 
 def dataset():
@@ -268,3 +274,51 @@ def test_files_of_killed_writers_go_at_the_next_write(tmp_path):
         io.write_text(target, "other")
         assert mine.exists()
     assert sorted(tmp_path.iterdir()) == sorted([elsewhere, unknown, target])
+
+
+# --------------------------------------------------------------- checksums
+
+
+def kind(file):
+    return io.kind_of(file, "surface")
+
+
+def test_a_flipped_bit_is_noticed_before_the_library_reads(tmp_path):
+    """One flip of such a file kept the netCDF library busy for ten minutes."""
+    whole = Path(example.path("surface.nc")).read_bytes()
+    sealed = len(whole) - len(io.SEAL) - io.DIGITS
+    file = tmp_path / "damaged.nc"
+    for bit in np.random.default_rng(0).integers(0, 8 * sealed, 100):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        file.write_bytes(damaged)
+        refuses(InputError, "its bytes are not what was written", io.check_seal, file)
+
+
+def test_a_file_without_a_seal_passes(tmp_path):
+    for content in (b"", b"x", io.SEAL, b"another program's bytes" * 10):
+        (file := tmp_path / "other").write_bytes(content)
+        assert not io.check_seal(file)
+    io.seal(file)
+    assert io.check_seal(file)
+    assert file.read_bytes().startswith(content + io.SEAL)
+
+
+@pytest.mark.parametrize("read", [Surface.load, read_wrenches, kind])
+def test_every_reader_compares_the_bytes(read, tmp_path):
+    file = tmp_path / "surface.nc"
+    content = bytearray(Path(example.path("surface.nc")).read_bytes())
+    content[len(content) // 2] ^= 4
+    file.write_bytes(content)
+    refuses(FileError, "its bytes are not what was written", read, file)
+
+
+def test_wrenches_are_written_with_a_seal(tmp_path):
+    file = tmp_path / "wrenches.nc"
+    time = np.arange(4.0)
+    write_netcdf_wrenches(WrenchStream(time, np.ones((4, 3)), None), file)
+    np.testing.assert_array_equal(read_wrenches(file).time, time)
+    content = file.read_bytes()
+    at = content.index(np.float64(1.0).tobytes())
+    file.write_bytes(content[:at] + b"\1" + content[at + 1 :])
+    refuses(FileError, "its bytes are not what was written", read_wrenches, file)

@@ -248,8 +248,17 @@ def test_a_contour_jumps_after_the_spoke_that_it_missed(monkeypatch):
     assert abs(found.radius[10, 0] - 0.16) < 1e-3 > abs(found.radius[22, 0] - 0.12)
 
 
-def test_an_unusable_model():
-    refuses(InputError, "slope_std must be positive", ContourModel, slope_std=0.0)
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"slope_std": 0.0}, "slope_std must be positive"),
+        ({"slope_angle": np.inf}, "slope_angle must be positive"),
+        ({"spoke_distance": 4.0}, "spoke_distance must be between"),
+        ({"slice_distance": 0.0}, "slice_distance must be between"),
+    ],
+)
+def test_an_unusable_model(given, words):
+    refuses(InputError, words, ContourModel, **given)
 
 
 def test_cliffs_at_the_ends_are_not_seen():

@@ -12,6 +12,7 @@ from tests.conftest import shared_data
 from tests.refusals import refuses
 from ttus_opt import example
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.probe.even_sampling import sphere_lattice
 from ttus_opt.scan import frame_estimate
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.frame import Axis
@@ -201,7 +202,7 @@ def test_the_axis_is_exact_wherever_the_candidates_stand():
         found = frame_estimate._along(
             np.concatenate([points, caps]) @ R.T,
             np.concatenate([normals, along]) @ R.T,
-            frame_estimate._half_sphere(1000),
+            sphere_lattice(2000)[:1000],
             np.eye(3),
         )
         assert abs(found @ R[:, 2]) > 1.0 - 1e-12
@@ -209,7 +210,7 @@ def test_the_axis_is_exact_wherever_the_candidates_stand():
 
 def test_trial_directions_leave_no_gap():
     """No direction is further from one of 4000 than evenly spread ones would be."""
-    trials = frame_estimate._half_sphere(4000)
+    trials = sphere_lattice(8000)[:4000]
     np.testing.assert_allclose(np.linalg.norm(trials, axis=1), 1.0)
     rng = np.random.default_rng(1)
     random = rng.normal(size=(500, 3))

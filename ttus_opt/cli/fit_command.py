@@ -125,7 +125,7 @@ def fit(
     """
     from ttus_opt.fitting.checks.sanity import check_recordings
     from ttus_opt.fitting.weights.weight_choice import OWN, choice_of, word_for
-    from ttus_opt.probe.thinning import thinned
+    from ttus_opt.probe.trajectory import thinned
     from ttus_opt.scan.surface import Surface
 
     if weighting.paper and weighting.weights == "auto":

@@ -56,11 +56,9 @@ def hand_eye(
         ttus-opt hand-eye tracker.csv robot.bag --hand-stream base:tool0 --camera fixed
         -o camera_to_base.json
     """
-    import json as json_module
-
     import numpy as np
 
-    from ttus_opt.core import io
+    from ttus_opt.probe.rigid_motion import write_rigid_motion
     from ttus_opt.sensors.clock import UnlikeSignalsError
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses
@@ -98,7 +96,7 @@ def hand_eye(
             )
             raise InputError(in_words) from error
     if output is not None:
-        io.write_text(output, json_module.dumps(found.camera.tolist()) + "\n")
+        write_rigid_motion(output, found.camera)
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
     std, degrees = found.shift_std, float(np.rad2deg(found.turn_std))
     facts = {

@@ -43,6 +43,7 @@ def board(
         ttus-opt register board photo.png --intrinsics camera.yaml --dictionary 4X4_250
         --columns 3 --rows 4 --marker 0.0256 --gap 0.0066 -o board_to_camera.json
     """
+    from ttus_opt.probe.rigid_motion import write_rigid_motion
     from ttus_opt.sensors.intrinsics import read_intrinsics
     from ttus_opt.sensors.marker_pose import Board, board_pose, read_image
 
@@ -50,7 +51,8 @@ def board(
     grid = Board(columns, rows, marker, gap, dictionary)
     camera = read_intrinsics(intrinsics)
     found = board_pose(read_image(image), grid, camera)
-    _write(output, found.pose)
+    if output is not None:
+        write_rigid_motion(output, found.pose)
     facts = {"output": output and str(output), "board_to_camera": _facts(found)}
     tell(facts, f"board to camera: {_sentence(found)}", json=json)
 
@@ -113,6 +115,7 @@ def hand_eye(
     """
     import numpy as np
 
+    from ttus_opt.probe.rigid_motion import write_rigid_motion
     from ttus_opt.sensors import hand_eye as calibration
 
     check_outputs([output], [pairs], force=force)
@@ -126,7 +129,8 @@ def hand_eye(
             largest_gap=largest_gap,
             largest_twist=float(np.deg2rad(largest_twist)),
         )
-    _write(output, found.camera)
+    if output is not None:
+        write_rigid_motion(output, found.camera)
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
     solvers, lines = {}, []
     for solver, one in found.candidates.items():
@@ -179,13 +183,3 @@ def _facts(found: MarkerPose) -> dict[str, Any]:
         "residual_pixels": found.residual,
         "other_residual_pixels": found.other_residual,
     }
-
-
-def _write(output: Path | None, motion: Array) -> None:
-    """Write a motion as other commands read it (`--base-to-scan`)."""
-    import json
-
-    from ttus_opt.core import io
-
-    if output is not None:
-        io.write_text(output, json.dumps(motion.tolist()) + "\n")

@@ -3,6 +3,10 @@
 netCDF files written by this package carry the attributes ``ttus_opt_kind`` and
 ``ttus_opt_version``, so that a file of another kind or a later version is refused
 with a clear message instead of a traceback.
+
+They end in a checksum of all bytes before, which is compared before the netCDF library
+reads them: a flipped bit changes a value silently, or lets that library run on and on.
+HDF5 permits bytes after its own; a program that writes the file anew leaves them out.
 """
 
 from __future__ import annotations
@@ -19,11 +23,11 @@ import os
 import secrets
 import shutil
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.core.checksum import check_seal, seal
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.core.interrupts import signals_deferred as signals_deferred
 
@@ -39,6 +43,12 @@ LONGEST_VALUE = 40
 HEAD = 4096
 
 LOG = logging.getLogger(__name__)
+
+#: What the file ends in: this, and the CRC-32 of all bytes before as 8 hex digits
+SEAL = b"\nttus_opt crc32 "
+
+#: Digits of a CRC-32, and bytes that are read at a time
+DIGITS, AT_A_TIME = 8, 2**20
 
 #: What the netCDF library raises for a damaged file, by what is damaged
 UNREADABLE = (OSError, ValueError, RuntimeError, KeyError, AttributeError)
@@ -262,6 +272,44 @@ def whole_file(path: str | os.PathLike[str], what: str) -> tuple[Path, bool]:
     file = existing_file(path, what)
     with located(file, FileError):
         return file, check_seal(file)
+
+
+def seal(file: Path) -> None:
+    """Append the checksum of all bytes."""
+    digits = _crc(file, file.stat().st_size)
+    with file.open("ab") as opened:
+        opened.write(SEAL + digits)
+
+
+def check_seal(file: Path) -> bool:
+    """Compare a file with the checksum it ends in.
+
+    Returns:
+        Whether it has one.
+
+    Raises:
+        InputError: A byte is not what was written.
+    """
+    size = file.stat().st_size - len(SEAL) - DIGITS
+    with file.open("rb") as opened:
+        opened.seek(max(0, size))
+        mark, digits = opened.read(len(SEAL)), opened.read()
+    sealed = size >= 0 and mark == SEAL
+    if sealed and digits != _crc(file, size):
+        raise InputError(
+            "its bytes are not what was written: the file is damaged, or another "
+            "program changed it: copy or write it again"
+        )
+    return sealed
+
+
+def _crc(file: Path, size: int) -> bytes:
+    """CRC-32 of the first bytes, as hex digits."""
+    crc = 0
+    with file.open("rb") as opened:
+        while part := opened.read(min(AT_A_TIME, size)):
+            crc, size = zlib.crc32(part, crc), size - len(part)
+    return b"%08x" % crc
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.rigid_motion import Rows, as_rows, composed, inverse, rigid_motion
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, interpolated
 
 QUATERNIONS = ("wxyz", "xyzw")
 FRAMES = ("patient", "scan", "base")
@@ -226,6 +226,5 @@ def _advanced(recorded: Trajectory, values: Array, delay: float) -> Array:
     out = np.empty_like(values)
     for own in recorded.parts:
         time = recorded.time[own]
-        for c in range(3):
-            out[own, c] = np.interp(time + delay, time, values[own, c])
+        out[own] = interpolated(time + delay, time, values[own])
     return out

@@ -11,6 +11,7 @@ Reference: Lloyd, Least squares quantization in PCM (1982), on a surface.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,15 @@ class SurfaceSamples:
     points: Array
     normals: Array
     areas: Array
+
+
+def sphere_lattice(n: int) -> Array:
+    """The Fibonacci lattice on the unit sphere, z falling, shape (n, 3) [–]."""
+    i = np.arange(n) + 0.5
+    z = 1.0 - 2.0 * i / n
+    turn = 2.0 * np.pi * i * (math.sqrt(5.0) - 1.0) / 2.0
+    ring = np.sqrt(1.0 - z**2)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
 def dense_samples(

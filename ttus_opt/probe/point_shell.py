@@ -25,6 +25,7 @@ from ttus_opt.probe.even_sampling import (
     SurfaceSamples,
     dense_samples,
     match_moments,
+    sphere_lattice,
     spread_evenly,
 )
 from ttus_opt.probe.mesh import (
@@ -226,7 +227,7 @@ class PointShell:
         require_plausible_extent(2.0 * axes.max(), "the probe", in_a_unit=False)
         rng = np.random.default_rng(seed)
         # an area element of the unit sphere grows by abc |D⁻¹u| on the ellipsoid
-        lattice = _sphere_lattice(max(FINE * n_points, 8000))
+        lattice = sphere_lattice(max(FINE * n_points, 8000))
         unit = lattice[rng.permutation(len(lattice))]
         growth = axes.prod() * np.linalg.norm(unit / axes, axis=1)
         area = ellipsoid_area(axes)
@@ -394,15 +395,6 @@ def _place_of_opening(mesh: TriangleMesh) -> str:
     return (
         f"with its largest hole around ({x:.0f}, {y:.0f}, {z:.0f}) mm, at the {end} end"
     )
-
-
-def _sphere_lattice(n: int) -> Array:
-    """The Fibonacci lattice on the unit sphere, shape (n, 3) [–]."""
-    i = np.arange(n) + 0.5
-    z = 1.0 - 2.0 * i / n
-    turn = 2.0 * np.pi * i * (math.sqrt(5.0) - 1.0) / 2.0
-    ring = np.sqrt(1.0 - z**2)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
 def _normalised(vectors: Array) -> Array:

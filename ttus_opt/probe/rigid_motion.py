@@ -153,6 +153,11 @@ def read_rigid_motion(source: str | os.PathLike[str]) -> Array:
     return _motion(values)
 
 
+def write_rigid_motion(path: str | os.PathLike[str], motion: Array) -> None:
+    """Write a motion (4, 4) as JSON, for `read_rigid_motion`."""
+    io.write_text(path, json.dumps(motion.tolist()) + "\n")
+
+
 def _from_file(name: str) -> Array:
     """The motion of a file; `FileError` where it holds none."""
     file = io.existing_file(Path(name), "rigid motion", LARGEST_FILE)

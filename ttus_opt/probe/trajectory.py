@@ -44,6 +44,9 @@ from ttus_opt.probe.trajectory_csv import (
     raw_trajectory,
 )
 
+#: Largest rate that `thinned` accepts [Hz]
+HIGHEST = 1e9
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -444,3 +447,46 @@ def trajectory_of(raw: RawRecording) -> Trajectory:
             read.torque,
             read.segment,
         )
+
+
+def interpolated(at: Array, time: Array, values: Array) -> Array:
+    """Values (T, k) interpolated linearly from ``time`` to ``at`` [s]."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def thinned(
+    trajectory: Trajectory, *, every: int = 1, rate: float | None = None
+) -> Trajectory:
+    """Some of the frames of every recording, including its first; none is averaged.
+
+    Args:
+        trajectory: One recording or several.
+        every: Keep every n-th frame [–].
+        rate: Most frames per second of the recording, applied before ``every``; None
+            for all [Hz].
+
+    Raises:
+        InputError: ``every`` is not a positive whole number, or ``rate`` is not
+            positive or beyond `HIGHEST`.
+
+    >>> from ttus_opt import example
+    >>> press = read_trajectory(example.path("press_fit.csv"))  # 20 s at 20 Hz
+    >>> len(thinned(press, every=3)), len(thinned(press, rate=5.0))
+    (134, 100)
+    """
+    if not (isinstance(every, int) and every >= 1):
+        raise InputError(f"every must be a whole number of at least 1, got {every!r}")
+    if rate is not None and not 0.0 < rate <= HIGHEST:
+        raise InputError(
+            f"rate must be positive and at most {HIGHEST:g} Hz, got {rate}"
+        )
+    kept = []
+    for part in trajectory.parts:
+        frames = np.arange(part.start, part.stop)
+        if rate is not None:
+            passed = trajectory.time[frames] - trajectory.time[frames[0]]
+            # rounding of the times must not move a frame to the previous interval
+            interval = np.floor(passed * rate + 1e-6)
+            frames = frames[np.diff(interval, prepend=-1.0) > 0.0]
+        kept.append(frames[::every])
+    return trajectory.select(np.concatenate(kept))

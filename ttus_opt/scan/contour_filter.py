@@ -47,24 +47,34 @@ _END = 0.04  # cliffs farther than this from both ends are the body's own [m]
 
 @dataclass(frozen=True)
 class ContourModel:
-    """Assumptions of the filter.
+    """Assumptions of the filter, and which points are its candidates.
 
     Attributes:
         depth_noise: Standard deviation σ of a point's radius, if the points have none
             of their own [m].
         slope_std: Standard deviation of the contour's slope dr/dθ [m/rad].
         slope_angle: Correlation angle of the slope [rad].
+        spoke_distance: Largest distance of candidates from their spoke [m].
+        slice_distance: Largest distance of points from their slice [m]; None for half
+            the distance between slices, from 3 to 6 mm.
     """
 
     depth_noise: float = 0.003
     slope_std: float = 0.1
     slope_angle: float = 0.35
+    spoke_distance: float = 0.004
+    slice_distance: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a value that is not positive and finite."""
-        for name in ("depth_noise", "slope_std", "slope_angle"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
+        """Refuse a value that is not positive and finite, or a distance over 0.1 m."""
+        for name, value in vars(self).items():
+            if name.endswith("_distance"):
+                if value is not None and not 0 < value < 0.1:
+                    raise InputError(
+                        f"{name} must be between 0 and 0.1 m, got {value:g}: it is in "
+                        "metres"
+                    )
+            elif not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} must be positive, got {value:g}")
 
     def transition(self, step: float) -> tuple[Array, Array]:

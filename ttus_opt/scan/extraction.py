@@ -33,24 +33,19 @@ from ttus_opt.scan.surface import Surface
 
 LOG = logging.getLogger(__name__)
 
-#: Points up to this far from a spoke are its candidates [m]
-SPOKE_DISTANCE = 0.004
-
 _LARGEST_RADIUS = 0.5  # of a body [m]
 _WIDEST = 0.30  # of a trunk, half its width; more is told [m]
 _LEAST_POINTS = 100
 _LEAST_OBSERVED = 0.05  # least fraction of observed nodes
 
 
-def extract_surface(  # noqa: PLR0913  public, all but two by name
+def extract_surface(
     cloud: Array,
     *,
     axis: Axis,
     n_theta: int = 180,
     n_z: int = 60,
     z_range: tuple[float, float] | None = None,
-    spoke_distance: float = SPOKE_DISTANCE,
-    slice_distance: float | None = None,
     model: ContourModel | None = None,
     support: SupportingPlane | Literal["find"] | None = "find",
     point_std: Array | None = None,
@@ -64,10 +59,8 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
         n_z: Number of slices.
         z_range: First and last height in the patient frame [m]; by default the
             longest range whose sections show the body's side (no cut ends).
-        spoke_distance: Largest distance of candidates from their spoke [m].
-        slice_distance: Largest distance of points from their slice [m]; by default
-            half the distance between slices, from 3 to 6 mm.
-        model: Depth noise and smoothness that the filter assumes.
+        model: Depth noise and smoothness that the filter assumes, and how far from a
+            spoke and a slice its candidates lie.
         support: The supporting plane, in the scan's frame, whose points are left out;
             "find" to take `Axis.support`, or to search for it if that is unknown;
             None when the scan has none.
@@ -79,19 +72,17 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
         The closed surface, with standard deviations and a mask of observed nodes.
 
     Raises:
-        InputError: Invalid counts, distances, deviations or cloud.
+        InputError: Invalid counts, deviations or cloud.
         GeometryError: The cloud never meets the axis or shows no body around it.
     """
-    _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
-    _check_std(point_std, len(cloud))
+    _check(cloud, n_theta, n_z, point_std)
     plane = axis.supporting_plane(cloud) if support == "find" else support
     points, std = _body_points(cloud, point_std, axis, plane)
     bed = "no table was found" if plane is None else "the table is left out"
     LOG.info("%d of %d points are the body's: %s", len(points), len(cloud), bed)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
-    reach = (spoke_distance, slice_distance)
-    contour = _contours(points, std, theta, z, reach, model)
+    contour = _contours(points, std, theta, z, model)
     _check_seen(contour)
     return filled_surface(contour, theta, z, axis, plane)
 
@@ -121,10 +112,9 @@ def followed(
         InputError: Invalid deviations or cloud.
         GeometryError: The cloud never meets the axis.
     """
-    _check(cloud, len(theta), len(z), SPOKE_DISTANCE, None)
-    _check_std(point_std, len(cloud))
+    _check(cloud, len(theta), len(z), point_std)
     points, std = _body_points(cloud, point_std, axis, plane)
-    return _contours(points, std, theta, z, (SPOKE_DISTANCE, None), model)
+    return _contours(points, std, theta, z, model)
 
 
 def _contours(
@@ -132,22 +122,20 @@ def _contours(
     std: Array | None,
     theta: Array,
     z: Array,
-    reach: tuple[float, float | None],
     model: ContourModel | None,
 ) -> Contour:
-    """Contours of body points; ``reach`` is the distance from spoke and slice [m]."""
-    spoke, of_slice = reach
+    """Contours of body points (n, 3) [m], patient frame."""
+    assumed = model or ContourModel()
     by_default = float(np.clip((z[1] - z[0]) / 2, 0.003, 0.006))
     candidates = collect(
         points,
         theta,
         z,
-        spoke_distance=spoke,
-        slice_distance=of_slice or by_default,
+        spoke_distance=assumed.spoke_distance,
+        slice_distance=assumed.slice_distance or by_default,
         std=std,
     )
-    contour = follow(candidates, model or ContourModel())
-    return without_end_cliffs(contour, float(z[1] - z[0]))
+    return without_end_cliffs(follow(candidates, assumed), float(z[1] - z[0]))
 
 
 def filled_surface(
@@ -185,24 +173,10 @@ def _tell_wild(radius: Array, contour: Contour, theta: Array, z: Array) -> None:
     )
 
 
-def _check(
-    cloud: Array,
-    n_theta: int,
-    n_z: int,
-    spoke_distance: float,
-    slice_distance: float | None,
-) -> None:
+def _check(cloud: Array, n_theta: int, n_z: int, point_std: Array | None) -> None:
     for name, value, least in (("n_theta", n_theta, 8), ("n_z", n_z, 2)):
         if int(value) != value or value < least:
             raise InputError(f"{name} must be a whole number >= {least}, got {value}")
-    for name, distance in (
-        ("spoke_distance", spoke_distance),
-        ("slice_distance", slice_distance),
-    ):
-        if distance is not None and not 0 < distance < 0.1:
-            raise InputError(
-                f"{name} must be between 0 and 0.1 m, got {distance:g}: it is in metres"
-            )
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
     if len(cloud) < _LEAST_POINTS:
@@ -221,15 +195,12 @@ def _check(
             f"largest coordinate extent is {extent:.4g} m: are these millimetres? read "
             "them with unit='mm'"
         )
-
-
-def _check_std(point_std: Array | None, n: int) -> None:
     if point_std is None:
         return
-    if point_std.shape != (n,):
+    if point_std.shape != (len(cloud),):
         raise InputError(
-            f"point_std must be one standard deviation [m] for each of {n} points, "
-            f"got shape {point_std.shape}"
+            f"point_std must be one standard deviation [m] for each of {len(cloud)} "
+            f"points, got shape {point_std.shape}"
         )
     if not (np.isfinite(point_std) & (point_std > 0)).all() or point_std.max() > 0.1:
         raise InputError(

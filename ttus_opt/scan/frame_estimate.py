@@ -25,6 +25,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError
+from ttus_opt.probe.even_sampling import sphere_lattice
 from ttus_opt.scan.body_sides import (
     checked_direction,
     front_along,
@@ -249,7 +250,7 @@ def _supported_frame(
 def _free_frame(
     points: Array, normals: Array, camera: Array | None, *, stated: bool
 ) -> _Lengthwise:
-    z = _along(points, normals, _half_sphere(4000), np.eye(3))
+    z = _along(points, normals, sphere_lattice(8000)[:4000], np.eye(3))
     basis = across(z)
     section = points @ basis.T
     # Algebraic circle fit: |q|² = 2 c·q + (R² − |c|²) in least squares.
@@ -305,12 +306,3 @@ def _behind(points: Array, upward: Array, z: Array) -> Array:
     height = np.percentile(points @ z, [2, 98]).mean()
     middle = 0.5 * (left + right)
     return np.asarray(middle * side + (ridge - half_depth) * upward + height * z)
-
-
-def _half_sphere(n: int) -> Array:
-    """Evenly spread directions over half a sphere (Fibonacci), shape (n, 3)."""
-    index = np.arange(n) + 0.5
-    z = 1.0 - index / n
-    azimuth = np.pi * (1.0 + np.sqrt(5.0)) * index
-    rho = np.sqrt(1.0 - z**2)
-    return np.stack([rho * np.cos(azimuth), rho * np.sin(azimuth), z], axis=1)

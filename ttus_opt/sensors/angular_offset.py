@@ -22,7 +22,7 @@ from ttus_opt.probe.smooth_motion import (
     summed_turns,
     velocity_of,
 )
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, interpolated
 from ttus_opt.sensors.clock import LARGEST_OFFSET, Offset, Signal, clock_offset
 
 #: Smoothed speeds with more than this many times the median error are left out: a
@@ -155,7 +155,7 @@ def _scatter(
             own, errs = _velocity(poses, smoother, path)
             at = own + shift
             inside = (at >= time[0]) & (at <= time[-1])
-            true = np.stack([np.interp(at, time, v) for v in motion.T], axis=1)
+            true = interpolated(at, time, motion)
             signals.append(_signal(at[inside], (true + errs)[inside]))
         try:
             errors.append(clock_offset(*signals).seconds)

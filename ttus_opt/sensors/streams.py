@@ -21,7 +21,7 @@ from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.text_table import read_text_table
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, interpolated
 from ttus_opt.probe.trajectory_csv import recording_of
 
 FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
@@ -144,11 +144,6 @@ def with_wrenches(
         for values in (wrenches.force, wrenches.torque)
     )
     return replace(out, force=force, torque=torque, segment=segment)
-
-
-def interpolated(at: Array, time: Array, values: Array) -> Array:
-    """Values (T, k) interpolated linearly from ``time`` to ``at`` [s]."""
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
 def placed(poses: Trajectory, at: Array) -> tuple[Array, Array]:

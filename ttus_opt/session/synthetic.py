@@ -27,9 +27,9 @@ from ttus_opt.phantom.camera import ScanSetup, View, depth_image
 from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.rigid_motion import homogeneous, inverse, motion_of
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import Trajectory, interpolated, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
-from ttus_opt.sensors.streams import WrenchStream, interpolated, placed
+from ttus_opt.sensors.streams import WrenchStream, placed
 from ttus_opt.sensors.tool_load import GRAVITY
 
 #: The example's recordings in order, and their use

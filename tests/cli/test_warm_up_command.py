@@ -1,4 +1,4 @@
-"""After `warm_up` nothing that the main job uses is left to compile."""
+"""After `warm-up` nothing that the main job uses is left to compile."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 import ttus_opt as tt
 from ttus_opt import example
-from ttus_opt.cli import warm_up
+from ttus_opt.cli import warm_up_command
 from ttus_opt.core import cache_folder
 from ttus_opt.laplace.multigrid.workspace import Workspace
 from ttus_opt.laplace.system import LaplaceSystem
@@ -28,8 +28,8 @@ class _Compiling(events.Listener):
 @pytest.mark.slow
 def test_the_main_job_compiles_nothing_afterwards():
     told: list[str] = []
-    warm_up.warm_up(told.append)
-    assert len(told) == warm_up.N_STAGES
+    warm_up_command.compile_all(told.append)
+    assert len(told) == warm_up_command.N_STAGES
     with events.install_listener("numba:compile", _Compiling()) as heard:
         surface = tt.Surface.load(example.path("surface.nc"))
         voxmap = tt.Voxmap.from_surface(surface, shape=(20, 36, 16), r_inner=0.03)
@@ -49,7 +49,7 @@ def test_the_main_job_compiles_nothing_afterwards():
 
 @pytest.mark.parametrize("folder", [None, Path("somewhere")])
 def test_it_says_where_the_code_is_kept(run, folder, monkeypatch):
-    monkeypatch.setattr(warm_up, "warm_up", lambda _: 12.0)
+    monkeypatch.setattr(warm_up_command, "compile_all", lambda _: 12.0)
     monkeypatch.setattr(cache_folder, "cache_folder", lambda: folder)
     where = "not kept" if folder is None else "kept in somewhere"
     assert run("warm-up").out.strip().endswith(f"compiled in 12 s, {where}")
