@@ -7,9 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.gaussian.laplace_prior import LaplacePrior
 from ttus_opt.gaussian.matern import SeparableCovariance
-from ttus_opt.gaussian.prior import KnownPrior, Multiples, Sum
+from ttus_opt.gaussian.prior import KnownPrior, LaplacePrior, Multiples, Sum
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 V = SCENE.n_voxels

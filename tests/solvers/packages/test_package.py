@@ -1,9 +1,13 @@
 """A tolerance and a time limit in a package's own words."""
 
 import math
+import signal
+import threading
+
+import pytest
 
 from tests.solvers.problems import program, term
-from ttus_opt.solvers.packages.package import Package, PackageSolver
+from ttus_opt.solvers.packages.package import Package, PackageSolver, interruptible
 
 PLAIN = Package("a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10)
 
@@ -26,3 +30,41 @@ def test_a_package_without_an_estimate_is_never_the_cheapest():
     cheap = Package("b", "", "b", ("rel",), cost=lambda program: 2.0)
     assert PackageSolver(cheap).cost(small) == 2.0
     assert PackageSolver(PLAIN).cost(small) == math.inf
+
+
+def test_interruptible_work_returns_and_raises():
+    assert interruptible(lambda: threading.current_thread().name) == "solver"
+    with pytest.raises(ZeroDivisionError):
+        interruptible(lambda: 1 // 0)
+
+
+def test_elsewhere_than_in_the_main_thread_it_is_done_directly():
+    names = []
+
+    def work():
+        names.append(interruptible(lambda: threading.current_thread().name))
+
+    thread = threading.Thread(target=work, name="mine")
+    thread.start()
+    thread.join()
+    assert names == ["mine"]
+
+
+def test_an_interrupt_is_heard_while_it_goes_on():
+    begun, over, done = (threading.Event() for _ in range(3))
+
+    def work():
+        begun.set()
+        signal.raise_signal(signal.SIGINT)  # Python hands it to the main thread
+        over.wait()  # as a library that computes
+        done.set()
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interruptible(work)
+        assert begun.is_set() and not done.is_set()
+    finally:
+        signal.signal(signal.SIGINT, before)
+        over.set()
+    assert done.wait(10.0)

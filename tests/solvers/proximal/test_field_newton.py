@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.solvers.proximal.dense_steps import (
     RTOL,
@@ -16,7 +17,7 @@ from tests.solvers.proximal.dense_steps import (
 from ttus_opt.problem import formulation
 from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal import field_newton
-from ttus_opt.solvers.proximal.field_newton import FieldNewton
+from ttus_opt.solvers.proximal.field_newton import FieldNewton, add_normal_product
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 
@@ -88,3 +89,19 @@ def test_groups_are_no_longer_stiff_along_their_length(how, monkeypatch):
         gradient, none_of(problem), slopes, RTOL, None
     )
     compared(step, expected(problem, slopes, gradient))
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.int64])
+def test_a_normal_product_is_added_and_rows_without_slope_are_left_out(kind):
+    rng = np.random.default_rng(0)
+    M = sp.random_array((30, 12), density=0.2, rng=rng, format="csr")
+    M.indices, M.indptr = M.indices.astype(kind), M.indptr.astype(kind)
+    slope = rng.uniform(size=30) * (rng.uniform(size=30) < 0.5)
+    M.data[M.indptr[0] : M.indptr[1]] = np.nan  # never looked at
+    slope[0] = 0.0
+    v, before = rng.normal(size=12), rng.normal(size=12)
+    out = before.copy()
+    add_normal_product(out, M, slope, v)
+    dense = M.toarray()[1:]
+    expected = before + dense.T @ (slope[1:] * (dense @ v))
+    np.testing.assert_allclose(out, expected, rtol=1e-13, atol=1e-13)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +16,10 @@ from ttus_opt.problem.terms.penalties import Absolute, Squares
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import method_of_multipliers
-from ttus_opt.solvers.proximal.method_of_multipliers import MethodOfMultipliers
+from ttus_opt.solvers.proximal.method_of_multipliers import (
+    MethodOfMultipliers,
+    line_search,
+)
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
@@ -246,3 +250,53 @@ def test_parameters_grow_after_a_complete_round_and_shrink_after_another(monkeyp
     )
     method.solve(np.full(5, 10.0))
     assert growths == [2.0, 1.0 / 1.5, 2.0]
+
+
+#: Slopes of convex functions, negative at 0 and with their zero before 1
+SLOPES = {
+    "parabola": lambda s: s - 0.3,
+    "near the start": lambda s: 1e3 * (s - 1e-3),
+    "near the end": lambda s: s**9 - 0.5,
+    "cosh": lambda s: math.sinh(8.0 * (s - 0.7)),
+    "kink": lambda s: -1e-3 if s < 0.42 else 50.0 * (s - 0.42) + 1e-3,
+    "Huber": lambda s: float(np.clip(30.0 * (s - 0.61), -1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_the_slope_nearly_goes(name):
+    slope, calls = SLOPES[name], []
+    most = method_of_multipliers.EVALUATIONS + 1
+
+    def counted(step):
+        calls.append(step)
+        return slope(step)
+
+    step, left = line_search(counted, slope(0.0))
+    assert 0.0 < step <= 1.0
+    assert left == slope(step)
+    assert (
+        abs(left) <= method_of_multipliers.FLAT * abs(slope(0.0)) or len(calls) == most
+    )
+    assert len(calls) <= most
+
+
+def test_a_minimum_beyond_the_end_is_a_whole_step():
+    assert line_search(lambda s: s - 2.0, -2.0) == (1.0, -1.0)
+
+
+def test_a_jump_of_the_slope_is_closed_in_on():
+    """Where no slope is small enough the bracket shrinks to the kink."""
+    step, _ = line_search(lambda s: -1.0 if s < 0.37 else 1.0, -1.0)
+    assert step == pytest.approx(0.37, abs=1e-3)
+
+
+def test_a_straight_slope_takes_one_secant():
+    calls = []
+
+    def slope(step):
+        calls.append(step)
+        return step - 0.3
+
+    line_search(slope, -0.3)
+    assert calls == pytest.approx([1.0, 0.3])

@@ -40,7 +40,7 @@ from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.core.threads import side_by_side
 from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel, Projection
 from ttus_opt.fitting.recursion.measured_rows import Block, MeasuredRows
-from ttus_opt.gaussian.laplace_prior import LaplacePrior
+from ttus_opt.gaussian.prior import LaplacePrior
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 
 #: Largest residual variance of a dependent row, over that of its noise

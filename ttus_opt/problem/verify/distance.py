@@ -34,8 +34,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import NumericalError
-from ttus_opt.gaussian.laplace_prior import LaplacePrior
-from ttus_opt.gaussian.prior import Prior
+from ttus_opt.gaussian.prior import LaplacePrior, Prior
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.gaussian.laplace_prior import LaplacePrior
+from ttus_opt.gaussian.prior import LaplacePrior
 from ttus_opt.laplace.system import RTOL, SquareSystem
 
 

@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import abc
 import math
+import threading
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
-from ttus_opt.solvers.packages.interruptible import interruptible
 from ttus_opt.solvers.verified import Verified
+
+T = TypeVar("T")
+
+#: Interval at which the main thread checks for an interrupt [s]
+PAUSE = 0.1
 
 
 @dataclass(frozen=True)
@@ -124,3 +129,39 @@ class PackageLoaded(Verified):
     @abc.abstractmethod
     def _errors(self) -> tuple[type[Exception], ...]:
         """Exceptions of the front end where a package fails."""
+
+
+def interruptible(work: Callable[[], T]) -> T:
+    """Run a function in a thread while the main thread waits for it.
+
+    Python handles an interrupt in the main thread, between two of its own instructions,
+    and therefore only after a call into a library has returned. `ttus-opt` runs its
+    commands in a process that can be terminated; in notebooks and scripts this helps.
+    An interrupt takes effect at once where the library releases Python's lock, as
+    Clarabel, HiGHS and SCS do. The work itself cannot be stopped: it finishes in the
+    background, and its result is dropped.
+
+    Args:
+        work: Called directly where this is not the main thread.
+
+    Returns:
+        Its result; its exceptions are raised here.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    found: list[T] = []
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            found.append(work())
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=run, name="solver", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(PAUSE)
+    if raised:
+        raise raised[0]
+    return found[0]

@@ -20,8 +20,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
@@ -31,7 +33,6 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.elimination import factor
 from ttus_opt.solvers.primal.matching import matched_root
-from ttus_opt.solvers.primal.normal_product import add_normal_product
 from ttus_opt.solvers.primal.preconditioner import with_few_rows
 from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
 from ttus_opt.solvers.proximal.penalised_rows import (
@@ -40,6 +41,8 @@ from ttus_opt.solvers.proximal.penalised_rows import (
     group_columns,
 )
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
+
+Indices = NDArray[np.int32] | NDArray[np.int64]
 
 #: Up to how many variables H is formed and factorised
 SMALL = 3000
@@ -309,3 +312,37 @@ def _matrix(slope: Slope) -> sp.csr_array:
         return factor
     unit = group_columns(np.sqrt(slope.factor) * slope.along, slope.size)
     return sp.csr_array(factor - unit @ unit.T)
+
+
+def add_normal_product(
+    out: Array, matrix: sp.csr_array, slope: Array, v: Array
+) -> None:
+    """Add MᵀC M v to a vector, reading M once, rows without slope not at all.
+
+    Two sparse products read it twice and store M v.
+
+    Args:
+        out: Changed, shape (n,).
+        matrix: M, shape (m, n).
+        slope: Diagonal of C, shape (m,).
+        v: Shape (n,).
+    """
+    _add(matrix.indptr, matrix.indices, matrix.data, slope, v, out)
+
+
+@compiled(nogil=True)
+def _add(
+    indptr: Indices, indices: Indices, data: Array, slope: Array, v: Array, out: Array
+) -> None:
+    """`add_normal_product` on the arrays of M in CSR (compiled)."""
+    for row in range(slope.size):
+        factor = slope[row]
+        if factor == 0.0:
+            continue
+        start, end = indptr[row], indptr[row + 1]
+        value = 0.0
+        for k in range(start, end):
+            value += data[k] * v[indices[k]]
+        value *= factor
+        for k in range(start, end):
+            out[indices[k]] += value * data[k]

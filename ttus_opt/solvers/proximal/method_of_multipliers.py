@@ -15,7 +15,7 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol
@@ -27,7 +27,6 @@ from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request, is_late
 from ttus_opt.solvers.conjugate_gradients import inner_product, norm
-from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
@@ -76,6 +75,10 @@ SHARE = 0.1
 #: Factor on σ, and inverse factor on the anchor, after a complete round; inverse factor
 #: on σ, and factor on the anchor, after another [–]
 GROWTH, RETREAT = 2.0, 1.5
+
+#: Slope at the end of a line search over that at its start, its most evaluations, and
+#: distance of a secant step from the ends of the bracket, over its width [–]
+FLAT, EVALUATIONS, MARGIN = 0.1, 20, 0.1
 
 
 @dataclass
@@ -211,7 +214,7 @@ class MethodOfMultipliers:
                 continue
             changes = [np.asarray(b.matrix @ d) for b in blocks]
             slope = partial(self._slope, state, changes)
-            length, end = line_search.along(slope, start)
+            length, end = line_search(slope, start)
             self._system.taken(length)
             self._length = length
             state.x = state.x + length * d
@@ -289,3 +292,32 @@ class MethodOfMultipliers:
                 b.sigma *= growth
         # recomputed: sums of steps collect rounding errors
         state.residuals = [b.residual(state.x) for b in self._blocks]
+
+
+def line_search(slope: Callable[[float], float], start: float) -> tuple[float, float]:
+    """A step length at which a slope is nearly zero, by secants and bisection.
+
+    Args:
+        slope: Slope at a step length, not decreasing.
+        start: Slope at zero, negative.
+
+    Returns:
+        The step length, at most 1, and the slope there.
+    """
+    low, high = 0.0, 1.0
+    at_low, at_high = start, slope(1.0)
+    if at_high <= -FLAT * start:
+        return 1.0, at_high
+    step, now = high, at_high
+    for _ in range(EVALUATIONS):
+        width = high - low
+        step = low - at_low * width / (at_high - at_low)
+        step = min(max(step, low + MARGIN * width), high - MARGIN * width)
+        now = slope(step)
+        if abs(now) <= -FLAT * start:
+            break
+        if now > 0.0:
+            high, at_high = step, now
+        else:
+            low, at_low = step, now
+    return step, now
