@@ -12,7 +12,7 @@ import pytest
 from tests.solvers.problems import program, term
 from ttus_opt.solvers import verified
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.verified import LEAST, TIGHTENINGS, Verified
+from ttus_opt.solvers.verified import LEAST, Verified, seconds_left
 
 TARGET = np.array([1.0, -2.0, 3.0])
 PROGRAM = program([term(np.eye(3), TARGET), term(np.eye(3), 2 * TARGET, name="two")])
@@ -43,9 +43,9 @@ class Package(Verified):
     def _load(self, program):
         pass
 
-    def _attempt(self, eps, seconds):
+    def _attempt(self, eps, deadline):
         self.asked.append(eps)
-        self.limits.append(seconds)
+        self.limits.append(deadline)
         return self.reply(eps)
 
 
@@ -83,7 +83,7 @@ def test_tightening_is_not_for_ever_and_the_best_is_kept():
     errors = iter([9e-5, 3e-5, 6e-5, 5e-5, 4e-5])
     package = Package(lambda eps: off(next(errors)), Request(1e-6))
     found = package.solve()
-    assert len(package.asked) == TIGHTENINGS + 1
+    assert len(package.asked) == Verified.tightenings + 1
     np.testing.assert_allclose(found.x, ANSWER * (1 + 3e-5), rtol=1e-12)
     assert all(b <= LEAST * a for a, b in itertools.pairwise(package.asked))
 
@@ -92,13 +92,23 @@ def test_rounding_ends_the_tightening():
     package = Package(lambda eps: off(1e-2), Request(1e-6))
     assert package.solve().claim is Claim.DONE
     assert package.asked[-1] == Package.floor
-    assert len(package.asked) < TIGHTENINGS + 1
+    assert len(package.asked) < Verified.tightenings + 1
 
 
 def test_what_is_paused_goes_on_as_often_as_it_may():
     package = Package(lambda eps: off(1e-2, Claim.PAUSED), Request(1e-6), pauses=3)
     assert package.solve().claim is Claim.PAUSED
     assert package.asked == [1e-6] * 4  # not tightened: it was not done
+
+
+def test_an_impatient_package_ends_where_an_answer_is_no_better():
+    class Impatient(Package):
+        patient = False
+
+    errors = iter([9e-5, 3e-5, 6e-5])
+    package = Impatient(lambda eps: off(next(errors)), Request(1e-6))
+    np.testing.assert_allclose(package.solve().x, ANSWER * (1 + 3e-5), rtol=1e-12)
+    assert next(errors, None) is None
 
 
 @pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.GAVE_UP])
@@ -114,7 +124,9 @@ def test_time_that_is_up_is_said(monkeypatch):
     monkeypatch.setattr(verified.time, "perf_counter", lambda: float(next(clock)))
     package = Package(lambda eps: off(1e-2), Request(1e-6, time_limit=2.5))
     found = package.solve()
-    assert package.limits == [1.5, 0.5]
+    assert package.limits == [2.5, 2.5]
     assert found.claim is Claim.TIME_LIMIT
     assert found.x is not None
     assert Package(lambda eps: off(0.0), Request(1e-6, 0.5)).solve().x is None
+    now = float(next(clock))
+    assert (seconds_left(now + 3.0), seconds_left(None)) == (2.0, None)

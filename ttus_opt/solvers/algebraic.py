@@ -11,7 +11,6 @@ See docs/method/solver-variants.md, section 10.10.
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 
@@ -101,11 +100,10 @@ class _Loaded(Verified):
             except MissingPackageError as error:
                 self._missing = str(error)
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
         """Newton steps from the last answer; one is enough, but for rounding."""
         if self._made is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail=self._missing)
-        deadline = None if seconds is None else time.perf_counter() + seconds
         problem, system = self._problem, self._made[1]
         steps, before = 0, math.inf
         state = State.of(self._x, problem.blocks)

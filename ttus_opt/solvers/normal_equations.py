@@ -116,9 +116,9 @@ class _Loaded(Limited):
         self._few_rows = few_rows
         super().__init__(program, request)
 
-    def update(self, program: Program) -> None:
+    def _load(self, program: Program) -> None:
         """Take other data; keep the last answer and working set."""
-        self._program, self._limits = program, SpokeLimits.of(program)
+        self._limits = SpokeLimits.of(program)
         split = Split.of(program, self._few_rows)
         if self._limits.binding:
             self._problem = LimitedSum(program, self._limits, split, split.root())

@@ -98,9 +98,9 @@ class Structured(Solver):
 
 
 class _LoadedPair(Limited):
-    def update(self, program: Program) -> None:
+    def _load(self, program: Program) -> None:
         """Take other data; keep the multigrid and the last working set."""
-        self._program, self._pair = program, FieldPair.of(program)
+        self._pair = FieldPair.of(program)
         self._limits = self._pair.limits
         program.laplace.multigrid  # noqa: B018  (counts as set-up)
 
@@ -126,9 +126,8 @@ class _LoadedPair(Limited):
 class _Loaded(Limited):
     _solver: DualSolver | None = None
 
-    def update(self, program: Program) -> None:
+    def _load(self, program: Program) -> None:
         """Load other data; the module's docstring lists what is kept."""
-        self._program = program
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)
         system = self._data.system

@@ -19,13 +19,15 @@ import numpy as np
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
-
-#: Most times the tolerance is tightened
-TIGHTENINGS = 4
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, is_late
 
 #: Least and largest tightening between attempts
 LEAST, MOST = 0.1, 1e-3
+
+
+def seconds_left(deadline: float | None) -> float | None:
+    """Time until a deadline, a `time.perf_counter`; None for none [s]."""
+    return None if deadline is None else deadline - time.perf_counter()
 
 
 class Verified(Prepared):
@@ -37,6 +39,13 @@ class Verified(Prepared):
     floor: float = 1e-14
     #: Most continuations from the last iterate; 0 when none is kept
     continuations: int = 0
+    #: Most times the tolerance is tightened, and the range of the factor
+    tightenings: int = 4
+    tightening: tuple[float, float] = (MOST, LEAST)
+    #: Claims after which it is
+    tightened_after: tuple[Claim, ...] = (Claim.DONE,)
+    #: Whether an answer no better than the last one may be followed by another
+    patient: bool = True
 
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
@@ -53,45 +62,40 @@ class Verified(Prepared):
         """Bring the program into the package's form."""
 
     @abc.abstractmethod
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
-        """Solve once, to the package's tolerance and within a time [s]."""
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
+        """Solve once, to the package's tolerance and until a deadline."""
 
     def solve(self) -> Candidate:
         """Solve, check and tighten; return the best answer."""
-        clock = time.perf_counter()
-        limit = self._request.time_limit
+        deadline, tolerance = self._request.deadline(), self._request.tolerance
         best, least = Candidate(None, claim=Claim.TIME_LIMIT, detail="no time"), np.inf
         tightened = continued = iterations = 0
-        while True:
-            left = None
-            if limit is not None:
-                left = limit - (time.perf_counter() - clock)
-                if left <= 0.0:
-                    break
-            candidate = self._attempt(self._eps, left)
+        while not is_late(deadline):
+            candidate = self._attempt(self._eps, deadline)
             iterations += candidate.iterations
             residual = self._residual(candidate)
-            if best.x is None or residual < least:
+            gained = residual < least
+            if gained or best.x is None:
                 best, least = candidate, residual
                 if self._request.told is not None and np.isfinite(residual):
                     self._request.told(residual)
-            if residual <= self._request.tolerance or candidate.x is None:
+            if residual <= tolerance or candidate.x is None:
                 break
-            if candidate.claim is Claim.DONE:
+            if candidate.claim in self.tightened_after:
                 tightened += 1
-                if tightened > TIGHTENINGS or self._eps <= self.floor:
+                if tightened > self.tightenings or self._eps <= self.floor:
                     break
-                missing = float(
-                    np.clip(self._request.tolerance / residual, MOST, LEAST)
-                )
+                if not (gained or self.patient):
+                    break
+                missing = float(np.clip(tolerance / residual, *self.tightening))
                 self._eps = max(self._eps * missing, self.floor)
             elif candidate.claim is Claim.PAUSED and continued < self.continuations:
                 continued += 1
             else:
                 break
-        return replace(
-            best, iterations=iterations, claim=self._final_claim(best, least, clock)
-        )
+        late = least > tolerance and is_late(deadline)
+        claim = Claim.TIME_LIMIT if late else best.claim
+        return replace(best, iterations=iterations, claim=claim)
 
     def _residual(self, candidate: Candidate) -> float:
         if candidate.x is None:
@@ -103,12 +107,3 @@ class Verified(Prepared):
             declared, point.x, point.duals, tolerance=self._request.tolerance
         )
         return kkt.worst_relative
-
-    def _final_claim(self, best: Candidate, residual: float, clock: float) -> Claim:
-        """The package's claim, unless time ran out before the check held."""
-        if residual <= self._request.tolerance:
-            return best.claim
-        limit = self._request.time_limit
-        if limit is not None and time.perf_counter() - clock >= limit:
-            return Claim.TIME_LIMIT
-        return best.claim

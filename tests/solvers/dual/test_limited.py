@@ -25,13 +25,15 @@ EXACT = minimiser(PROGRAM)
 
 
 class Loaded(Limited):
-    """Holds a program, as a solver of working sets does."""
+    """Holds a program, and answers as told where it has no limits."""
 
-    def update(self, program):
-        self._program = program
+    reply = None
+
+    def _load(self, program):
+        self._limits = SpokeLimits.of(program)
 
     def _limited(self, accuracy):
-        raise NotImplementedError
+        return self.reply(accuracy)
 
     def facing(self, limits):
         """The answer where limits contradict each other."""
@@ -39,42 +41,36 @@ class Loaded(Limited):
         return self._contradiction()
 
 
-def off_by(error, asked):
-    """Attempts whose answers are off by a function of what is asked."""
+def loaded(tolerance=1e-6, reply=None, time_limit=None):
+    made = Loaded(PROGRAM, Request(tolerance=tolerance, time_limit=time_limit))
+    made.reply = reply
+    return made
+
+
+@pytest.mark.parametrize("claim", [Claim.DONE, Claim.GAVE_UP])
+def test_accuracy_is_tightened_until_it_holds_and_anew_in_every_solve(claim):
+    asked = []
 
     def attempt(accuracy):
         asked.append(accuracy.rtol)
-        x = EXACT * (1.0 + error(accuracy.rtol))
-        return Candidate(x, duals_without_limits(PROGRAM, x), iterations=2)
+        x = EXACT * (1.0 + 1e5 * accuracy.rtol)
+        return Candidate(x, duals_without_limits(PROGRAM, x), 2, claim)
 
-    return attempt
-
-
-def loaded(tolerance=1e-6):
-    return Loaded(PROGRAM, Request(tolerance=tolerance))
-
-
-def test_one_attempt_that_holds_is_enough():
-    asked = []
-    found = loaded()._tightened(off_by(lambda rtol: 0.0, asked))
-    assert asked == [pytest.approx(1e-8)]  # margin times tolerance
-    assert found.iterations == 2
+    made = loaded(reply=attempt)
+    for _ in range(2):
+        found = made.solve()
+        assert asked == pytest.approx([1e-8, 1e-11])  # margin times tolerance at first
+        assert (found.iterations, found.claim) == (4, claim)
+        np.testing.assert_allclose(found.x, EXACT, rtol=1e-5)
+        asked.clear()
 
 
-def test_accuracy_is_tightened_until_it_holds():
-    asked = []
-    found = loaded()._tightened(off_by(lambda rtol: 1e5 * rtol, asked))
-    assert asked == pytest.approx([1e-8, 1e-11])
-    assert found.iterations == 4
-    np.testing.assert_allclose(found.x, EXACT, rtol=1e-5)
-
-
-def test_the_best_answer_is_kept_where_another_is_worse():
-    asked = []
-    errors = iter([0.1, 0.2])
-    found = loaded()._tightened(off_by(lambda rtol: next(errors), asked))
-    assert len(asked) == 2
-    np.testing.assert_allclose(found.x, 1.1 * EXACT)
+@pytest.mark.parametrize(("errors", "kept"), [([0.1, 0.2], 0.1), ([4, 3, 2, 1], 1)])
+def test_it_ends_where_an_answer_is_no_better_or_after_four(errors, kept):
+    left = iter(errors)
+    found = loaded(reply=lambda _: Candidate((1 + next(left)) * EXACT)).solve()
+    assert next(left, None) is None
+    np.testing.assert_allclose(found.x, (1 + kept) * EXACT)
 
 
 def test_an_attempt_that_ran_out_of_time_is_the_last():
@@ -82,8 +78,7 @@ def test_an_attempt_that_ran_out_of_time_is_the_last():
         assert accuracy.deadline is not None
         return Candidate(2.0 * EXACT, iterations=1, claim=Claim.TIME_LIMIT)
 
-    request = Request(tolerance=1e-6, time_limit=1.0)
-    found = Loaded(PROGRAM, request)._tightened(attempt)
+    found = loaded(reply=attempt, time_limit=100.0).solve()
     assert (found.iterations, found.claim) == (1, Claim.TIME_LIMIT)
 
 

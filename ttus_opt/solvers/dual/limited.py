@@ -1,18 +1,16 @@
-"""A loaded program with limits: repeated solves of higher accuracy, infeasibility."""
+"""A loaded program with limits: its working sets, infeasibility."""
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.laplace.system import RTOL
-from ttus_opt.problem.program import Program
-from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
-from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
+from ttus_opt.problem.verify.kkt import Duals
+from ttus_opt.solvers.base import Candidate, Claim
 from ttus_opt.solvers.dual.active_set import (
     DUAL_MARGIN,
     ActiveSetIteration,
@@ -22,24 +20,21 @@ from ttus_opt.solvers.dual.active_set import (
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
-
-#: Most attempts until the KKT residuals hold, each with a residual smaller by a factor:
-#: the dual's residual is relative to the measurements, the tolerance to what is left
-#: where these nearly cancel [–]
-TIGHTENINGS, TIGHTENING = 4, 1e-3
+from ttus_opt.solvers.verified import Verified
 
 
-class Limited(Prepared):
-    """A program with its last working set and the request to the solver."""
+class Limited(Verified):
+    """A program with its last working set.
 
-    _program: Program
+    Each attempt takes a smaller residual of the dual, which is relative to the
+    measurements, while the tolerance is to what is left where these nearly cancel.
+    """
+
+    margin, floor, patient = DUAL_MARGIN, 0.0, False
+    tightenings, tightening = 3, (1e-3, 1e-3)
+    tightened_after = (Claim.DONE, Claim.GAVE_UP)
     _limits: SpokeLimits
-
-    def __init__(self, program: Program, request: Request) -> None:
-        """Load a program."""
-        self._request = request
-        self._last: tuple[Array, WorkingSet] | None = None
-        self.update(program)
+    _last: tuple[Array, WorkingSet] | None = None
 
     def _begin(
         self,
@@ -66,9 +61,13 @@ class Limited(Prepared):
 
     def solve(self) -> Candidate:
         """Solve working sets; a program without limits as it is."""
-        if not self._limits.binding:
-            return self._tightened(self._unlimited)
-        return self._contradiction() or self._tightened(self._limited)
+        self._eps = max(self._request.tolerance * self.margin, RTOL)
+        contradiction = self._contradiction() if self._limits.binding else None
+        return contradiction or super().solve()
+
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
+        accuracy = Accuracy(eps, deadline=deadline)
+        return (self._limited if self._limits.binding else self._unlimited)(accuracy)
 
     @abc.abstractmethod
     def _limited(self, accuracy: Accuracy) -> Candidate:
@@ -90,35 +89,6 @@ class Limited(Prepared):
     def _proof(self) -> Duals:
         """Multipliers that prove infeasibility; empty if they are not known."""
         return self._limits.proof_of_contradiction() or Duals()
-
-    def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
-        """Solve with increasing accuracy until the KKT residuals hold; the best answer.
-
-        Args:
-            attempt: Solves to a given accuracy of the dual.
-        """
-        deadline = self._request.deadline()
-        rtol = max(self._request.tolerance * DUAL_MARGIN, RTOL)
-        steps, best, least = 0, Candidate(None), np.inf
-        for _ in range(TIGHTENINGS):
-            candidate = attempt(Accuracy(rtol, deadline=deadline))
-            assert candidate.x is not None
-            steps += candidate.iterations
-            kkt = kkt_residuals(
-                self._program,
-                candidate.x,
-                candidate.duals,
-                tolerance=self._request.tolerance,
-            )
-            gained = kkt.worst_relative < least
-            if gained or best.x is None:
-                best, least = candidate, kkt.worst_relative
-            if least <= self._request.tolerance or not gained:
-                break
-            if candidate.claim is Claim.TIME_LIMIT:
-                break
-            rtol *= TIGHTENING
-        return replace(best, iterations=steps)
 
     def _within(
         self, problem: LimitedProblem, accuracy: Accuracy

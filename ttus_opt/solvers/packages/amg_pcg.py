@@ -14,8 +14,6 @@ See docs/method/solver-variants.md, Other solvers.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, cg
@@ -102,10 +100,10 @@ class _Loaded(Verified):
         self._coupling = sp.csr_array(rows[:, ~self._free])
         self._cycle = pyamg.ruge_stuben_solver(self._A).aspreconditioner(cycle="V")
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
         """Conjugate gradients in u from the last solution."""
-        self._deadline = None if seconds is None else time.perf_counter() + seconds
         self._rtol, self._steps, D = max(INNER * eps, FLOOR), 0, self._D
+        self._deadline = deadline
         try:
             p = self._solve(self._b)
             side = self._solve_adjoint(D.T @ (self._t - D @ p))

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
-from ttus_opt.solvers.verified import Verified
+from ttus_opt.solvers.verified import Verified, seconds_left
 
 T = TypeVar("T")
 
@@ -105,13 +105,13 @@ class PackageLoaded(Verified):
         self._package, self.margin = package, package.margin
         super().__init__(program, request)
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
         """The package's answer; none where it raises."""
         with warnings.catch_warnings():
             # they concern the package's defaults and status; the answer is checked here
             warnings.simplefilter("ignore")
             try:
-                options = self._package.options(eps, seconds)
+                options = self._package.options(eps, seconds_left(deadline))
                 answer = interruptible(lambda: self._solved(options))
             except self._errors() as error:
                 message = f"{type(error).__name__}: {error}"

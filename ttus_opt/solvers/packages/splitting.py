@@ -21,7 +21,7 @@ from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solve
 from ttus_opt.solvers.packages.qp_packages import claim_from
 from ttus_opt.solvers.packages.quadratic import OneSided, TwoSided, read_back
 from ttus_opt.solvers.sizes import splitting_seconds
-from ttus_opt.solvers.verified import Verified
+from ttus_opt.solvers.verified import Verified, seconds_left
 
 #: Iterations between two checks of the iterate, and most checks
 ITERATIONS, CHECKS = 5_000, 40
@@ -75,11 +75,11 @@ class Loaded(Verified):
     def _kept(self, before: TwoSided) -> bool:
         """Hand rows of the same structure to the live solver; False if it cannot."""
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
         if self._solver is None:
             words = f"{self.package.upper()} refuses the data"
             return Candidate(None, claim=Claim.GAVE_UP, detail=words)
-        return self._solved(eps, seconds)
+        return self._solved(eps, seconds_left(deadline))
 
     @abc.abstractmethod
     def _solved(self, eps: float, seconds: float | None) -> Candidate:
