@@ -56,6 +56,34 @@ def test_depth_and_place_of_a_ball_on_a_cylinder():
     assert not found.depth[depth < 0.0].any()
 
 
+def test_a_probe_beyond_the_ends_touches_nothing():
+    """Where a robot waits, lower than the skin: it was no place, and is no frame."""
+    poses = presses(np.zeros(5), np.full(5, 0.01))
+    poses.position[:, 2] = 0.1, 0.3, -0.2, 0.19, 0.23
+    found = Contacts.of(cylinder(), PointShell.sphere(BALL, 3000), poses)
+    np.testing.assert_array_equal(found.depth > 0.0, [1, 0, 0, 1, 0])
+    kept = FittedContacts.of(found)
+    assert kept is not None
+    np.testing.assert_allclose(kept.cells[:, 2] * CELL, [0.1, 0.188], atol=CELL)
+
+
+def test_distances_of_a_recording_from_what_was_fitted():
+    """Along a cylinder, at chords of known arcs."""
+    shell, surface = PointShell.sphere(BALL, 3000), cylinder()
+    one = presses(np.zeros(3), np.array([0.002, 0.008, 0.004]))
+    fitted = FittedContacts.of(Contacts.of(surface, shell, one))
+    assert fitted is not None
+    arcs = np.array([0.0, 0.015, 0.03, 0.048, 0.07, 0.09, 0.12, 0.2, 0.3])
+    unseen = presses(arcs / RADIUS, np.full(len(arcs), 0.006))
+    found = Contacts.of(surface, shell, unseen)
+    chords = 2.0 * RADIUS * np.sin(arcs / (2.0 * RADIUS))
+    away = FittedContacts.from_text(fitted.text).distance(found.place)
+    np.testing.assert_allclose(away, chords, atol=CELL)
+    judged = compare(unseen, as_rendered(np.zeros((len(arcs), 6))))
+    far, _ = by_distance_and_depth(fitted, found, judged)
+    assert [one.frames for one in far] == [2, 2, 2, 3]
+
+
 def test_a_file_keeps_places_to_half_a_cell():
     rng = np.random.default_rng(0)
     place = rng.uniform(-0.05, 0.05, (300, 3)) * [1.0, 1.0, 0.0]

@@ -33,7 +33,7 @@ def with_friction_search(
     def rubbed(mu: float) -> Formulation:
         drag = guess.drag.with_coefficient(mu)
         declared = given(drag)
-        if not length:
+        if not length or drag.no_presliding:
             return declared
 
         def held(bent: float) -> Formulation:

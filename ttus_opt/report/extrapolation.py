@@ -58,6 +58,7 @@ class Contacts:
             points += poses.position[some, None]
             r, theta, z = cylindrical(points.reshape(-1, 3))
             deep = np.maximum(surface.radius_at(theta, z) - r, 0.0)
+            deep[(z < surface.z[0]) | (z > surface.z[-1])] = 0.0  # no skin is known
             deep = deep.reshape(points.shape[:2])
             depth[some] = deep.max(axis=1)
             share = shell.areas * deep

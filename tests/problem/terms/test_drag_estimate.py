@@ -9,7 +9,14 @@ from tests.dragging import dragged_scene
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.drag import GlobalCoulomb
-from ttus_opt.problem.terms.drag_estimate import LEAST_GAIN, estimate_drag
+from ttus_opt.problem.terms.drag_estimate import (
+    LEAST_GAIN,
+    LENGTHS,
+    DragEstimate,
+    _presliding,
+    alike_drag,
+    estimate_drag,
+)
 
 
 @pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
@@ -19,6 +26,14 @@ def test_the_estimate_finds_what_was_put_in(acts_at):
     assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
     assert estimate.boundary_scale == pytest.approx(1.0, rel=1e-6)
     assert estimate.misfit < 1e-6
+
+
+def test_a_scene_is_estimated_once():
+    scene = dragged_scene("contact")
+    found = estimate_drag(scene)
+    assert alike_drag(scene)[0] is found
+    assert estimate_drag(scene, "contact") is not found
+    assert estimate_drag(scene.with_boundary(1.5, 1.5)) is not found
 
 
 def test_drag_of_another_coefficient_needs_no_other_rows():
@@ -112,3 +127,19 @@ def test_drag_is_shown_where_forces_need_it():
     noise = np.random.default_rng(1).normal(0.0, 0.05, scene.f.shape)
     without = estimate_drag(with_wrenches(scene, scene.N @ p + noise, scene.W @ p))
     assert not without.is_shown and without.gain < 2.0
+
+
+@pytest.mark.parametrize(("faded", "index"), [(9.0, 1), (5.0, None)])
+def test_the_longest_of_short_bristles_needs_drag_that_sliding_shows(faded, index):
+    """Else a probe on tissue that shears, such as a liver, would have friction."""
+    drag = GlobalCoulomb(dragged_scene("contact"), "contact")
+    gains = (30.0, 29.0, 20.0, 10.0, 9.0, 8.0, 7.0, 6.0)
+    held = [
+        DragEstimate(0.3, 1.0, "contact", 0.1, drag.with_presliding(length), gain)
+        for length, gain in zip(LENGTHS, gains, strict=True)
+    ]
+    (found,) = _presliding(
+        [DragEstimate(0.2, 1.0, "contact", 0.2, drag, faded)], [held]
+    )
+    assert found.drag.presliding == (0.0 if index is None else LENGTHS[index])
+    assert found.drag.no_presliding == "any length below 0.2 mm is as likely"

@@ -64,7 +64,7 @@ class DragModel(abc.ABC):
         deadband: Sliding speed below which drag decreases in proportion [m/s].
         presliding: Length over which drag builds up instead, and then holds a probe at
             rest (`ttus_opt.haptic.presliding`); 0 for none [m].
-        no_presliding: Why there is none; empty where nobody asked.
+        no_presliding: Why no pose determines it; empty if one does, or nobody asked.
     """
 
     scene: Scene = field(repr=False)

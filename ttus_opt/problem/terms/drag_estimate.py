@@ -5,7 +5,8 @@ linear in (s, s μ). Least squares in these two unknowns gives μ, the boundary 
 drag, and whether drag acts on the contact patch, at the probe's reference point, or at
 every point of the probe. On the patch or at the reference point, drag may build up over
 a presliding length and then hold a probe at rest: it does where that is likelier than
-drag that fades, and where the recordings tell the length from none and from any.
+drag that fades, and where the recordings tell the length from none and from any. Where
+only lengths up to one are alike, that one is taken: the softest bristle.
 """
 
 from __future__ import annotations
@@ -112,6 +113,17 @@ def alike_drag(
             f"acts_at must be one of auto, {', '.join(sorted(places))}, got {acts_at!r}"
         )
     places = places if acts_at == "auto" else (acts_at,)
+    known = vars(scene).setdefault("drag_estimates", {})  # once per scene
+    if (deadband, places) not in known:
+        known[deadband, places] = _estimates(scene, deadband, places)
+    best, *others = known[deadband, places]
+    return [best, *(one for one in others if one.gain > best.gain - alike)]
+
+
+def _estimates(
+    scene: Scene, deadband: float, places: tuple[str, ...]
+) -> list[DragEstimate]:
+    """The best estimate, and the others that no elastic force explains."""
     p = scene.laplace.solve(scene.b)
     measured, pressed = scene.f, scene.N @ p
     scale = 1.0 / scene.torque_length
@@ -146,12 +158,7 @@ def alike_drag(
         for one in fading
         if one.acts_at != AT_POINTS
     ]
-    estimates, why = _presliding(fading, held)
-    if why:
-        estimates = [
-            replace(one, drag=replaced(one.drag, "sliding", "rows", no_presliding=why))
-            for one in fading
-        ]
+    estimates = _presliding(fading, held)
     estimates.sort(key=lambda one: one.misfit)
     best = estimates[0]
     if not best.friction_coefficient:
@@ -159,8 +166,7 @@ def alike_drag(
     distinct = [
         one
         for one in estimates
-        if (one is best or one.gain > best.gain - alike)
-        and one.friction_coefficient
+        if one.friction_coefficient
         and distinct_drag(scene, one.drag.rows.force) >= LEAST_DISTINCT
     ]
     if best in distinct:
@@ -172,7 +178,7 @@ def alike_drag(
 
 def _presliding(
     fading: list[DragEstimate], held: Sequence[list[DragEstimate]]
-) -> tuple[list[DragEstimate], str]:
+) -> list[DragEstimate]:
     """The estimates with the likeliest presliding length, or why there is none.
 
     Args:
@@ -180,19 +186,31 @@ def _presliding(
         held: Drag with each of `LENGTHS`, for every place with a bristle.
     """
     if max(one.gain for one in (*fading, *itertools.chain(*held))) <= LEAST_GAIN:
-        return fading, ""  # no drag is shown
+        return fading  # no drag is shown
     if not held:
-        return fading, "drag acts at every point, for which a fit has none"
+        return _told(fading, "drag acts at every point, for which a fit has none")
     lengths = max(held, key=lambda some: max(one.gain for one in some))
     gains = np.array([one.gain for one in lengths])
-    if gains.max() - max(one.gain for one in fading) <= LEAST_GAIN:
-        return fading, "drag that fades at rest explains the forces as well"
-    alike = LENGTHS[gains > gains.max() - LEAST_GAIN]
-    for end, side in ((LENGTHS[0], "below"), (LENGTHS[-1], "above")):
-        if end in alike:
-            other = alike[0 if side == "above" else -1]
-            return fading, f"any length {side} {1e3 * other:.2g} mm is as likely"
-    return [max(some, key=lambda one: one.gain) for some in held], ""
+    faded = max(one.gain for one in fading)
+    if gains.max() - faded <= LEAST_GAIN:
+        return _told(fading, "drag that fades at rest explains the forces as well")
+    alike = np.flatnonzero(gains > gains.max() - LEAST_GAIN)
+    first, last = (f"{1e3 * LENGTHS[i]:.2g} mm is as likely" for i in alike[[0, -1]])
+    if alike[-1] == len(LENGTHS) - 1:
+        return _told(fading, f"any length above {first}")
+    if alike[0] == 0:  # sliding under as short a bristle shows drag
+        longest = [some[alike[-1]] for some in held]
+        shown = longest if faded > LEAST_GAIN else fading
+        return _told(shown, f"any length below {last}")
+    return [max(some, key=lambda one: one.gain) for some in held]
+
+
+def _told(estimates: list[DragEstimate], why: str) -> list[DragEstimate]:
+    """The estimates with the reason why their presliding length is not known."""
+    return [
+        replace(one, drag=replaced(one.drag, "sliding", "rows", no_presliding=why))
+        for one in estimates
+    ]
 
 
 def _scale(pressed: Array, measured: Array) -> float:
