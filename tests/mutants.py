@@ -125,7 +125,12 @@ PATCH = ("comparators/test_patch_model.py", "comparators/test_patch_law.py")
 FURTHER = {
     "comparators/patch_law.py": PATCH[:1],
     "comparators/patch_model.py": PATCH[1:],
-    "contact/row_kernels.py": ("contact/test_rows.py", "voxmap/test_grid.py"),
+    "contact/row_kernels.py": (
+        "contact/test_rows.py",
+        "contact/test_contact_size.py",
+        "contact/test_friction.py",
+        "voxmap/test_grid.py",
+    ),
     "contact/rows.py": ("contact/test_contact_size.py",),
     "contact/slip.py": ("contact/test_point_drag.py",),
     "fitting/batch.py": ("fitting/weights/test_tuning.py",),

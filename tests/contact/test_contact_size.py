@@ -6,10 +6,15 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
 from ttus_opt.benchmark.parts.rendering import numpy_frame
-from ttus_opt.contact.contact_size import LEAST_LENGTH, REFERENCE_LENGTH, size_factors
+from ttus_opt.contact.contact_size import (
+    REFERENCE_LENGTH,
+    patch_factors,
+    patches_of,
+)
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import LEAST_LENGTH
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: A body so large that it is flat under a probe [m]
@@ -30,10 +35,15 @@ def pressed(depths, size):
     return np.broadcast_to(np.eye(3), (len(depths), 3, 3)), at
 
 
+def factors_of(voxmap, shell, rotation, position):
+    spread = patches_of(voxmap, shell, rotation, position).spread
+    return patch_factors(spread, LEAST_LENGTH)
+
+
 def test_a_ball_presses_a_round_patch_as_long_as_its_width():
     depths = np.array([0.005, 0.009])
     ball = ball_of(2000)
-    lengths = REFERENCE_LENGTH / size_factors(flat(), ball, *pressed(depths, 0.05))
+    lengths = REFERENCE_LENGTH / factors_of(flat(), ball, *pressed(depths, 0.05))
     width = 2.0 * np.sqrt(2.0 * 0.05 * depths)
     np.testing.assert_allclose(lengths, np.hypot(LEAST_LENGTH, width), rtol=0.04)
 
@@ -42,7 +52,7 @@ def test_no_contact_and_one_point_are_as_long_as_the_least():
     depths = np.array([-0.001, 1e-7])
     ball = ball_of(2000)
     deepest = ball.points[:, 0].min()  # the first point to touch
-    factors = size_factors(flat(), ball, *pressed(depths, -deepest))
+    factors = factors_of(flat(), ball, *pressed(depths, -deepest))
     np.testing.assert_allclose(factors, REFERENCE_LENGTH / LEAST_LENGTH)
 
 

@@ -11,7 +11,7 @@ from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
 from tests.pressing import pressing
 from tests.refusals import refuses
-from ttus_opt.contact.contact_size import size_factors
+from ttus_opt.contact.contact_size import patch_factors, patches_of
 from ttus_opt.contact.friction import (
     DEADBAND,
     Sliding,
@@ -26,6 +26,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.sampling import LEAST_LENGTH
 from ttus_opt.voxmap.voxmap import Voxmap
 
 TUBE = Surface.from_radius(np.full((72, 21), 0.09), np.linspace(0.0, 0.2, 21))
@@ -61,7 +62,7 @@ def test_patches_all_around_a_torso_equal_a_loop_over_points():
     sliding, touching = Sliding.of(voxmap, shell, trajectory), 0
     turning = trajectory.angular_velocity()
     poses = trajectory.rotation, trajectory.position
-    factors = size_factors(voxmap, shell, *poses)
+    factors = patch_factors(patches_of(voxmap, shell, *poses).spread, LEAST_LENGTH)
     for t, moved in enumerate(trajectory.velocity()):
         R, at = trajectory.rotation[t], trajectory.position[t]
         normal, lever = np.zeros(3), np.zeros(3)

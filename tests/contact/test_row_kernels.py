@@ -6,6 +6,7 @@ import pytest
 from tests.conftest import ellipsoid, small_scene
 from ttus_opt.contact.row_kernels import (
     REFERENCE_AREA,
+    TRILINEAR,
     Poses,
     Rows,
     Scratch,
@@ -43,7 +44,7 @@ def test_rows_go_on_where_there_was_no_room():
     scratch = Scratch.of(V, len(scene.shell))
     rows, done, pieces = Rows.empty(len(trajectory), 8), 0, 0
     while True:
-        done = pose_rows(done, True, *given, rows, scratch)
+        done = pose_rows(done, TRILINEAR, *given, rows, scratch)
         if done == len(trajectory):
             break
         pieces += 1

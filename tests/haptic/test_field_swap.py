@@ -82,9 +82,9 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(scene, touches):
     ledger = settled_ledger(0.5)
     ledger[[PROGRESS, SEEN]] = 0.25, 1.0
     pose = int(np.argmax(np.abs(scene.N @ old.values).reshape(-1, 3).max(axis=1)))
-    ledger[ROTATION:PLACE] = scene.trajectory.rotation[pose].reshape(-1)
+    ledger[ROTATION:DIFFERENCE] = scene.trajectory.rotation[pose].reshape(-1)
     away = 0.0 if touches else 0.5
-    ledger[PLACE:DIFFERENCE] = scene.trajectory.position[pose] + away
+    ledger[PLACE:ROTATION] = scene.trajectory.position[pose] + away
     data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, target, ledger)
     after = swapped(fields, new, data, np.ones((len(scene.shell), 7)))

@@ -26,6 +26,10 @@ from ttus_opt.voxmap.voxmap import Voxmap
 REFERENCE_AREA = 1e-4
 
 
+#: What a walk over the points of poses makes: patches alone, or rows of a sampling too
+PATCHES, VOXEL_MEAN, TRILINEAR = 0, 1, 2
+
+
 class ShellArrays(NamedTuple):
     """A point shell for the kernels.
 
@@ -138,6 +142,9 @@ class Rows(NamedTuple):
         contact_points: See `ContactRows`.
         in_grid: See `ContactRows`.
         beyond_inner: See `ContactRows`.
+        normal: See `contact_size.Patches`.
+        centre: See `contact_size.Patches`.
+        spread: See `contact_size.Patches`.
     """
 
     row_ptr: NDArray[np.int32]
@@ -147,6 +154,9 @@ class Rows(NamedTuple):
     contact_points: NDArray[np.int64]
     in_grid: NDArray[np.bool_]
     beyond_inner: NDArray[np.int64]
+    normal: Array
+    centre: Array
+    spread: Array
 
     @classmethod
     def empty(cls, n_poses: int, size: int) -> Rows:
@@ -159,6 +169,9 @@ class Rows(NamedTuple):
             np.zeros(n_poses, np.int64),
             np.zeros(n_poses, np.bool_),
             np.zeros(n_poses, np.int64),
+            np.zeros((n_poses, 3)),
+            np.zeros((n_poses, 3)),
+            np.zeros(n_poses),
         )
 
     def grown(self, rows: int, ratio: float) -> Rows:
@@ -192,6 +205,9 @@ class Scratch(NamedTuple):
         shares: Their weights, shape (8,).
         own: A point's normal, or its direction of sliding, and lever arm × that,
             patient axes, shape (6,).
+        patch: Sums over a pose's points in contact, by area times depth: normals and
+            arms from the shell's reference, squares of these, and that weight itself;
+            probe frame, shape (8,).
     """
 
     slot: NDArray[np.int32]
@@ -202,6 +218,7 @@ class Scratch(NamedTuple):
     voxels: NDArray[np.int64]
     shares: Array
     own: Array
+    patch: Array
 
     @classmethod
     def of(cls, n_voxels: int, n_points: int) -> Scratch:
@@ -216,6 +233,7 @@ class Scratch(NamedTuple):
             np.empty(8, np.int64),
             np.empty(8),
             np.empty(6),
+            np.empty(8),
         )
 
 
@@ -296,6 +314,34 @@ def _set_own(
 
 
 @compiled(inner=True, forceinline=True)
+def _weigh(weight: float, shell: ShellArrays, m: int, patch: Array) -> None:
+    """Add shell point m to the sums of a patch (compiled)."""
+    for a in range(3):
+        arm = shell.points[m, a] - shell.reference[a]
+        patch[a] += weight * shell.normals[m, a]
+        patch[3 + a] += weight * arm
+        patch[6] += weight * arm * arm
+    patch[7] += weight
+
+
+@compiled(inner=True)
+def _keep_patch(t: int, R: Array, patch: Array, rows: Rows) -> None:
+    """Write a pose's patch, which is zero without contact (compiled)."""
+    n, c, total = patch[:3], patch[3:6], patch[7]
+    if total == 0.0:
+        return
+    mean = (c[0] * c[0] + c[1] * c[1] + c[2] * c[2]) / total
+    rows.spread[t] = max(patch[6] - mean, 0.0) / total
+    length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    if length == 0.0:
+        return
+    nx, ny, nz = rotated(R, n[0] / length, n[1] / length, n[2] / length)
+    cx, cy, cz = rotated(R, c[0] / total, c[1] / total, c[2] / total)
+    rows.normal[t, 0], rows.normal[t, 1], rows.normal[t, 2] = nx, ny, nz
+    rows.centre[t, 0], rows.centre[t, 1], rows.centre[t, 2] = cx, cy, cz
+
+
+@compiled(inner=True, forceinline=True)
 def _add(weight: float, n_samples: int, count: int, scratch: Scratch) -> int:
     """Add a point to a pose's list of ``count`` voxels; its new length (compiled)."""
     for e in range(n_samples):
@@ -339,7 +385,7 @@ def _keep(t: int, count: int, trilinear: bool, rows: Rows, scratch: Scratch) -> 
 @compiled()
 def pose_rows(
     first: int,
-    trilinear: bool,
+    kind: int,
     poses: Poses,
     shell: ShellArrays,
     v: VoxmapArrays,
@@ -348,15 +394,17 @@ def pose_rows(
 ) -> int:
     """Assemble rows of poses from ``first`` on while there is space (compiled).
 
-    With slip, every point pushes along its direction of sliding, not its normal.
+    The kind is `PATCHES`, `VOXEL_MEAN` or `TRILINEAR`; the first has no rows. With
+    slip, every point pushes along its direction of sliding, not its normal.
 
     Returns:
         The pose for which there was no space, or the number of poses.
     """
     voxels, shares = scratch.voxels, scratch.shares
-    slip = poses.slip
+    slip, patch, trilinear = poses.slip, scratch.patch, kind == TRILINEAR
     for t in range(first, len(poses.position)):
         R, at = poses.rotation[t], poses.position[t]
+        patch[:] = 0.0
         count = int(np.int64(0))  # numba would give a literal its own type
         in_grid, in_contact, beyond = False, 0, 0
         for m in range(len(shell.points)):
@@ -376,6 +424,9 @@ def pose_rows(
                 continue
             in_contact += 1
             beyond += 1 if r < v.limits.r_inner else 0
+            _weigh(shell.areas[m] * depth, shell, m, patch)
+            if kind == PATCHES:
+                continue
             place = (r, theta, z, depth)
             n_samples = _sample(
                 trilinear, place, v.limits, v.shape, v.spokes, voxels, shares
@@ -384,6 +435,7 @@ def pose_rows(
                 _set_own(scratch.own, R, shell, m, slip, t)
                 weight = shell.areas[m] if trilinear else 1.0
                 count = _add(weight, n_samples, count, scratch)
+        _keep_patch(t, R, patch, rows)
         _keep(t, count, trilinear, rows, scratch)
         if rows.row_ptr[3 * t + 3] > rows.columns.size:
             return t
@@ -391,3 +443,14 @@ def pose_rows(
         rows.contact_points[t] = in_contact
         rows.beyond_inner[t] = beyond
     return len(poses.position)
+
+
+def walked(voxmap: Voxmap, shell: PointShell, poses: Poses, kind: int) -> Rows:
+    """The rows and patches of all poses, which are contiguous arrays."""
+    n, rows = len(poses.position), Rows.empty(len(poses.position), 1024)
+    sizes = (voxmap.grid.n_voxels, len(shell)) if kind else (0, 0)
+    scratch = Scratch.of(*sizes)
+    given, done = (poses, shell_arrays(shell), VoxmapArrays.of(voxmap)), 0
+    while (done := pose_rows(done, kind, *given, rows, scratch)) < n:
+        rows = rows.grown(3 * done, n / (done + 1))
+    return rows

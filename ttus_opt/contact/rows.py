@@ -26,15 +26,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.contact.contact_size import size_factors
+from ttus_opt.contact.contact_size import Patches, patch_factors
 from ttus_opt.contact.row_kernels import REFERENCE_AREA as REFERENCE_AREA
-from ttus_opt.contact.row_kernels import (
-    Poses,
-    Rows,
-    Scratch,
-    VoxmapArrays,
-    pose_rows,
-)
+from ttus_opt.contact.row_kernels import TRILINEAR, VOXEL_MEAN, Poses, walked
 from ttus_opt.contact.row_kernels import beside as beside
 from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
@@ -64,6 +58,7 @@ class ContactRows:
         contact_points: Shell points inside the patient, shape (T,) [–].
         in_grid: False where no shell point lies within the grid, shape (T,).
         beyond_inner: Points in contact beyond the inner layer, shape (T,) [–].
+        patches: Contact patches of the poses.
     """
 
     N: sp.csr_array = field(repr=False)
@@ -71,6 +66,7 @@ class ContactRows:
     contact_points: NDArray[np.int64]
     in_grid: NDArray[np.bool_]
     beyond_inner: NDArray[np.int64]
+    patches: Patches = field(repr=False)
 
     @property
     def touching(self) -> Mask:
@@ -147,17 +143,10 @@ def contact_rows(
     """
     check_sampling(sampling)
     rotation, position = checked_poses(rotation, position)
-    arrays, shape = VoxmapArrays.of(voxmap), (3 * len(position), voxmap.grid.n_voxels)
-    scratch = Scratch.of(shape[1], len(shell.points))
-    rows = Rows.empty(len(position), 1024)
+    shape, least = (3 * len(position), voxmap.grid.n_voxels), least_length(sampling)
     poses = Poses(rotation, position, Slip.none() if slip is None else slip)
-    given, done = (poses, shell_arrays(shell), arrays), 0
-    trilinear, least = sampling != "voxel-mean", least_length(sampling)
-    while True:
-        done = pose_rows(done, trilinear, *given, rows, scratch)
-        if done == len(position):
-            break
-        rows = rows.grown(3 * done, len(position) / (done + 1))
+    kind = VOXEL_MEAN if sampling == "voxel-mean" else TRILINEAR
+    rows = walked(voxmap, shell, poses, kind)
     used = rows.row_ptr[-1]
     matrices = []
     columns = rows.columns[:used].copy()
@@ -166,10 +155,8 @@ def contact_rows(
         matrix.has_sorted_indices = True
         matrices.append(matrix)
     counts = (rows.contact_points, rows.in_grid, rows.beyond_inner)
-    found = ContactRows(matrices[0], matrices[1], *counts)
-    if not least:
-        return found
-    return found.scaled(size_factors(voxmap, shell, rotation, position, least))
+    found = ContactRows(matrices[0], matrices[1], *counts, Patches.of(rows))
+    return found.scaled(patch_factors(rows.spread, least)) if least else found
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ttus_opt.contact.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.contact.boundary_scale import identified_scale
-from ttus_opt.contact.contact_size import Patches, patch_factors, patches_of
+from ttus_opt.contact.contact_size import Patches, patch_factors
 from ttus_opt.contact.friction import DragRows
 from ttus_opt.contact.places import places, runs
 from ttus_opt.contact.point_drag import point_drag_rows
@@ -221,12 +221,12 @@ class Scene:
         """
         check_sampling(sampling)
         scene = replace(self, sampling=sampling)
-        known: dict[str, Patches | DragRows] = {}
+        known: dict[str, DragRows] = {}
         if "voxel-mean" in (sampling, self.sampling):
             rows = scene.rows_along(self.trajectory)
         else:
             factor = self._sizes(sampling) / self._sizes(self.sampling)
-            rows, known["patches"] = self.rows.scaled(factor), self.patches
+            rows = self.rows.scaled(factor)
             if "point_drag" in vars(self):
                 known["point_drag"] = self.point_drag.scaled(factor)
         scene = replace(scene, rows=rows)
@@ -265,12 +265,10 @@ class Scene:
         """Number of every frame's place, shape (T,) (`ttus_opt.contact.places`)."""
         return places(self.presses, self.trajectory.position)
 
-    @cached_property
+    @property
     def patches(self) -> Patches:
         """Contact patches of the poses."""
-        trajectory = self.trajectory
-        poses = trajectory.rotation, trajectory.position
-        return patches_of(self.voxmap, self.shell, *poses)
+        return self.rows.patches
 
     @cached_property
     def point_drag(self) -> DragRows:

@@ -40,14 +40,14 @@ from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
-from ttus_opt.haptic.motion import turn_between
+from ttus_opt.haptic.motion import STILL, Way, set_pose, way_from
 from ttus_opt.haptic.presliding import BRISTLE
 
 #: Indices in a ledger: share a of the new field; ΔU; tank; energy injected so far; 1
-#: when a pose is known; then that pose, Δw there, and a bristle of
-#: `ttus_opt.haptic.presliding`
+#: when a pose is known; then that pose, as `motion.set_pose` stores it, Δw there, and a
+#: bristle of `ttus_opt.haptic.presliding`
 PROGRESS, GAP, TANK, INJECTED, SEEN = 0, 1, 2, 3, 4
-ROTATION, PLACE, DIFFERENCE, BENT = 5, 14, 17, 23
+PLACE, ROTATION, DIFFERENCE, BENT = 5, 8, 17, 23
 LEDGER = BENT + BRISTLE
 
 #: Step of the path out of the body along which the stored energy is integrated [m]
@@ -223,7 +223,7 @@ def advance(
     ledger: Array,
     limits: Array,
     contact: int,
-    motion: tuple[float, float, float, float, float, float],
+    motion: Way,
     current: Array,
     target: Array,
     current_drag: Array,
@@ -269,9 +269,7 @@ def advance(
 
 
 @compiled(error_model="numpy", nogil=True)
-def follow(
-    ledger: Array, R: Array, at: Array, reference: Array
-) -> tuple[float, float, float, float, float, float]:
+def follow(ledger: Array, R: Array, at: Array, reference: Array) -> Way:
     """Store a pose in the ledger and return the motion since the last (compiled).
 
     Returns:
@@ -280,17 +278,9 @@ def follow(
     """
     x, y, z = rotated(R, reference[0], reference[1], reference[2])
     x, y, z = x + at[0], y + at[1], z + at[2]
-    dx = x - ledger[PLACE]
-    dy = y - ledger[PLACE + 1]
-    dz = z - ledger[PLACE + 2]
-    ledger[PLACE], ledger[PLACE + 1], ledger[PLACE + 2] = x, y, z
-    ax, ay, az, sine, angle = turn_between(R, ledger, ROTATION)
-    for c in range(3):
-        ledger[ROTATION + c] = R[0, c]
-        ledger[ROTATION + 3 + c] = R[1, c]
-        ledger[ROTATION + 6 + c] = R[2, c]
+    way: Way = way_from(ledger, PLACE, R, x, y, z)
+    set_pose(ledger, PLACE, R, x, y, z)
     if ledger[SEEN] == 0.0:
         ledger[SEEN] = 1.0
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    scale = angle / sine if sine > 0.0 else 1.0
-    return dx, dy, dz, scale * ax, scale * ay, scale * az
+        return STILL
+    return way

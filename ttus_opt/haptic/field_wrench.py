@@ -27,6 +27,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.contact.contact_size import Patches
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arrays import Array
@@ -161,7 +162,7 @@ def wrenches_by_rows(
     wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
     law = DragLaw.of(potential.parameters, potential.voxmap.grid)
     if law.active:
-        wrench += _drags(law, potential, shell, trajectory, wrench)
+        wrench += _drags(law, potential, shell, trajectory, wrench, rows.patches)
     return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid, rows.beyond_inner)
 
 
@@ -171,9 +172,10 @@ def _drags(
     shell: PointShell,
     trajectory: Trajectory,
     contact: Array,
+    patches: Patches,
 ) -> Array:
     """Drag of every frame, shape (T, 6) [N, N·m]."""
-    sliding = Sliding.of(potential.voxmap, shell, trajectory)
+    sliding = Sliding.of(potential.voxmap, shell, trajectory, patches=patches)
     patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
     twist, reference = trajectory.twist(), np.array(shell.reference)
     drag, flanks = np.empty_like(contact), np.zeros(len(contact))

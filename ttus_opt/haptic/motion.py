@@ -117,7 +117,7 @@ def estimate_twist(
         for i in range(MOTION):
             motion[i] = 0.0
         for pose in (SEEN, ONCE, TWICE, FOLLOWER):
-            _set(motion, pose, R, at[0] + x, at[1] + y, at[2] + z)
+            set_pose(motion, pose, R, at[0] + x, at[1] + y, at[2] + z)
         motion[KNOWN] = 1.0
     elif step > 0.0:
         _see(motion, R, at[0] + x, at[1] + y, at[2] + z, step)
@@ -139,7 +139,7 @@ def _see(motion: Array, R: Array, x: float, y: float, z: float, step: float) -> 
     With independent errors of standard deviation σ and c the ratio of the time steps,
     y_k − y_(k−1) − c (y_(k−1) − y_(k−2)) has variance (1 + (1 + c)² + c²) σ².
     """
-    way = _apart(motion, SEEN, R, x, y, z)
+    way = way_from(motion, SEEN, R, x, y, z)
     if motion[STEP] > 0.0:
         c = step / motion[STEP]
         spread = 3.0 * (1.0 + (1.0 + c) * (1.0 + c) + c * c)
@@ -153,7 +153,7 @@ def _see(motion: Array, R: Array, x: float, y: float, z: float, step: float) -> 
     for i in range(6):
         motion[WAY + i] = way[i]
     motion[STEP] = step
-    _set(motion, SEEN, R, x, y, z)
+    set_pose(motion, SEEN, R, x, y, z)
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -179,22 +179,42 @@ def _filter(motion: Array, step: float, numbers: Array) -> None:
 
 
 @compiled(inline="always")
-def _set(motion: Array, pose: int, R: Array, x: float, y: float, z: float) -> None:
-    """Write a pose into the state (compiled)."""
-    motion[pose], motion[pose + 1], motion[pose + 2] = x, y, z
+def set_pose(state: Array, pose: int, R: Array, x: float, y: float, z: float) -> None:
+    """Store a pose: position, then rotation (compiled)."""
+    state[pose], state[pose + 1], state[pose + 2] = x, y, z
     for i in range(9):
-        motion[pose + 3 + i] = R[i // 3, i % 3]
+        state[pose + 3 + i] = R[i // 3, i % 3]
 
 
+#: Displacement [m] and rotation vector [rad]
 Way = tuple[float, float, float, float, float, float]
+
+#: No motion
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @compiled(inner=True, error_model="numpy")
-def _apart(motion: Array, pose: int, R: Array, x: float, y: float, z: float) -> Way:
-    """Displacement and rotation vector from a pose of the state (compiled)."""
-    ax, ay, az, sine, angle = turn_between(R, motion, pose + 3)
-    scale = angle / sine if sine > 0.0 else 1.0
-    dx, dy, dz = x - motion[pose], y - motion[pose + 1], z - motion[pose + 2]
+def way_from(state: Array, pose: int, R: Array, x: float, y: float, z: float) -> Way:
+    """Displacement and rotation vector from a stored pose (compiled).
+
+    Args:
+        state: Has the pose, as `set_pose` stores it.
+        pose: Index of its first entry.
+        R: The present rotation, shape (3, 3) [–].
+        x: The present position [m].
+        y: Likewise.
+        z: Likewise.
+    """
+    trace, ax, ay, az, first = 0.0, 0.0, 0.0, 0.0, pose + 3
+    for c in range(3):  # sine times axis, and trace, of R Fᵀ with F stored
+        p, q, r = state[first + c], state[first + 3 + c], state[first + 6 + c]
+        trace += R[0, c] * p + R[1, c] * q + R[2, c] * r
+        ax += 0.5 * (R[2, c] * q - R[1, c] * r)
+        ay += 0.5 * (R[0, c] * r - R[2, c] * p)
+        az += 0.5 * (R[1, c] * p - R[0, c] * q)
+    sine = math.sqrt(ax * ax + ay * ay + az * az)
+    scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 0.0 else 1.0
+    dx, dy, dz = x - state[pose], y - state[pose + 1], z - state[pose + 2]
     return dx, dy, dz, scale * ax, scale * ay, scale * az
 
 
@@ -203,7 +223,7 @@ def _between(motion: Array, pose: int, other: int) -> Way:
     """Displacement and rotation vector between poses of the state (compiled)."""
     R = motion[other + 3 : other + POSE].reshape((3, 3))
     x, y, z = motion[other], motion[other + 1], motion[other + 2]
-    way: Way = _apart(motion, pose, R, x, y, z)
+    way: Way = way_from(motion, pose, R, x, y, z)
     return way
 
 
@@ -225,28 +245,3 @@ def _move(motion: Array, pose: int, way: Way, shifts: float, turns: float) -> No
         motion[c] = cosine * x + sine * (ay * z - az * y) + along * ax
         motion[c + 3] = cosine * y + sine * (az * x - ax * z) + along * ay
         motion[c + 6] = cosine * z + sine * (ax * y - ay * x) + along * az
-
-
-@compiled(inline="always")
-def turn_between(
-    R: Array, state: Array, first: int
-) -> tuple[float, float, float, float, float]:
-    """The rotation T = R Fᵀ from a stored rotation F to R (compiled).
-
-    Args:
-        R: Rotation, shape (3, 3) [–].
-        state: An array that contains F row by row.
-        first: Index of the first entry of F.
-
-    Returns:
-        sin φ times the axis of T, from its antisymmetric part; sin φ ≥ 0; φ [rad].
-    """
-    trace, ax, ay, az = 0.0, 0.0, 0.0, 0.0
-    for c in range(3):
-        p, q, r = state[first + c], state[first + 3 + c], state[first + 6 + c]
-        trace += R[0, c] * p + R[1, c] * q + R[2, c] * r
-        ax += 0.5 * (R[2, c] * q - R[1, c] * r)
-        ay += 0.5 * (R[0, c] * r - R[2, c] * p)
-        az += 0.5 * (R[1, c] * p - R[0, c] * q)
-    sine = math.sqrt(ax * ax + ay * ay + az * az)
-    return ax, ay, az, sine, math.atan2(sine, 0.5 * (trace - 1.0))

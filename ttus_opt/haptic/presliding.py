@@ -46,6 +46,7 @@ from ttus_opt.haptic.drag import (
     PRESLIDING,
 )
 from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.motion import Way
 from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -91,7 +92,7 @@ def flank_of(
 @compiled(error_model="numpy", nogil=True)
 def bend(
     bristle: Array,
-    way: tuple[float, float, float, float, float, float],
+    way: Way,
     R: Array,
     patch: Array,
     strength: float,

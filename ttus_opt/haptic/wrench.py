@@ -29,16 +29,13 @@ from ttus_opt.haptic.drag import (
 )
 from ttus_opt.haptic.frame import near_end, touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
-from ttus_opt.haptic.motion import MOTION, estimate_twist
+from ttus_opt.haptic.motion import MOTION, STILL, Way, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.haptic.presliding import add_presliding, bend, flank_of, strength_of
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: Returned by a frame instead of a count if its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
-
-#: No motion since the last frame
-STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class FieldPair(NamedTuple):
@@ -201,7 +198,7 @@ def _hold(
     pair: FieldPair,
     swaps: bool,
     may_write: bool,
-    motion: tuple[float, float, float, float, float, float],
+    motion: Way,
 ) -> None:
     """Bend the bristle and add its drag to that of the fields (compiled).
 

@@ -22,7 +22,7 @@ from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.benchmark.summary import times
-from ttus_opt.contact.contact_size import size_factors
+from ttus_opt.contact.contact_size import patch_factors, patches_of
 from ttus_opt.contact.rows import REFERENCE_AREA, Sampling
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
@@ -58,7 +58,8 @@ def numpy_frame(
         weight *= shell.areas[inside] / REFERENCE_AREA
     if least := least_length(field.sampling):
         pose = rotation[None], position[None]
-        weight *= size_factors(field.voxmap, shell, *pose, least)[0]
+        spread = patches_of(field.voxmap, shell, *pose).spread
+        weight *= patch_factors(spread, least)[0]
     normals = shell.normals[inside] @ rotation.T
     moments = np.cross((shell.points[inside] - shell.reference) @ rotation.T, normals)
     return np.concatenate([weight @ normals, weight @ moments])

@@ -127,7 +127,7 @@ def wrench_rows(
         at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
         at = "points" if parameters.get(DRAG_AT_POINTS) else at
         axis = np.array([parameters[name] for name in DRAG_AXIS])
-        sliding = Sliding.of(voxmap, shell, trajectory, at, axis)
+        sliding = Sliding.of(voxmap, shell, trajectory, at, axis, rows.patches)
         law = DragLaw.of(parameters, voxmap.grid)
         force = (N @ potential.values.reshape(-1)).reshape(-1, 3)
         sliding = with_bristle(sliding, law.numbers, shell, trajectory, force)
