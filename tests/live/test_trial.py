@@ -86,6 +86,17 @@ def test_unusable_trials(bad):
         Trial(**bad)
 
 
+def test_a_long_session_keeps_few_of_its_frames(monkeypatch):
+    whole = run(Trial(seconds=3.0))
+    monkeypatch.setattr("ttus_opt.live.trial.MOST_KEPT", 60)
+    few = run(Trial(seconds=3.0))
+    assert 30 <= len(few.time) < 60 < len(whole.time)
+    every = [*whole.time].index(few.time[1])
+    for one, all_ in ((few.time, whole.time), (few.felt, whole.felt)):
+        np.testing.assert_array_equal(one, all_[::every])
+    assert (few.largest, few.energy) == (whole.largest, whole.energy)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("round_trip", [0.0, 1.0])
 def test_the_probe_goes_along_with_the_breath(round_trip):

@@ -54,8 +54,9 @@ CAMERA, IMAGES = 0.05, 30.0
 #: Largest amplitude of breathing [m]: five times a quiet breath's
 MOST_BREATHING = 0.025
 
-#: Of so many frames one is compared with the truth [–]
-KEPT = 20
+#: Of so many frames one is compared with the truth [–]; most of these that are kept as
+#: curves, of a longer session every second, fourth, … [–]
+COMPARED, MOST_KEPT = 20, 20_000
 
 
 @dataclass(frozen=True)
@@ -290,14 +291,15 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
 
 
 class _Figures:
-    """Figures of frames as they come: of an hour, 4 MB of curves are kept."""
+    """Figures of frames as they come, in memory that does not grow with their number."""
 
     def __init__(self, truth: Tissue, settled: float) -> None:
         self._truth, self._settled = truth, settled
-        self.curves = array("d"), array("d"), array("d")  # time, felt, true
+        self.curves = tuple(array("d") for _ in range(3))  # time, felt, true
         self.largest = self.energy = self.step = 0.0
         self._work, self._missed = 0.0, np.zeros(2)
         self._frames = self._counted = 0
+        self._every = COMPARED
         self._felt = self._place = np.zeros(3)
 
     def add(self, moment: Moment) -> None:
@@ -310,7 +312,7 @@ class _Figures:
             self._work += 0.5 * float((felt + self._felt) @ (place - self._place))
             self.energy = max(self.energy, self._work)
             self.step = max(self.step, math.sqrt(change @ change))
-        if self._frames % KEPT == 0:
+        if self._frames % COMPARED == 0:
             self._compare(moment, size)
         self._felt, self._place = felt, place
         self._frames += 1
@@ -323,11 +325,19 @@ class _Figures:
             float(np.linalg.norm(self._truth.wrench(*pose, v)[:3]))
             for v in (np.zeros(3), speed)
         )
-        for curve, value in zip(self.curves, (moment.time, size, still), strict=True):
-            curve.append(value)
+        if self._frames % self._every == 0:
+            self._keep(moment.time, size, still)
         if moment.time > self._settled and max(still, size) > 0.5:
             self._missed += abs(size - still), abs(size - dragged)
             self._counted += 1
+
+    def _keep(self, *values: float) -> None:
+        """Add to the curves: time [s], felt and true force [N]."""
+        for curve, value in zip(self.curves, values, strict=True):
+            curve.append(value)
+        if len(self.curves[0]) >= MOST_KEPT:
+            self.curves = tuple(curve[::2] for curve in self.curves)
+            self._every *= 2
 
     @property
     def errors(self) -> tuple[float, float]:
