@@ -97,6 +97,35 @@ def test_no_file_is_left_by_a_session_that_failed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_damaged_file_is_refused_whatever_its_codecs_find(recorded, tmp_path):
+    whole, path = recorded[0].read_bytes(), tmp_path / "session.mcap"
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(12):
+        damaged = bytearray(whole)
+        for place in rng.integers(0, len(whole) // 2, 3):  # of compressed frames
+            damaged[place] ^= 1 << rng.integers(8)
+        path.write_bytes(damaged)
+        try:
+            for _ in frames_of(path)[1]:
+                pass
+        except FileError as error:
+            assert "damaged after" in str(error) or "not a session" in str(error)
+            refused += 1
+    assert refused == 12
+
+
+def test_frames_of_another_length_are_refused(recorded, tmp_path, monkeypatch):
+    path = tmp_path / "session.mcap"
+    monkeypatch.setattr(Recorder, "_write", _short)
+    with Recorder(path) as recorder:
+        recorder.watch(recorded[1][0])
+    refuses(FileError, "another length", replay, path)
+
+
+def _short(self, now, pose, packets, felt):
+    self._block.append(Frame(now, b"", [], felt.tobytes()))
+
+
 @pytest.mark.parametrize("content", [b"", b"not mcap", struct.pack("<d", 1.0) * 100])
 def test_another_file_is_refused(tmp_path, content):
     path = tmp_path / "other.mcap"

@@ -40,8 +40,8 @@ FRAMES, DESCRIPTION = "/live/frames", "ttus_opt live session"
 #: Standard messages a second [1/s]; frame of reference they name
 SHOWN, PATIENT = 50.0, "patient"
 
-#: Frames in one message [–]
-BLOCK = 100
+#: Frames in one message; most points of a recorded probe's shell [–]
+BLOCK, MOST_POINTS = 100, 1_000_000
 
 _HEADER = """std_msgs/Header header
 """
@@ -289,16 +289,33 @@ def frames_of(path: str | os.PathLike[str]) -> tuple[Description, Iterator[Frame
                 if m.name == DESCRIPTION
             ]
         description = msgspec.json.decode(described[0], type=Description)
+        if not 0 < description.points <= MOST_POINTS:
+            raise ValueError(f"a probe of {description.points} points")
     except Exception as error:
         raise FileError(
             f"{file} is not a session that ttus-opt live has recorded: {error}"
         ) from error
-    return description, _frames(file)
+    return description, _frames(file, HAND if description.apart else 6)
 
 
-def _frames(file: Path) -> Iterator[Frame]:
+def _frames(file: Path, numbers: int) -> Iterator[Frame]:
+    """Frames in which the hand felt so many float64, or a multiple of them."""
     reading, decoder = load("mcap.reader", "live"), msgspec.msgpack.Decoder(list[Frame])
     with file.open("rb") as stream:
-        found = reading.make_reader(stream).iter_messages(topics=[FRAMES])
-        for _, _, message in found:
-            yield from decoder.decode(message.data)
+        reader = reading.make_reader(stream, validate_crcs=True)
+        found, read = reader.iter_messages(topics=[FRAMES]), 0
+        while True:
+            try:
+                block = next(found, None)
+                frames = [] if block is None else decoder.decode(block[2].data)
+                if any(len(f.pose) != 96 or len(f.felt) % (8 * numbers) for f in frames):
+                    raise ValueError("a pose or a wrench of another length")
+            except Exception as error:  # whatever mcap and its codecs find
+                raise FileError(
+                    f"{file} is damaged after {read} frames: "
+                    f"{error or type(error).__name__}"
+                ) from error
+            if block is None:
+                return
+            yield from frames
+            read += len(frames)
