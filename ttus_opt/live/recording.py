@@ -300,7 +300,8 @@ def frames_of(path: str | os.PathLike[str]) -> tuple[Description, Iterator[Frame
 
 def _frames(file: Path, numbers: int) -> Iterator[Frame]:
     """Frames in which the hand felt so many float64, or a multiple of them."""
-    reading, decoder = load("mcap.reader", "live"), msgspec.msgpack.Decoder(list[Frame])
+    reading, size = load("mcap.reader", "live"), 8 * numbers
+    decoder = msgspec.msgpack.Decoder(list[Frame])
     with file.open("rb") as stream:
         reader = reading.make_reader(stream, validate_crcs=True)
         found, read = reader.iter_messages(topics=[FRAMES]), 0
@@ -308,7 +309,7 @@ def _frames(file: Path, numbers: int) -> Iterator[Frame]:
             try:
                 block = next(found, None)
                 frames = [] if block is None else decoder.decode(block[2].data)
-                if any(len(f.pose) != 96 or len(f.felt) % (8 * numbers) for f in frames):
+                if any(len(f.pose) != 96 or len(f.felt) % size for f in frames):
                     raise ValueError("a pose or a wrench of another length")
             except Exception as error:  # whatever mcap and its codecs find
                 raise FileError(
