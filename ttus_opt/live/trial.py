@@ -291,7 +291,7 @@ def run(trial: Trial, watch: Callable[[Moment], None] | None = None) -> TrialRes
 
 
 class _Figures:
-    """Figures of frames as they come, in memory that does not grow with their number."""
+    """Figures of frames as they come, in memory that stays as small."""
 
     def __init__(self, truth: Tissue, settled: float) -> None:
         self._truth, self._settled = truth, settled
