@@ -20,6 +20,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 import ttus_opt as tt
 from ttus_opt.cli.view_command import shown_example
+from ttus_opt.viewer.guarded_server import guarded_server
 from ttus_opt.viewer.live_page import LivePage
 from ttus_opt.viewer.viewer import Viewer
 
@@ -85,8 +86,9 @@ def main() -> int:
                 *("--enable-unsafe-swiftshader", "--disable-component-update"),
             ],
         )
-        fields, shown = shown_example()
-        with tt.view(fields, port=0, **shown) as viewer:
+        served = guarded_server(0)
+        fields, shown = shown_example(served)
+        with tt.view(fields, served=served, **shown) as viewer:
             page = opened(browser, viewer, SIZE)
             for name, show in VIEWS.items():
                 show(viewer, page)

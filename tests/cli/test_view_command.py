@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import PROBE
+from ttus_opt.core.interrupts import INTERRUPTED
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -42,7 +43,7 @@ def test_it_serves_until_it_is_interrupted(field, files):
     finally:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
-    assert process.returncode == 0
+    assert process.returncode in (0, INTERRUPTED)  # the latter while it reads
     assert told == "open this link on this machine; Ctrl-C ends it\n"
     assert "Traceback" not in err
     with pytest.raises(OSError):  # nobody is there any more
@@ -77,6 +78,22 @@ def test_two_fields_the_probe_and_a_recording_are_shown(run, field, files, serve
     assert served[:2] == [field.stem, field.stem]
     assert "300 points" in served[2]
     assert served[3] == "recording"
+
+
+def test_the_skin_is_drawn_before_the_probe_is_made(run, field, served, monkeypatch):
+    from ttus_opt.viewer import patient_nodes, viewer
+
+    done = []
+    for module, name in ((patient_nodes, "patients_on"), (viewer, "probe_of")):
+        own = getattr(module, name)
+
+        def noted(*given, own=own):
+            done.append(own.__name__)
+            return own(*given)
+
+        monkeypatch.setattr(module, name, noted)
+    run(f"view {field} --port 0 --no-browser")
+    assert done[:2] == ["patients_on", "probe_of"]
 
 
 @pytest.mark.slow

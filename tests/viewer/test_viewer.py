@@ -19,8 +19,9 @@ from ttus_opt.viewer import colouring
 from ttus_opt.viewer.arrow import STEP, TIP
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
+from ttus_opt.viewer.guarded_server import guarded_server
 from ttus_opt.viewer.page import along_line
-from ttus_opt.viewer.patient_nodes import PatientNodes
+from ttus_opt.viewer.patient_nodes import PatientNodes, patients_on
 from ttus_opt.viewer.viewer import Viewer, probe_of
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -101,14 +102,21 @@ def drawn(arrow):
     return turn.apply([0.0, 0.0, head + arrow._head.scale * TIP])
 
 
+def test_a_skin_is_drawn_once_and_before_its_probe():
+    served = guarded_server(0)
+    (nodes,) = patients_on(served, field().voxmap.surface, 1)
+    drawn, without = nodes._mesh, nodes.probe is None
+    with tt.view(field(), probe(), served=served) as one:
+        assert without and nodes.probe is not None
+        assert one.page.stage.nodes[0] is nodes and nodes._mesh is drawn
+
+
 def test_arrows_are_drawn_from_what_can_be_felt(viewer):
     skin, touch = viewer.page.stage.skin, viewer.state.touches[0]
-    mesh = TriangleMesh(probe().points, np.arange(3)[None])
     at = np.zeros(3), np.array([0.0, 1.0, 0.0])
     # apart from those that the page moves
-    nodes = PatientNodes(
-        viewer._served.server.scene, "alone", skin, mesh, *at, (0, 0, 0)
-    )
+    nodes = PatientNodes(viewer._served.server.scene, "alone", skin, *at)
+    nodes.add_probe(TriangleMesh(probe().points, np.arange(3)[None]), (0, 0, 0))
     for torque, is_shown in ((1e-4, False), (4e-4, True)):
         wrench = replace(touch.wrench, torque=np.array([torque, 0.0, 0.0]))
         nodes.show_touch(replace(touch, wrench=wrench), np.full(3, 0.01))

@@ -16,6 +16,7 @@ from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import warn_of_another_probe
 from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.interrupts import ended_at_once
 
 if TYPE_CHECKING:
     from ttus_opt.viewer.guarded_server import Served
@@ -97,11 +98,10 @@ def view(
     if not no_browser:
         open_browser(served.url)
     try:
-        viewer = _viewer(served, files, tool, recordings)
-    except BaseException as error:
+        with ended_at_once():  # packages that load take an interrupt for their own
+            viewer = _viewer(served, files, tool, recordings)
+    except Exception as error:
         served.end(f"nothing to show: {error}")
-        if isinstance(error, KeyboardInterrupt):
-            return
         raise
     with viewer:
         try:
@@ -121,30 +121,39 @@ def _viewer(
         work = "reading" if files else "fitting the example"
         begin(work)
         note = served.server.gui.add_html(f"<p>{work} …</p>")
+        if files:
+            fields, options = _read(served, files, tool, recordings)
+        else:
+            fields, options = shown_example(served)
+        begin("drawing")
         from ttus_opt.viewer.viewer import view as opened
 
-        fields, options = _read(files, tool, recordings) if files else shown_example()
-        begin("drawing")
         viewer = opened(fields, served=served, **options)
         note.remove()
         return viewer
 
 
 def _read(
-    files: list[Path], tool: ProbeOptions, recordings: RecordingOptions
+    served: Served,
+    files: list[Path],
+    tool: ProbeOptions,
+    recordings: RecordingOptions,
 ) -> tuple[list[PotentialField], dict[str, Any]]:
-    """Fields, and what else is shown, from files.
+    """Fields, whose skin is drawn at once, and what else is shown, from files.
 
     Raises:
         FileError: A file is not usable.
         InputError: Recordings without a probe, or whatever is wrong with them.
     """
-    from ttus_opt.probe.mesh import read_mesh
-    from ttus_opt.viewer.viewer import probe_of
+    from ttus_opt.viewer.patient_nodes import patients_on
     from ttus_opt.voxmap.field import PotentialField
 
     fields = [PotentialField.load(file) for file in files]
     patient, mesh = fields[0].voxmap.surface, None
+    patients_on(served, patient, len(fields))
+    from ttus_opt.probe.mesh import read_mesh  # while browsers draw it
+    from ttus_opt.viewer.viewer import probe_of
+
     if tool.probe is None:
         shell = probe_of(fields[0])
     else:
@@ -168,19 +177,22 @@ def _read(
     }
 
 
-def shown_example() -> tuple[list[PotentialField], dict[str, Any]]:
-    """The bundled example, fitted, and what else of it is shown."""
+def shown_example(served: Served) -> tuple[list[PotentialField], dict[str, Any]]:
+    """The bundled example, its skin drawn, fitted, and what else of it is shown."""
     from ttus_opt import example
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.viewer.patient_nodes import patients_on
+
+    surface = Surface.load(example.path("surface.nc"))
+    patients_on(served, surface, 1)
     from ttus_opt.contact.scene import Scene
     from ttus_opt.fitting.batch import fit
     from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
     from ttus_opt.fitting.weights.weight_choice import default_model
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-    from ttus_opt.scan.surface import Surface
     from ttus_opt.voxmap.voxmap import Voxmap
 
-    surface = Surface.load(example.path("surface.nc"))
     shell = PointShell.from_spec(example.PROBE)
     fitted, shown = (
         Trajectory.concatenate(

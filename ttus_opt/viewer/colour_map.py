@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.viewer.colouring import Colouring
-from ttus_opt.viewer.section import Section
+
+if TYPE_CHECKING:
+    from ttus_opt.viewer.colouring import Colouring
+    from ttus_opt.viewer.section import Section
 
 Pixels = NDArray[np.uint8]
 

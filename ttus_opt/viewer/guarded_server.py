@@ -13,7 +13,7 @@ import hmac
 import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
@@ -73,11 +73,13 @@ class Served:
         server: Of the pages.
         url: The link.
         lights: Of `looks.dress`.
+        patients: What `patient_nodes.patients_on` drew.
     """
 
     server: viser.ViserServer
     url: str
     lights: Sequence[Any] = ()
+    patients: list[Any] = field(default_factory=list)
 
     def tell(self, line: str, seconds: float | None) -> None:
         """Show a line on every page for some time [s], None until it is closed."""

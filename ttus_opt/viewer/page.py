@@ -14,25 +14,20 @@ from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.colour_map import RENDERED
-from ttus_opt.viewer.first_camera import FirstCamera
 from ttus_opt.viewer.guarded_server import Served
 from ttus_opt.viewer.jobs import Jobs
-from ttus_opt.viewer.looks import SIDES
-from ttus_opt.viewer.patient_nodes import PatientNodes
+from ttus_opt.viewer.patient_nodes import PatientNodes, patients_on
 from ttus_opt.viewer.probe_tab import ProbeTab
 from ttus_opt.viewer.readout import readout
 from ttus_opt.viewer.recording_tab import RecordingTab
 from ttus_opt.viewer.section_tab import SectionTab
-from ttus_opt.viewer.skin import SkinMesh, place_on_ray
+from ttus_opt.viewer.skin import place_on_ray
 from ttus_opt.viewer.skin_tab import SkinTab
 from ttus_opt.viewer.stage import Stage
 from ttus_opt.viewer.state import ViewState
 
 if TYPE_CHECKING:
     from ttus_opt.viewer.skin_tab import Stated
-
-#: Distance between two patients, of a body's length [–]
-APART = 1.15
 
 #: How long a message is shown [s]
 SHOWN = 8.0
@@ -70,29 +65,16 @@ class Page:
         server = served.server
         self._served, self._server, self.state = served, server, state
         self.jobs = Jobs(self.tell)
-        length = float(state.surface.z[-1] - state.surface.z[0])
-        offsets = [
-            np.array([0.0, 0.0, k * APART * length]) for k in range(len(state.fields))
-        ]
-        first = FirstCamera.of(state.surface, length + float(offsets[-1][2]))
-        server.scene.set_up_direction(tuple(first.front.tolist()))
-        for light, side in zip(served.lights, SIDES, strict=True):
-            light.position = first.front + side
-        first.show_on(server)
-        skin, shell = SkinMesh.of(state.surface), state.shell
-        if shell is not None and mesh is None:
-            # a hull does not look at faces
-            mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
-        nodes = [
-            PatientNodes(
-                *(server.scene, f"patient{k}", skin, None if shell is None else mesh),
-                offset,
-                first.away,
-                RENDERED[k],
-            )
-            for k, offset in enumerate(offsets)
-        ]
-        self.stage = Stage(server, state, names, skin, nodes, self.jobs, self.tell)
+        nodes, shell = (
+            patients_on(served, state.surface, len(state.fields)),
+            state.shell,
+        )
+        if shell is not None:
+            if mesh is None:  # a hull does not look at faces
+                mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
+            for one, colour in zip(nodes, RENDERED, strict=False):
+                one.add_probe(mesh, colour)
+        self.stage = Stage(server, state, names, nodes, self.jobs, self.tell)
         self._numbers = server.gui.add_html("")
         legend = server.gui.add_html("")
         self.tabs = tabs = server.gui.add_tab_group()

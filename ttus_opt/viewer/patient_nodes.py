@@ -1,4 +1,8 @@
-"""One field's patient and probe as nodes of the page's scene."""
+"""One field's patient and probe as nodes of the page's scene.
+
+A skin is drawn as soon as it is known: a browser takes its time over the first picture,
+and what the probe needs takes as long to load.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,24 @@ import numpy as np
 import trimesh
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import to_quaternions
+from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.arrow import Arrow
-from ttus_opt.viewer.colour_map import MARK, MEASURED, Pixels, section_pixels
-from ttus_opt.viewer.section import Section
+from ttus_opt.viewer.colour_map import MARK, MEASURED, UNKNOWN, Pixels, section_pixels
+from ttus_opt.viewer.first_camera import FirstCamera
+from ttus_opt.viewer.guarded_server import Served
+from ttus_opt.viewer.looks import SIDES
 from ttus_opt.viewer.skin import SkinMesh
-from ttus_opt.viewer.touch import Touch
 
 if TYPE_CHECKING:
     import viser
+
+    from ttus_opt.probe.mesh import TriangleMesh
+    from ttus_opt.viewer.section import Section
+    from ttus_opt.viewer.touch import Touch
+
+#: Distance between two patients, of a body's length [–]
+APART = 1.15
 
 #: Length of an arrow per force [m/N] and per torque [m/(N m)]
 PER_FORCE, PER_TORQUE = 0.008, 0.8
@@ -37,16 +49,14 @@ PROBE, TORQUE = (238, 240, 244), (28, 122, 92)
 
 
 class PatientNodes:
-    """The nodes below ``/NAME``.
+    """The nodes below ``/NAME``, at first a grey skin.
 
     Args:
         scene: The page's scene.
         name: Of the nodes.
         skin: Nodes of the skin.
-        mesh: The probe's own mesh, probe frame; None without a probe.
         offset: Where the patient's origin is in the scene, shape (3,) [m].
         towards: Direction to the first camera, which looks into a cut, shape (3,).
-        colour: Of the rendered force.
     """
 
     def __init__(
@@ -54,15 +64,12 @@ class PatientNodes:
         scene: viser.SceneApi,
         name: str,
         skin: SkinMesh,
-        mesh: TriangleMesh | None,
         offset: Array,
         towards: Array,
-        colour: tuple[int, int, int],
     ) -> None:
-        self._scene, self._name, self._skin = scene, name, skin
-        self._towards = towards
-        self.offset, self._colour = offset, colour
-        self._colours = np.full((len(skin.theta), 3), 196, dtype=np.uint8)
+        self._scene, self._name, self._towards = scene, name, towards
+        self.skin, self.offset = skin, offset
+        self._colours = np.full((len(skin.theta), 3), UNKNOWN, dtype=np.uint8)
         self._faces: IntArray = skin.faces
         self._painting = threading.Lock()  # colours and cuts come from two threads
         self._image: Any = None
@@ -70,19 +77,22 @@ class PatientNodes:
         scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
         self._mesh = scene.add_glb(f"/{name}/skin", self._glb(), cast_shadow=False)
         self.probe: Any = None
-        if mesh is not None:
-            self.probe = scene.add_mesh_simple(
-                f"/{name}/probe",
-                mesh.vertices,
-                mesh.faces,
-                color=PROBE,
-                opacity=0.6,
-                flat_shading=False,
-                side="double",
-                cast_shadow=False,
-            )
+
+    def add_probe(self, mesh: TriangleMesh, colour: tuple[int, int, int]) -> None:
+        """Draw a probe, its mesh in the probe frame, and its forces in a colour."""
+        self._colour = colour
+        self.probe = self._scene.add_mesh_simple(
+            f"/{self._name}/probe",
+            mesh.vertices,
+            mesh.faces,
+            color=PROBE,
+            opacity=0.6,
+            flat_shading=False,
+            side="double",
+            cast_shadow=False,
+        )
         self._force, self._torque, self._measured = (
-            Arrow(scene, f"/{name}/{what}", tint)
+            Arrow(self._scene, f"/{self._name}/{what}", tint)
             for what, tint in (
                 ("force", colour),
                 ("torque", TORQUE),
@@ -109,10 +119,10 @@ class PatientNodes:
 
     def show_section(self, shown: Section | None) -> None:
         """Draw a section and cut the skin open there; None closes it."""
-        faces = self._skin.faces
+        faces = self.skin.faces
         if shown is not None:
             normal = shown.normal * (1.0 if shown.normal @ self._towards > 0 else -1.0)
-            faces = self._skin.cut(normal, float(shown.origin @ normal))
+            faces = self.skin.cut(normal, float(shown.origin @ normal))
         if not np.array_equal(faces, self._faces):
             self._paint(None, faces)
         if shown is None:
@@ -184,12 +194,38 @@ class PatientNodes:
         rgba = np.full((len(linear), 4), 255, dtype=np.uint8)
         rgba[:, :3] = np.rint(255.0 * linear)
         mesh = trimesh.Trimesh(
-            self._skin.vertices, self._faces, vertex_colors=rgba, process=False
+            self.skin.vertices, self._faces, vertex_colors=rgba, process=False
         )
         out = trimesh.exchange.gltf.export_glb(
             mesh.scene(), include_normals=True, tree_postprocessor=_rough
         )
         return bytes(out)
+
+
+def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNodes]:
+    """Patients of one skin in a row on pages, drawn by the first call.
+
+    Args:
+        served: The pages; lights and camera are moved to where they look.
+        surface: The skin.
+        count: Of patients [–].
+    """
+    if served.patients:
+        return served.patients
+    server, skin = served.server, SkinMesh.of(surface)
+    length = float(surface.z[-1] - surface.z[0])
+    offsets = [np.array([0.0, 0.0, k * APART * length]) for k in range(count)]
+    first = FirstCamera.of(surface, length + float(offsets[-1][2]))
+    with server.atomic():
+        server.scene.set_up_direction(tuple(first.front.tolist()))
+        for light, side in zip(served.lights, SIDES, strict=True):
+            light.position = first.front + side
+        first.show_on(server)
+        served.patients.extend(
+            PatientNodes(server.scene, f"patient{k}", skin, offset, first.away)
+            for k, offset in enumerate(offsets)
+        )
+    return served.patients
 
 
 def _rough(tree: dict[str, Any]) -> None:

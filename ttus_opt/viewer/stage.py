@@ -24,7 +24,6 @@ class Stage:
         server: Of the page.
         state: What is shown.
         names: Of the fields.
-        skin: Nodes of the skin.
         nodes: Patient and probe of every field.
         jobs: Work beside the page.
         tell: Shows a line on every page.
@@ -33,10 +32,14 @@ class Stage:
     server: viser.ViserServer = field(repr=False)
     state: ViewState = field(repr=False)
     names: Sequence[str]
-    skin: SkinMesh = field(repr=False)
     nodes: Sequence[PatientNodes] = field(repr=False)
     jobs: Jobs = field(repr=False)
     tell: Callable[[str], None] = field(repr=False)
+
+    @property
+    def skin(self) -> SkinMesh:
+        """Nodes of the skin."""
+        return self.nodes[0].skin
 
 
 def by_hand(
