@@ -4,7 +4,7 @@
 VENV ?= .venv
 TESTFLAGS ?=
 # Tests run side by side, one process a core (slow ones, which may be large, on two).
-PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
+PARALLEL ?= -n auto --maxprocesses 4
 # Bytecode is kept, also where the environment says not to: without it each process
 # compiles every module and rewrites every assertion again. Without nbmake, which loads
 # Jupyter, each process starts a second sooner.

@@ -27,6 +27,23 @@ def pytest_collection_finish():
     gc.set_threshold(100_000, 20, 50)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(file_path):
+    """Test files have no examples to run; helpers beside them may."""
+    found = yield
+    if file_path.name.startswith("test_"):
+        return [one for one in found if type(one) is pytest.Module]
+    return found
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Let a process run tests in a row: what they set up is made once."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
 def shared_data(name: str = "") -> Path:
     """A file or folder of the real and independent data, or a skip."""
     path = SHARED / name

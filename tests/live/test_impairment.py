@@ -11,12 +11,10 @@ from ttus_opt.live.peer import Outgoing
 def through(impairment, count=5000, step=0.02, reliable=False):
     """Arrival time and number of packets sent every step."""
     link, got = ImpairedLink(impairment), []
-    ticks = int((count * step + 30.0) / 1e-3) if count < 500 else None
     for k in range(count):
         link.send(step * k, [Outgoing(k.to_bytes(4, "big") * 25, reliable)])
         got += [(step * k, d) for d in link.receive(step * k)]
-    times = np.arange(ticks or 40_000) * 1e-3 + step * count
-    for now in times:
+    for now in step * count + np.r_[0.0:2.0:1e-3, 2.0:40.0:1e-2]:
         got += [(now, d) for d in link.receive(now)]
     return [(t, int.from_bytes(d[:4], "big")) for t, d in got], link
 

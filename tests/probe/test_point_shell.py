@@ -200,7 +200,7 @@ def test_a_missing_face_is_told_and_the_hull_closes_it():
 @pytest.mark.parametrize("end", [-1, 1])
 def test_a_hole_is_told_where_it_is(end):
     """An opening of 5 cm² where the cable leaves is not one of the contact face."""
-    made = trimesh.creation.box((0.02, 0.08, 0.025)).subdivide_to_size(0.004)
+    made = trimesh.creation.box((0.02, 0.08, 0.025)).subdivide_to_size(0.016)
     middle = made.triangles_center
     hole = np.abs(middle[:, 1] - end * 0.04) < 1e-6
     faces = np.array(made.faces)[~hole]

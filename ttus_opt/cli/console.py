@@ -81,7 +81,9 @@ def as_options(message: str, **options: str) -> str:
         return option if value == "True" else f"{option} {shlex.quote(value)}"
 
     value = r"(?:(?P<q>['\"])(?P<quoted>[^'\"]+)(?P=q)|(?P<bare>[\w-]+))"
-    told = re.sub(rf"\b(?P<name>{'|'.join(table)})={value}", written, message)
+    # a term may be called force and have any other value
+    told = message.replace("force=True", "--force")
+    told = re.sub(rf"\b(?P<name>{'|'.join(table)})={value}", written, told)
     return told.replace("by columns, for instance ", f"by {table['columns']} ")
 
 

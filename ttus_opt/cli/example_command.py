@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.core.errors import FileError
 
 
 def example(
@@ -32,10 +31,7 @@ def example(
 
     with Stages(1) as begin:
         begin("making the files")
-        try:
-            write_folder(folder, force=force)
-        except FileError as error:
-            raise FileError(str(error).replace("pass force", "add --force")) from error
+        write_folder(folder, force=force)
     width = max(map(len, FILES))
     lines = [f"{name:{width}}  {about}" for name, about in FILES.items()]
     last = f"\ncd {folder}, then sh commands.sh, or one command after the other"

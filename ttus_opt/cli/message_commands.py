@@ -10,7 +10,6 @@ import typer
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
@@ -123,19 +122,14 @@ def _read(file: Path) -> Surface | PotentialField:
 
 
 def _bytes(file: Path) -> bytes:
-    """A message's bytes, and no more than a message may have.
+    """A message's bytes.
 
     Raises:
-        FileError: The file is missing, empty or cannot be read.
+        FileError: No file, an empty one, or one longer than a message may be.
     """
     from ttus_opt.message.envelope import LONGEST
 
-    path = io.existing_file(file, "message")
-    try:
-        with path.open("rb") as stream:
-            return stream.read(LONGEST + 1)
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    return io.existing_file(file, "message", LONGEST).read_bytes()
 
 
 def _size(what: Any) -> int:

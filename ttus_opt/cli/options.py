@@ -115,9 +115,6 @@ def check_outputs(
             require_picture_suffix(picture)
     given = [output for output in (*outputs, *pictures) if output is not None]
     for output in given:
-        try:
-            io.check_output(output, inputs=inputs, force=force, size=size)
-        except FileError as error:
-            raise FileError(str(error).replace("pass force", "add --force")) from error
+        io.check_output(output, inputs=inputs, force=force, size=size)
     if len({os.path.realpath(output) for output in given}) < len(given):
         raise FileError(f"{given[0]} is given for two outputs: give two names")

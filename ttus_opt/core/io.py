@@ -170,7 +170,7 @@ def check_output(
         if same:
             raise FileError(
                 f"{path} would overwrite the input {same[0]}: choose another output, "
-                "or pass force"
+                "or pass force=True"
             )
     folder = target.parent
     while not folder.exists():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import struct
-import zlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,9 @@ SILENT = 0
 
 #: First bytes of a PNG
 PNG = b"\x89PNG\r\n\x1a\n"
+
+#: Its last chunk, with the checksum, at which Pillow does not look
+PNG_END = b"IEND\xaeB`\x82"
 
 
 def decoded(file: Path, most: int, mode: int) -> NDArray[Any]:
@@ -55,25 +56,27 @@ def decoded(file: Path, most: int, mode: int) -> NDArray[Any]:
 
 
 def _check_png(file: Path, content: bytes, most: int) -> None:
-    """Refuse a PNG with damaged chunks, which the decoder would fill in.
+    """Refuse a PNG with damaged chunks, which OpenCV's decoder would fill in.
+
+    Args:
+        file: Where it is, for messages.
+        content: Its bytes.
+        most: Most pixels it may announce.
 
     Raises:
         FileError: A wrong checksum, missing chunks, or too many pixels announced.
     """
-    at, kinds, size = len(PNG), [], 0
-    while content.startswith(PNG) and at + 12 <= len(content):
-        length, kind = struct.unpack_from(">I4s", content, at)
-        body = content[at + 4 : at + 8 + length]
-        end = content[at + 8 + length : at + 12 + length]
-        if end != zlib.crc32(body).to_bytes(4, "big"):
-            break
-        if kind == b"IHDR" and length == 13:
-            size = math.prod(struct.unpack_from(">II", body, 4))
-        kinds.append(kind)
-        at += 12 + length
-    if size > most:
-        raise FileError(f"{file} declares {size:,} pixels, at most {most:,} are read")
-    if not kinds or kinds[0] != b"IHDR" or kinds[-1] != b"IEND":
+    from PIL.PngImagePlugin import PngImageFile
+
+    try:
+        content.index(PNG_END)
+        image = PngImageFile(io.BytesIO(content))
+        size = image.width * image.height
+        if size <= most:
+            image.verify()
+    except Exception as error:  # Pillow raises nearly every class on damaged files
         raise FileError(
             f"{file} is a damaged or truncated PNG: copy or export it again"
-        )
+        ) from error
+    if size > most:
+        raise FileError(f"{file} declares {size:,} pixels, at most {most:,} are read")

@@ -298,12 +298,10 @@ def _start(problem: _Problem, rng: np.random.Generator) -> Array:
         for found in hand_eye.solved(G[own], problem.A[own]).values():
             if found.camera is None:
                 continue
-            six = np.r_[six_of(found.camera), six_of(found.marker), 0.0]
-            gap = float(
-                np.median(np.linalg.norm(problem.residuals(six)[:, 3:], axis=1))
-            )
+            ends = (G @ found.camera @ problem.A)[:, :3, 3]
+            gap = float(np.median(np.linalg.norm(ends - found.marker[:3, 3], axis=1)))
             if gap < least:
-                best, least = six[:12], gap
+                best, least = np.r_[six_of(found.camera), six_of(found.marker)], gap
     if best is None:
         raise InputError("no solver has an answer: are the streams of one body?")
     return np.asarray(best)

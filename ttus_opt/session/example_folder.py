@@ -104,7 +104,7 @@ def write_folder(folder: str | os.PathLike[str], *, force: bool = False) -> Path
     there = [name for name in FILES if (place / name).exists()]
     if there and not force:
         raise FileError(
-            f"{place} has {there[0]} already: choose another folder, or pass force"
+            f"{place} has {there[0]} already: choose another folder, or pass force=True"
         )
     try:
         place.mkdir(parents=True, exist_ok=True)
