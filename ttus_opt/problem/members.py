@@ -115,6 +115,18 @@ def nonempty_columns(matrix: sp.csr_array) -> IntArray:
     return np.flatnonzero(used).astype(np.int64)
 
 
+def of_existing(dual: Array, lower: Array, upper: Array) -> Array:
+    """Multipliers of limits that exist, positive at upper ones; zero for others."""
+    return np.where(np.isfinite(np.where(dual > 0.0, upper, lower)), dual, 0.0)
+
+
+def complementarity(dual: Array, lower: Array, upper: Array, value: Array) -> float:
+    """Σ |dual| · distance of a value from the limit."""
+    limit = np.where(dual > 0.0, upper, lower)
+    limit = np.where(dual == 0.0, value, limit)
+    return float(np.abs(dual * (limit - value)).sum())
+
+
 @dataclass(frozen=True)
 class Sides:
     """Rows lower ≤ A x ≤ upper as equalities and as inequalities from above.
@@ -190,6 +202,14 @@ class ProgramConstraint:
         single = np.diff(self.matrix.indptr) == 1
         return np.asarray(single & (self.lower == self.upper))
 
+    def admissible(self, y: Array) -> Array:
+        """Multipliers of limits that exist; zero for others."""
+        return of_existing(y, self.lower, self.upper)
+
+    def complementarity(self, y: Array, x: Array) -> float:
+        """Σ |y| · distance of the rows from the limits of their multipliers."""
+        return complementarity(y, self.lower, self.upper, self.matrix @ x)
+
     def slack(self, x: Array) -> Array:
         """Distance to the nearer limit, negative where violated, shape (m,)."""
         value = self.matrix @ x
@@ -242,6 +262,10 @@ class ProgramCones:
     def admissible(self, y: Array) -> Array:
         """The nearest multiplier: minus a point of the cones, which are self-dual."""
         return -self.projected(-y)
+
+    def complementarity(self, y: Array, x: Array) -> float:
+        """|yᵀs|."""
+        return abs(float(y @ self.value(x)))
 
     def _lengths(self, s: Array) -> Array:
         """‖(s₁, …)‖ of every cone."""

@@ -143,8 +143,7 @@ class Program:
 
     def __repr__(self) -> str:
         """Sizes and names in one line."""
-        held = [c.name for c in self.constraints] + [c.name for c in self.cones]
-        held += [bound.name for bound in self.bounds]
+        held = [member.name for member in (*self.limited_rows, *self.bounds)]
         terms = ", ".join(term.name for term in self.terms)
         limits = f" subject to {', '.join(held)}" if held else ""
         return f"<Program over {self.sizes}: {terms}{limits}>"
@@ -183,6 +182,11 @@ class Program:
     def split(self, x: Array) -> dict[str, Array]:
         """The variables of x by name."""
         return {name: x[part] for name, part in self.variables.items()}
+
+    @property
+    def limited_rows(self) -> tuple[ProgramConstraint | ProgramCones, ...]:
+        """All rows with multipliers: linear ones, then cones."""
+        return *self.constraints, *self.cones
 
     @property
     def is_unconstrained(self) -> bool:

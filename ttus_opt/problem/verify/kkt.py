@@ -43,7 +43,12 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.problem.members import ProgramConstraint
+from ttus_opt.problem.members import (
+    ProgramCones,
+    ProgramConstraint,
+    complementarity,
+    of_existing,
+)
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.absorption import CLOSE_ENOUGH, absorbed
 from ttus_opt.problem.verify.distance import energy, held_by_equalities
@@ -71,6 +76,10 @@ class Duals:
     rows: Mapping[str, Array] = field(default_factory=dict)
     bounds: Array | None = None
     terms: Mapping[str, Array] = field(default_factory=dict)
+
+    def of(self, member: ProgramConstraint | ProgramCones) -> Array:
+        """The y of linear rows or of cones, zero where it is missing, shape (m,)."""
+        return self.rows.get(member.name, np.zeros(member.matrix.shape[0]))
 
 
 def bound_duals(program: Program, bounds: Array | None) -> dict[str, Array]:
@@ -188,10 +197,8 @@ def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes
     digest = hashlib.sha256(repr(tolerance).encode())
     parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
     probe = _probe(program.n_variables)
-    matrices = [term.matrix for term in program.terms]
-    matrices += [member.matrix for member in program.constraints]
-    matrices += [cone.matrix for cone in program.cones]
-    parts += [("matrix", matrix @ probe) for matrix in matrices]
+    members = (*program.terms, *program.limited_rows)
+    parts += [("matrix", member.matrix @ probe) for member in members]
     parts += [("target", term.target) for term in program.terms]
     limits = [(c.lower, c.upper) for c in program.constraints]
     limits += [(b.lower, b.upper) for b in program.bounds]
@@ -207,138 +214,74 @@ def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes
 
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:
-    blocks = GradientBlocks(program)
-    multipliers = _of_terms(program, x, duals, blocks)
-    gap = _of_bounds(program, x, duals, blocks)
-    gap += _of_rows(program, x, duals, blocks)
-    gap += _of_cones(program, x, duals, blocks)
-    largest = float(np.abs(x).max(initial=0.0))
+    point = _Point.of(program, x, duals, held_by_equalities(program))
     violation, relative = worst_violation(program, x)
-    fixed = held_by_equalities(program)
     # scale: the objective at x = 0, with the values that equalities fix
-    objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
-    point = _Point(program, x, multipliers, blocks.gradient, fixed)
-    bound = _without_loose(point, duals, tolerance * objective)
-    if bound is None:
+    objective = program.objective(x)
+    scale = program.objective(np.where(point.fixed, x, 0.0))
+    gap, is_bound = _without_loose(point, duals, tolerance * objective), True
+    if gap is None:
         missing, is_bound = point.below(tolerance * objective)
-        gap += missing
-    else:
-        gap, is_bound = bound, True
+        gap = point.complementarity + missing
     return KKT(
         violation,
-        blocks.error,
+        point.blocks.error,
         gap,
         relative,
-        blocks.worst(largest),
+        point.blocks.worst(float(np.abs(x).max(initial=0.0))),
         _relative_gap(gap, objective, scale),
         float(np.sqrt(gap)) if is_bound else None,
     )
 
 
-def _of_terms(
-    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
-) -> dict[str, Array]:
-    """Add the objective's gradient; return the multipliers of other penalties."""
-    for summand in quadratic_summands(program, x):
-        blocks.add(summand)
-    found = {}
-    for term in program.terms:
-        if term.penalty.quadratic:
-            continue
-        g = duals.terms.get(term.name)
-        if g is None:
-            g = term.penalty.subgradient(term.residual(x))
-        found[term.name] = term.penalty.admissible(g)
-        blocks.add(term.weight * (term.matrix.T @ found[term.name]))
-    return found
-
-
-def _without_loose(point: _Point, duals: Duals, goal: float) -> float | None:
-    """The bound where auxiliary variables have no squares; None without any."""
-    program, x = point.program, point.x
-    loose = loose_variables(program, point.fixed)
-    if not loose.any():
-        return None
-    given = {}
-    for constraint in program.constraints:
-        y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
-        given[constraint.name], _ = _present(y, constraint.lower, constraint.upper)
-    for cone in program.cones:
-        y = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
-        given[cone.name] = cone.admissible(y)
-    rows = exact_rows(program, given, loose)
-    if rows is None:
-        return None
-    exact, blocks = Duals(rows, duals.bounds, duals.terms), GradientBlocks(program)
-    multipliers = _of_terms(program, x, exact, blocks)
-    gap = _of_bounds(program, x, exact, blocks) + _of_rows(program, x, exact, blocks)
-    gap += _of_cones(program, x, exact, blocks)
-    r = np.where(loose, 0.0, blocks.gradient)
-    rest = energy(program, r, point.fixed | loose, CLOSE_ENOUGH * goal)
-    if rest is None:
-        return None
-    there = replace(point, multipliers=multipliers, gradient=r)
-    return gap + rest + there.fenchel() + there.held_off(r)
-
-
-def _of_bounds(
-    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
-) -> float:
-    """Add the multipliers of bounds; return their part of the gap."""
-    if not program.bounds:
-        return 0.0
-    lower, upper = program.box
-    z = np.zeros_like(x) if duals.bounds is None else duals.bounds
-    z, stray = _present(z, lower, upper)
-    blocks.add(z)
-    blocks.add_stray(stray)
-    return _complementarity(z, lower, upper, x)
-
-
-def _of_rows(program: Program, x: Array, duals: Duals, blocks: GradientBlocks) -> float:
-    """Add the multipliers of linear rows; return their part of the gap."""
-    gap = 0.0
-    for constraint in program.constraints:
-        y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
-        y, stray = _present(y, constraint.lower, constraint.upper)
-        blocks.add(constraint.matrix.T @ y)
-        blocks.add_stray(constraint.matrix.T @ stray)
-        value = constraint.matrix @ x
-        gap += _complementarity(y, constraint.lower, constraint.upper, value)
-    return gap
-
-
-def _of_cones(
-    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
-) -> float:
-    """Add the multipliers of cones; return their part of the gap."""
-    gap = 0.0
-    for cone in program.cones:
-        given = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
-        y = cone.admissible(given)
-        blocks.add(cone.matrix.T @ y)
-        blocks.add_stray(cone.matrix.T @ (given - y))
-        gap += abs(float(y @ cone.value(x)))
-    return gap
-
-
 @dataclass(frozen=True)
 class _Point:
-    """A candidate with its dual residual.
+    """A candidate with its multipliers.
 
     Attributes:
         program: The program.
         x: Shape (n,).
-        multipliers: g of other penalties, by name.
-        gradient: r, shape (n,).
         fixed: Variables that equalities hold, shape (n,).
+        blocks: The summands of the Lagrangian's gradient r.
+        multipliers: g of other penalties, by name.
+        complementarity: Part of the gap by the multipliers of limits.
     """
 
     program: Program
     x: Array
-    multipliers: Mapping[str, Array]
-    gradient: Array
     fixed: Mask
+    blocks: GradientBlocks
+    multipliers: Mapping[str, Array]
+    complementarity: float
+
+    @classmethod
+    def of(cls, program: Program, x: Array, duals: Duals, fixed: Mask) -> _Point:
+        """Add up the gradient of the Lagrangian."""
+        blocks, multipliers, gap = GradientBlocks(program), {}, 0.0
+        for summand in quadratic_summands(program, x):
+            blocks.add(summand)
+        for term in program.terms:
+            if term.penalty.quadratic:
+                continue
+            g = duals.terms.get(term.name)
+            if g is None:
+                g = term.penalty.subgradient(term.residual(x))
+            multipliers[term.name] = term.penalty.admissible(g)
+            blocks.add(term.weight * (term.matrix.T @ multipliers[term.name]))
+        if program.bounds:
+            lower, upper = program.box
+            given = np.zeros_like(x) if duals.bounds is None else duals.bounds
+            z = of_existing(given, lower, upper)
+            blocks.add(z)
+            blocks.add_stray(given - z)
+            gap += complementarity(z, lower, upper, x)
+        for member in program.limited_rows:
+            given = duals.of(member)
+            y = member.admissible(given)
+            blocks.add(member.matrix.T @ y)
+            blocks.add_stray(member.matrix.T @ (given - y))
+            gap += member.complementarity(y, x)
+        return cls(program, x, fixed, blocks, multipliers, gap)
 
     def below(self, goal: float) -> tuple[float, bool]:
         """The gap by r and other penalties, and whether it is a bound.
@@ -346,7 +289,7 @@ class _Point:
         Args:
             goal: The requested gap; a bound far below it is not tightened.
         """
-        program, x, r = self.program, self.x, self.gradient
+        program, x, r = self.program, self.x, self.blocks.gradient
         bound = energy(program, r, self.fixed, CLOSE_ENOUGH * goal)
         if bound is not None:
             return bound + self.fenchel() + self.held_off(r), True
@@ -372,6 +315,24 @@ class _Point:
         return gap
 
 
+def _without_loose(point: _Point, duals: Duals, goal: float) -> float | None:
+    """The gap where auxiliary variables have no squares; None without any."""
+    program, fixed = point.program, point.fixed
+    loose = loose_variables(program, fixed)
+    if not loose.any():
+        return None
+    given = {m.name: m.admissible(duals.of(m)) for m in program.limited_rows}
+    rows = exact_rows(program, given, loose)
+    if rows is None:
+        return None
+    exact = _Point.of(program, point.x, replace(duals, rows=rows), fixed)
+    r = np.where(loose, 0.0, exact.blocks.gradient)
+    rest = energy(program, r, fixed | loose, CLOSE_ENOUGH * goal)
+    if rest is None:
+        return None
+    return exact.complementarity + rest + exact.fenchel() + exact.held_off(r)
+
+
 def _held(constraint: ProgramConstraint, x: Array, r: Array) -> float:
     """Σ |r| · violation over the rows that fix a variable."""
     at = constraint.fixing
@@ -387,16 +348,3 @@ def _relative_gap(gap: float, objective: float, scale: float) -> float:
     by_distance = STRICTER * math.sqrt(gap / max(abs(scale), TINY))
     either = by_objective + by_distance  # Python's ``min`` lets NaN pass
     return float("inf") if math.isnan(either) else min(by_objective, by_distance)
-
-
-def _present(dual: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Multipliers of existing limits, and those of absent ones."""
-    there = np.isfinite(np.where(dual > 0.0, upper, lower))
-    return np.where(there, dual, 0.0), np.where(there, 0.0, dual)
-
-
-def _complementarity(dual: Array, lower: Array, upper: Array, value: Array) -> float:
-    """Σ |dual| · distance to its limit."""
-    limit = np.where(dual > 0.0, upper, lower)
-    limit = np.where(dual == 0.0, value, limit)
-    return float(np.abs(dual * (limit - value)).sum())

@@ -25,8 +25,6 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.terms.structure import known_covariance
 
-_Member = ProgramConstraint | ProgramCones
-
 #: Most repetitions
 MOST = 100
 
@@ -69,7 +67,7 @@ def exact_rows(
     Returns:
         All multipliers; None where there are no such ones, or none were found.
     """
-    members: list[_Member] = [*program.constraints, *program.cones]
+    members = program.limited_rows
     columns = [sp.csr_array(sp.csc_array(m.matrix)[:, loose]) for m in members]
     parts = [
         _Part(member, B, given[member.name])
@@ -97,10 +95,11 @@ def exact_rows(
         left = B.T @ flat + cost
         summands = abs(B).T @ np.abs(flat) + np.abs(cost)
         if (np.abs(left) <= ROUNDING * summands).all():
-            return dict(given) | {p.name: v for p, v in zip(parts, y, strict=True)}
+            names = (part.member.name for part in parts)
+            return given | dict(zip(names, y, strict=True))
         flat = flat - size * (B @ inverse.solve(left))
         y = [
-            part.admissible(flat[a:b])
+            part.member.admissible(flat[a:b])
             for part, a, b in zip(parts, at[:-1], at[1:], strict=True)
         ]
     return None
@@ -116,14 +115,9 @@ class _Part:
         start: Their multipliers, shape (m,).
     """
 
-    member: _Member
+    member: ProgramConstraint | ProgramCones
     columns: sp.csr_array = field(repr=False)
     start: Array = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """The member's name."""
-        return self.member.name
 
     @property
     def weights(self) -> Array:
@@ -133,10 +127,3 @@ class _Part:
         sizes = np.diff([*self.member.first, len(self.start)])
         each = np.sqrt(np.add.reduceat(self.start**2, self.member.first))
         return np.repeat(each, sizes)
-
-    def admissible(self, y: Array) -> Array:
-        """The nearest multipliers of existing limits or of cones."""
-        if isinstance(self.member, ProgramCones):
-            return self.member.admissible(y)
-        limit = np.where(y > 0.0, self.member.upper, self.member.lower)
-        return np.where(np.isfinite(limit), y, 0.0)
