@@ -10,7 +10,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.live.subject import LIFTED, MEETING, PRESS, WAY, Subject, shell_of
 from ttus_opt.live.tissue import TORSO_LAW, VARIES, FieldTissue
 from ttus_opt.live.trial import Trial, simulation
-from ttus_opt.sensors.probe_axis import hold
+from ttus_opt.probe.held import hold
 from ttus_opt.viewer.state import ViewState
 
 RADIUS = 0.12

@@ -5,7 +5,7 @@ import pytest
 
 from tests.refusals import refuses
 from ttus_opt.core.errors import FileError
-from ttus_opt.sensors.probe_axis import USUAL
+from ttus_opt.probe.held import USUAL
 from ttus_opt.session.scan_description import Scan, read_scan
 from ttus_opt.session.section import Section
 

@@ -16,7 +16,7 @@ from tests.viewer.conftest import field, probe
 from ttus_opt.contact.standing import depth_of, standing
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.next_press import next_press
-from ttus_opt.sensors.probe_axis import hold
+from ttus_opt.probe.held import hold
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.skin import SkinMesh
 

@@ -439,8 +439,8 @@ def _tell_end(
 def _subject(surface: Path | None, probe: str, probe_axes: str) -> Subject | None:
     """Who is examined with what; None for the example."""
     from ttus_opt.live.subject import Subject, patient_surface, shell_of
+    from ttus_opt.probe.held import hold
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.sensors.probe_axis import hold
 
     if surface is None and probe == PROBE:
         return None

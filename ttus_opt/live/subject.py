@@ -15,10 +15,10 @@ from ttus_opt import example
 from ttus_opt.contact.standing import skin_frames, standing
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.held import hold
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.sensors.probe_axis import hold
 
 #: Points of the shell of a primitive, and of a mesh, whose face is a small part [–]
 N_POINTS, MESH_POINTS = 1000, 4000
@@ -43,7 +43,7 @@ class Subject:
     Attributes:
         surface: The skin.
         shell: The probe.
-        hold: Orientation of the probe relative to the skin (`probe_axis.hold`).
+        hold: Orientation of the probe relative to the skin (`probe.held.hold`).
         place: Angle [rad] and height [m] of the middle place; by default the middle of
             the front.
     """

@@ -20,20 +20,12 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
+from ttus_opt.probe.held import USUAL, held_axes
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.stream_files import read_poses
-
-#: How the phantom's probe is held: z into the patient, y to the feet
-USUAL = ("z", "-y")
-
-AXES = {
-    sign + name: (-1.0 if sign else 1.0) * np.eye(3)[k]
-    for k, name in enumerate("xyz")
-    for sign in ("", "-")
-}
 
 #: A probe held still moves and turns less than this [m, rad]
 STILL_SHIFT, STILL_TURN = 0.010, float(np.deg2rad(5.0))
@@ -69,7 +61,7 @@ def axis_from_probe(
         GeometryError: No skin below the probe, or it does not point at the supporting
             plane.
     """
-    into, head = _axes(held)
+    into, head = held_axes(held)
     if depth is not None and not 0.01 <= depth <= 0.3:
         raise InputError(
             f"the origin must be 0.01 to 0.3 m below the skin, got {depth:g}: give "
@@ -85,22 +77,6 @@ def axis_from_probe(
     z = rotation @ head
     turn = np.stack([np.cross(-inward, z), -inward, z], axis=1)
     return Axis(at + (skin + depth) * inward, turn, plane)
-
-
-def hold(held: tuple[str, str] = USUAL) -> Array:
-    """Orientation of a held probe relative to the skin's frame, shape (3, 3).
-
-    Its columns are the probe's axes, its rows outward, around and along the body, as
-    `ttus_opt.contact.standing` takes it.
-
-    Args:
-        held: The probe's axes that point into the patient and to the head.
-
-    Raises:
-        InputError: Unknown or equal axes.
-    """
-    into, head = _axes(held)
-    return np.stack([-into, np.cross(head, -into), head])
 
 
 def read_axis(
@@ -127,21 +103,6 @@ def read_axis(
     if Path(path).suffix.lower() == ".nc":
         return Surface.load(path).axis
     return axis_from_probe(read_poses(path), cloud, held=held, depth=depth)
-
-
-def _axes(held: tuple[str, str]) -> tuple[Array, Array]:
-    if len(held) != 2 or not all(name in AXES for name in held):
-        raise InputError(
-            "held names the probe's axes into the patient and to the head, each one of "
-            f"{', '.join(AXES)}: got {held}"
-        )
-    into, head = (AXES[name] for name in held)
-    if into @ head != 0.0:
-        raise InputError(
-            f"held names the same axis of the probe twice, {held[0]} and {held[1]}: "
-            "one points into the patient, another to the head"
-        )
-    return into, head
 
 
 def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:

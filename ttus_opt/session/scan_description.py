@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.probe.held import AXES, USUAL
 from ttus_opt.scan.cloud import UNITS
-from ttus_opt.sensors.probe_axis import AXES, USUAL
 from ttus_opt.session.section import Section
 
 KINDS = ("cloud", "surface", "depth")

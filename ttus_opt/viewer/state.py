@@ -28,11 +28,11 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.motion import MotionFilter
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import TURN
+from ttus_opt.probe.held import hold
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, pose_of
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.sensors.probe_axis import hold
 from ttus_opt.viewer.hand_motion import HandMotion
 from ttus_opt.viewer.recording import Recording
 from ttus_opt.viewer.touch import Touch, touch_at
@@ -58,7 +58,7 @@ class ViewState:
         shell: The probe; None to look only.
         trajectory: Recordings to show, in the patient's frame; they tell how the probe
             is held.
-        usual: How it is held without (`probe_axis.hold`); by default its z axis points
+        usual: How it is held without (`probe.held.hold`); by default its z axis points
             into the patient, its x axis around the body.
 
     Raises:

@@ -35,7 +35,6 @@ import scipy.sparse as sp
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import Whitened
@@ -114,7 +113,7 @@ class PartNoise:
         touching = scene.touching
         size = own[touching] ** 2 + drift[touching] ** 2
         level = float(np.sqrt(size.mean())) if touching.any() else 1.0
-        alike = np.sqrt(crowding(scene.trajectory))
+        alike = np.sqrt(_crowding(scene))
         normal = independent(scene, alike * own / level, drift / level)
         across = alike * np.hypot(own, turn * force) / level
         return cls(normal, across, contact_directions(scene), level)
@@ -146,8 +145,9 @@ def contact_directions(scene: Scene) -> Array:
     return np.asarray(force / np.where(length > 0.0, length, 1.0))
 
 
-def crowding(trajectory: Trajectory) -> Array:
+def _crowding(scene: Scene) -> Array:
     """Frames of a recording within `ALIKE`, at least one, shape (T,) [–]."""
+    trajectory = scene.trajectory
     out = np.ones(len(trajectory))
     for there in trajectory.parts:
         time = trajectory.time[there]
