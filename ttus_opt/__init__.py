@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.path.path_dataset import (
         write_solution_path as write_solution_path,
     )
+    from ttus_opt.fitting.path.solution_path import PathRun as PathRun
     from ttus_opt.fitting.path.solution_path import solution_path as solution_path
     from ttus_opt.fitting.poses.pose_refinement import refine_poses as refine_poses
     from ttus_opt.fitting.recursion.recursive import RecursiveFit as RecursiveFit
@@ -65,6 +66,7 @@ _HOME = {
     "Fitter": "fitting.batch",
     "Formulation": "problem.formulation",
     "NoSolutionError": "problem.solution",
+    "PathRun": "fitting.path.solution_path",
     "PointShell": "probe.point_shell",
     "PotentialField": "voxmap.field",
     "RecursiveFit": "fitting.recursion.recursive",

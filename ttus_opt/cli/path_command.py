@@ -71,7 +71,7 @@ def path(
         force,torque=1e-4:1e2:25 -o path.nc --picture path.png
     """
     from ttus_opt.fitting.path.path_dataset import best_weights, write_solution_path
-    from ttus_opt.fitting.path.solution_path import solution_path
+    from ttus_opt.fitting.path.solution_path import PathRun, solution_path
 
     weights, options, plan = read_weights(weight), problem.further, grid.plan
     others = held_out or []
@@ -88,6 +88,7 @@ def path(
         pictures=pictures,
         size=bytes_needed,
     )
+    run = PathRun(output, jobs, dask, bars_shown())
     with Stages(2) as begin:
         known = measured(surface, probe, recordings, plan, begin)
         unseen = {}
@@ -102,10 +103,7 @@ def path(
         solver=problem.solver,
         tolerance=problem.tolerance,
         extras=extras,
-        progress=bars_shown(),
-        file=output,
-        jobs=jobs,
-        dask=dask,
+        run=run,
         **options,
     )
     found.attrs |= {

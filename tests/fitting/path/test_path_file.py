@@ -29,10 +29,11 @@ def scene():
     return small_scene("trilinear", shape=(6, 9, 6), n_poses=12)
 
 
-def solve(file, name="eq10", **given):
+def solve(file, name="eq10", jobs=1, dask="", **given):
+    run = tt.PathRun(file, jobs, dask)
     asked = {"weights": {("force", "torque"): WEIGHTS}, **given}
     asked.setdefault("held_out", presses(torso(), 5, np.random.default_rng(3)))
-    return tt.solution_path(name, asked.pop("scene", scene()), file=file, **asked)
+    return tt.solution_path(name, asked.pop("scene", scene()), run=run, **asked)
 
 
 @functools.cache

@@ -13,6 +13,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,32 @@ Point = tuple[Index, Solution, Mapping[str, float]]
 At = Callable[[Index], Formulation]
 
 
-def solution_path(  # noqa: PLR0913  public, all but two by name
+@dataclass(frozen=True)
+class PathRun:
+    """How a path is run.
+
+    Attributes:
+        file: Where to keep the path, as `write_solution_path` does, at the end and
+            every half minute. Points that it holds already are not computed again; if
+            it is of other inputs, a `TtusWarning` names them, and it is replaced.
+        jobs: Processes for formulations that share no work between their points
+            (extra parallel); for others, a `TtusWarning` says that it is not used.
+        dask: Address of a dask scheduler, host:port, to use instead.
+        progress: Whether to show a progress bar.
+    """
+
+    file: str | os.PathLike[str] | None = None
+    jobs: int = 1
+    dask: str = ""
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse fewer than one job."""
+        if self.jobs < 1:
+            raise InputError(f"jobs must be at least 1, got {self.jobs}")
+
+
+def solution_path(
     formulation: str | Path | Formulation,
     scene: Scene | None = None,
     *,
@@ -55,16 +81,13 @@ def solution_path(  # noqa: PLR0913  public, all but two by name
     solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
     extras: Collection[str] = (),
-    progress: bool = False,
-    file: str | os.PathLike[str] | None = None,
-    jobs: int = 1,
-    dask: str = "",
+    run: PathRun | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Solve a formulation for many weights.
 
     An interrupt (Ctrl-C) ends the path early: finished points are kept, and a
-    `TtusWarning` gives their number. With ``file``, the same call goes on from them.
+    `TtusWarning` gives their number. With a file, the same call goes on from them.
 
     Args:
         formulation: A name, a path to a file with ``build``, or a Formulation.
@@ -79,13 +102,7 @@ def solution_path(  # noqa: PLR0913  public, all but two by name
             generalised cross-validation, and errors on presses left out in turn, for
             one field without limits. They take more response fields with larger
             weights, on a fine grid ten times as many as the path.
-        progress: Whether to show a progress bar.
-        file: Where to keep the path, as `write_solution_path` does, at the end and
-            every half minute. Points that it holds already are not computed again; if
-            it is of other inputs, a `TtusWarning` names them, and it is replaced.
-        jobs: Processes for formulations that share no work between their points
-            (extra parallel); for others, a `TtusWarning` says that it is not used.
-        dask: Address of a dask scheduler, host:port, to use instead.
+        run: Where the path is kept, processes, a progress bar; by default none of it.
         options: Options of the formulation.
 
     Returns:
@@ -99,12 +116,15 @@ def solution_path(  # noqa: PLR0913  public, all but two by name
     Raises:
         InputError: Unknown formulation, option, solver, term or extra, weights that are
             not positive, held-out recordings without wrenches, criteria of a problem
-            that has none, fewer than one job, or no scheduler that answers.
+            that has none, or no scheduler that answers.
         SolverUnavailableError: The solver's package is not installed.
         MissingPackageError: joblib or dask is requested and not installed.
         FileError: The file cannot be written.
     """
-    _check(extras, jobs)
+    for extra in extras:
+        if extra not in EXTRAS:
+            raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
+    run = run or PathRun()
     declared = _declared(formulation, scene, options)
     grid = WeightGrid.of(weights, [term.name for term in declared.terms])
     unseen = _named(held_out)
@@ -116,37 +136,28 @@ def solution_path(  # noqa: PLR0913  public, all but two by name
     first = at((0,) * len(grid.axes))
     solve = point_solver(first, solver, Request(tolerance))
     inputs: dict[str, str] = {}
-    if file is not None:
+    if run.file is not None:
         inputs = inputs_of(first, grid, unseen, solver, tolerance, extras)
     keep_fields = "potential" in extras
     record = PathRecord(
         declared, grid, unseen, tolerance, keep_fields=keep_fields, inputs=inputs
     )
-    kept = None if file is None else PathFile(file, record, inputs)
+    kept = None if run.file is None else PathFile(run.file, record, inputs)
     left = [index for index in _order(grid, solve) if not record.has(index)]
     if "criteria" in extras and left:
         solve.prepare_criteria(at(tuple(n - 1 for n in grid.shape)))
-    if not (jobs > 1 or dask):
+    if not (run.jobs > 1 or run.dask):
         points = in_turn(solve, left, at)
     elif solve.independent:
-        points = several_at_a_time(solve, left, at, jobs, dask)
+        points = several_at_a_time(solve, left, at, run.jobs, run.dask)
     else:
         warn(
             f"the points of {declared.name} share their work: one process solves them, "
             "jobs and dask are not used"
         )
         points = in_turn(solve, left, at)
-    _collect(_shown(points, record.done, grid.size, progress), record, kept)
+    _collect(_shown(points, record.done, grid.size, run.progress), record, kept)
     return record.dataset()
-
-
-def _check(extras: Collection[str], jobs: int) -> None:
-    """Refuse unknown extras, and fewer than one job."""
-    for extra in extras:
-        if extra not in EXTRAS:
-            raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
-    if jobs < 1:
-        raise InputError(f"jobs must be at least 1, got {jobs}")
 
 
 def _collect(
