@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -25,7 +25,9 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.weights.weight_choice import choice_of
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.solution import Solution
+
+if TYPE_CHECKING:
+    from ttus_opt.problem.solution import Solution
 
 
 class FieldModel(Comparator):

@@ -14,6 +14,7 @@ import numpy as np
 
 from ttus_opt.comparators.base import LEAST_FORCE, Comparator
 from ttus_opt.comparators.contact_geometry import Patch, Touch
+from ttus_opt.contact.standing import skin_points
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
@@ -105,9 +106,7 @@ class PatchModel(Comparator):
         return found
 
     def _foot(self, centre: Array) -> Array:
-        theta = np.arctan2(centre[1], centre[0])
-        radius = float(self.surface.radius_at(theta, centre[2]))
-        return np.array([radius * np.cos(theta), radius * np.sin(theta), centre[2]])
+        return skin_points(self.surface, np.arctan2(centre[1], centre[0]), centre[2])
 
     def _fit(self, recording: Trajectory, force: Array) -> None:
         self._fit_law(self.samples(recording, force))

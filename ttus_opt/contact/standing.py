@@ -48,8 +48,7 @@ def skin_frames(surface: Surface, theta: Array, z: Array) -> Array:
         (theta, z - SLOPE),
         (theta, z + SLOPE),
     ):
-        r = surface.radius_at(a, h)
-        ends.append(np.stack([r * np.cos(a), r * np.sin(a), h], axis=1))
+        ends.append(skin_points(surface, a, h))
     normal = np.cross(ends[1] - ends[0], ends[3] - ends[2])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     around = np.cross([0.0, 0.0, 1.0], normal)
@@ -58,9 +57,9 @@ def skin_frames(surface: Surface, theta: Array, z: Array) -> Array:
 
 
 def skin_points(surface: Surface, theta: Array, z: Array) -> Array:
-    """The skin at places, shape (k, 3) [m]."""
+    """The skin at places of any shape, shape (…, 3) [m]."""
     radius = surface.radius_at(theta, z)
-    return np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
+    return np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
 
 
 def places_below(surface: Surface, points: Array) -> tuple[Array, Array]:

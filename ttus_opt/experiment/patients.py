@@ -92,9 +92,7 @@ class Patient:
 
     def surface(self) -> Surface:
         """The true skin, 2° by 5 mm; bilinear interpolation is accurate to 0.1 mm."""
-        theta = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
-        z = np.linspace(0.0, self.torso.length, 61)
-        return Surface.from_radius(self.torso.radius(theta[:, None], z), z)
+        return self.torso.surface(180, 61)
 
     def digest(self, resolution: float) -> str:
         """Checksum of the input of its recordings."""

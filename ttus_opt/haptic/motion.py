@@ -29,11 +29,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.rows import rotated
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
 
 #: Length of a pose in a motion's state: position of the reference point, then rotation
 #: row by row
@@ -191,6 +194,17 @@ Way = tuple[float, float, float, float, float, float]
 
 #: No motion
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def ways_along(shell: PointShell, trajectory: Trajectory) -> Array:
+    """Displacement of the shell's reference and rotation vector between frames.
+
+    Shape (T - 1, 6) [m, rad].
+    """
+    R = trajectory.rotation
+    places = trajectory.position + R @ np.asarray(shell.reference)
+    turns = Rotation.from_matrix(R[1:] @ R[:-1].transpose(0, 2, 1)).as_rotvec()
+    return np.concatenate([np.diff(places, axis=0), turns], axis=1)
 
 
 @compiled(inner=True, error_model="numpy")

@@ -31,7 +31,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import rotated
@@ -46,7 +45,7 @@ from ttus_opt.haptic.drag import (
     PRESLIDING,
 )
 from ttus_opt.haptic.kernel_data import FrameData
-from ttus_opt.haptic.motion import Way
+from ttus_opt.haptic.motion import Way, ways_along
 from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -221,10 +220,7 @@ def bent_along(
         numbers: `DragLaw.numbers`.
     """
     R = np.ascontiguousarray(trajectory.rotation)
-    places = trajectory.position + R @ np.asarray(shell.reference)
-    turns = Rotation.from_matrix(R[1:] @ R[:-1].transpose(0, 2, 1)).as_rotvec()
-    ways = np.zeros((len(R), 6))
-    ways[1:] = np.concatenate([np.diff(places, axis=0), turns], axis=1)
+    ways = np.concatenate([np.zeros((1, 6)), ways_along(shell, trajectory)])
     begins = np.concatenate([[True], np.diff(trajectory.segment) != 0])
     strengths = np.stack([strength, flank], axis=1)
     return np.asarray(_bent(begins, ways, R, patch, strengths, numbers))

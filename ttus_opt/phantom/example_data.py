@@ -51,9 +51,7 @@ def frame() -> Axis:
 
 def true_surface() -> Surface:
     """The torso's skin at 3° by 10 mm; bilinear interpolation is exact to 0.1 mm."""
-    theta = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
-    z = np.linspace(0.0, TORSO.length, 31)
-    return Surface.from_radius(TORSO.radius(theta[:, None], z), z, axis=frame())
+    return TORSO.surface(120, 31, frame())
 
 
 def cloud() -> Array:

@@ -21,6 +21,7 @@ from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.core.optional import load
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.probe.cylindrical import TURN
+from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 
 
@@ -161,6 +162,12 @@ class Torso:
         theta, z = np.broadcast_arrays(theta, z)
         r = self.radius(theta, z)
         return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
+
+    def surface(self, n_theta: int, n_z: int, axis: Axis | None = None) -> Surface:
+        """The skin on a grid of nodes; the axis is that of a scan."""
+        theta = np.linspace(0.0, 2.0 * np.pi, n_theta, endpoint=False)
+        z = np.linspace(0.0, self.length, n_z)
+        return Surface.from_radius(self.radius(theta[:, None], z), z, axis=axis)
 
     def normals(self, theta: Array, z: Array) -> Array:
         """Outward unit normals of the skin, shape (..., 3) [–]."""

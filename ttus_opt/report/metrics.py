@@ -17,12 +17,12 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.field_wrench import FieldWrenches, wrenches_along
+from ttus_opt.haptic.motion import ways_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -312,15 +312,11 @@ def hysteresis_share(
 
 def _work(trajectory: Trajectory, shell: PointShell) -> Array:
     """Work done on the patient between frames, shape (T - 1,) [J]."""
-    rotation, force, torque = trajectory.rotation, trajectory.force, trajectory.torque
-    at = trajectory.position + rotation @ np.asarray(shell.reference)
+    force, torque = trajectory.force, trajectory.torque
     assert force is not None
-    work = -np.einsum("ti,ti->t", force[1:] + force[:-1], np.diff(at, axis=0)) / 2
-    if torque is not None:
-        turn = Rotation.from_matrix(rotation[1:] @ rotation[:-1].transpose(0, 2, 1))
-        mean = (torque[1:] + torque[:-1]) / 2
-        work -= np.einsum("ti,ti->t", mean, turn.as_rotvec())
-    return np.asarray(work)
+    wrench = force if torque is None else np.concatenate([force, torque], axis=1)
+    ways = ways_along(shell, trajectory)[:, : wrench.shape[1]]
+    return np.asarray(-np.einsum("ti,ti->t", wrench[1:] + wrench[:-1], ways) / 2)
 
 
 def _presses(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:

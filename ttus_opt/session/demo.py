@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,14 +24,16 @@ from ttus_opt.fitting.weights.weight_choice import AUTO, checked_word, choice_of
 from ttus_opt.laplace.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.problem.solution import Solution
 from ttus_opt.report.document import Heading, Items, Picture, write_report
 from ttus_opt.report.tables import Comparison, error_section
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.surface import Surface
 from ttus_opt.session.model import judge
-from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.problem.solution import Solution
+    from ttus_opt.voxmap.field import PotentialField
 
 #: Number of stages that `run` reports
 N_STAGES = 8

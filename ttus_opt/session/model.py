@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import MistakeWarning, warn
@@ -16,12 +17,14 @@ from ttus_opt.fitting.weights.weight_choice import WeightChoice, choice_of
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison
 from ttus_opt.scan.surface import Surface
 from ttus_opt.session.description import Description
-from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.problem.solution import Solution
+    from ttus_opt.voxmap.field import PotentialField
 
 #: Keys of the description that a mistake is made in, by its cause
 KEYS = {

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
+from ttus_opt.contact.standing import skin_points
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.matern import matern
@@ -116,9 +117,7 @@ class DepthLattice:
     def over_skin(self) -> Array:
         """Correlation of g between places, shape (n_places, n_places) [–]."""
         theta, z = np.meshgrid(self.theta, self.z, indexing="ij")
-        radius = self.voxmap.surface.radius_at(theta, z)
-        points = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
-        flat = points.reshape(-1, 3)
+        flat = skin_points(self.voxmap.surface, theta, z).reshape(-1, 3)
         return matern(cdist(flat, flat), self.surface_length)
 
     @cached_property

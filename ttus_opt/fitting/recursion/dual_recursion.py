@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,9 @@ from ttus_opt.core.threads import side_by_side
 from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel, Projection
 from ttus_opt.fitting.recursion.measured_rows import Block, MeasuredRows
 from ttus_opt.gaussian.prior import LaplacePrior
-from ttus_opt.laplace.system import RTOL, LaplaceSystem
+
+if TYPE_CHECKING:
+    from ttus_opt.laplace.system import LaplaceSystem
 
 #: Largest residual variance of a dependent row, over that of its noise
 DEPENDENT = 1e-6
@@ -279,7 +282,7 @@ class DualRecursion:
             direction = step + (step @ (residual - before) / fall) * direction
             before, fall = residual, float(step @ residual)
             # a small correction needs less accuracy
-            rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / left), 1e-4)
+            rtol = min(max(self._prior.rtol, 0.1 * FIELD_RTOL * size / left), 1e-4)
             response = self._prior.within(rtol).times(self._D.adjoint(direction))
             length = direction @ (direction + self._D.times(response))
             if not (fall > 0.0 and length > 0.0):
@@ -348,7 +351,7 @@ class DualRecursion:
     def _accuracy(self, sizes: Array) -> float:
         """Relative residual of solves for columns of K of rows with these ‖h‖²."""
         largest = max(float(sizes.max(initial=0.0)), 1e-300)
-        rtol = min(max(RTOL, DEPENDENT / (MARGIN * largest)), COLUMN_RTOL)
+        rtol = min(max(self._prior.rtol, DEPENDENT / (MARGIN * largest)), COLUMN_RTOL)
         self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
         return rtol
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.contact.standing import skin_frames
+from ttus_opt.contact.standing import skin_frames, skin_points
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
@@ -166,9 +166,7 @@ def next_press(
     at = np.flatnonzero(seen)[reached]
     if not 0 < count <= len(at):
         raise InputError(f"count must be 1 to {len(at)}, the places seen, got {count}")
-    radius = scene.voxmap.surface.radius_at(theta[at], z[at])
-    points = radius[:, None] * np.stack([np.cos(theta[at]), np.sin(theta[at])], axis=1)
-    points = np.column_stack([points, z[at]])
+    points = skin_points(scene.voxmap.surface, theta[at], z[at])
     region = _region(theta[at], points, sector, box)
     few = sp.csr_array(rows[reached]), len(at), sized[reached]
     covariance = uncertainty.covariance(*few)[0]
