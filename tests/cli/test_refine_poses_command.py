@@ -47,6 +47,7 @@ def test_forces_without_a_field_move_no_pose(run, files, tmp_path):
 def test_steps_that_do_not_end_write_nothing(run, files, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_refinement, "CONVERGED", 0.0)
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
+    monkeypatch.setattr(pose_refinement, "MOST_STEPS", 3)
     output = tmp_path / "refined.csv"
     answer = run(words(files, output))
     assert answer.status == 1

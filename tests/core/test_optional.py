@@ -2,10 +2,11 @@
 
 import sys
 
+import numpy as np
 import pytest
 
 from ttus_opt.core.errors import MissingPackageError
-from ttus_opt.core.optional import extra_with, load
+from ttus_opt.core.optional import extra_with, load, version_of
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
@@ -31,3 +32,8 @@ def test_the_extra_of_a_module_is_that_of_the_metadata():
         assert extra_with(module) == extra
     assert extra_with("small_gicp.small") == "sensors"
     assert extra_with("numpy") is None and extra_with("not_there") is None
+
+
+def test_versions_are_those_installed():
+    assert version_of("numpy") == np.__version__
+    assert version_of("not-there") == "unknown"

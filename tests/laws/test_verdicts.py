@@ -109,15 +109,19 @@ def perturbations(known, rng):
                 yield what, full
 
 
-#: Small weights are where wrong answers passed; with the number of sizes tried
-WEIGHTS = [
-    (1e-6, 1),
-    *(pytest.param(w, 3, marks=pytest.mark.slow) for w in (1e-6, 1e-2, 10.0)),
+#: Small weights are where wrong answers passed; with the number of sizes tried. The
+#: exact answer of coulomb_drag takes as long as those of all others together
+ANSWERS = [
+    *((name, 1e-6, 1) for name in NAMES if name != "coulomb_drag"),
+    *(
+        pytest.param(name, weight, 3, marks=pytest.mark.slow)
+        for name in NAMES
+        for weight in (1e-6, 1e-2, 10.0)
+    ),
 ]
 
 
-@pytest.mark.parametrize(("weight", "sizes"), WEIGHTS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "weight", "sizes"), ANSWERS)
 def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
     name, weight, sizes
 ):

@@ -312,8 +312,8 @@ def test_other_boxes_are_refused(box, told):
 
 
 def test_the_extent_in_words():
-    ends = np.array([[0.0, -1.0, 0.25], [0.5, 2.0, 0.25]])
-    assert extent_words(ends) == "x 0 to 0.5, y -1 to 2, z 0.25 to 0.25"
+    ends = np.array([[0.0, -1.0, 0.25], [0.5, 2.0, 0.2504]])
+    assert extent_words(ends) == "x 0.000 to 0.500, y -1.000 to 2.000, z 0.250 to 0.250"
 
 
 SKIN = torso(40, 12).points().reshape(-1, 3)

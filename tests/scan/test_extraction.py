@@ -403,6 +403,7 @@ def test_real_shoulders_are_not_a_side():
     assert 0.15 < s.observed[:, -5:].mean() < 0.35
 
 
+@pytest.mark.slow
 def test_real_table_is_never_skin():
     cloud, s = real_scan()
     plane = find_supporting_plane(cloud)
@@ -424,6 +425,7 @@ def test_real_table_is_never_skin():
     assert gap.min() > 0.008
 
 
+@pytest.mark.slow
 def test_real_surface_is_smooth_and_closed():
     _, s = real_scan()
     assert np.isfinite(s.radius).all() and (s.radius_std > 0).all()

@@ -136,7 +136,7 @@ def test_streams_of_other_bodies_or_times():
 
 def test_the_wrong_place_of_the_camera_is_named():
     """A fixed camera taken for a moving one, and poses that are inverted."""
-    seen, other = streams()
+    seen, other = streams(seconds=5.0)
     refuses(
         InputError, "camera=fixed", stream_hand_eye, seen, other, "moving", offset=LATE
     )

@@ -223,7 +223,7 @@ def _has_radius(file: Path) -> bool:
 def _cloud(file: Path, asked: Asked) -> Found:
     import numpy as np
 
-    from ttus_opt.scan.cloud import UNITS, read_cloud
+    from ttus_opt.scan.cloud import UNITS, extent_words, read_cloud
 
     guesses: list[Any] = [asked.unit] if asked.unit else ["m", "mm", "cm"]
     failed: list[InputError] = []
@@ -236,11 +236,7 @@ def _cloud(file: Path, asked: Asked) -> Found:
     else:
         raise failed[0]
     low, high = points.min(axis=0), points.max(axis=0)
-    spans = ", ".join(
-        f"{axis} {a:.3f} to {b:.3f}"
-        for axis, a, b in zip("xyz", low, high, strict=True)
-    )
-    lines = [f"{len(points):,} points, {spans} m"]
+    lines = [f"{len(points):,} points, {extent_words(points)} m"]
     if asked.unit is None and used != "m":
         raw = (high - low).max() / UNITS[used]
         lines.append(

@@ -132,16 +132,12 @@ def _hashes(files: Sequence[Path]) -> str:
 
 def _versions() -> dict[str, str]:
     """Versions of Python and of the installed packages, by name."""
-    import importlib.metadata
     import platform
 
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:  # run from a plain checkout
-            found[name] = "unknown"
-    return found
+    from ttus_opt.core.optional import version_of
+
+    found = {name: version_of(name) for name in PACKAGES}
+    return {"python": platform.python_version(), **found}
 
 
 def _read(provenance: Mapping[str, str], key: str) -> dict[str, Any]:

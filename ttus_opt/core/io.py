@@ -325,16 +325,14 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 def provenance() -> dict[str, str]:
     """The netCDF attributes that state which program wrote a file and when."""
-    import importlib.metadata
     import platform
 
-    try:
-        version = importlib.metadata.version("ttus-opt")
-    except importlib.metadata.PackageNotFoundError:  # run from a plain checkout
-        version = "unknown"
+    from ttus_opt.core.optional import version_of
+
+    version, python = version_of("ttus-opt"), platform.python_version()
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return {
-        "source": f"ttus_opt {version}, Python {platform.python_version()}",
+        "source": f"ttus_opt {version}, Python {python}",
         "history": f"{now} written",
     }
 

@@ -32,6 +32,14 @@ def load(module: str, extra: str) -> ModuleType:
         ) from error
 
 
+def version_of(package: str) -> str:
+    """Version of an installed package; "unknown" of another, or of a plain checkout."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
 def extra_with(module: str) -> str | None:
     """The smallest extra that installs a package of a module's name, if any."""
     required = importlib.metadata.requires("ttus-opt") or []

@@ -62,7 +62,7 @@ def extent_words(cloud: Array) -> str:
     """The extent of points (n, 3) along each axis, as text."""
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     return ", ".join(
-        f"{axis} {a:.3g} to {b:.3g}"
+        f"{axis} {a:.3f} to {b:.3f}"
         for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=True)
     )
 

@@ -11,7 +11,11 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
-from ttus_opt.scan.supporting_plane import find_supporting_plane, planes_through
+from ttus_opt.scan.supporting_plane import (
+    find_supporting_plane,
+    planes_through,
+    refined_plane,
+)
 
 #: Larger scans are of a room [m], larger ones in another unit
 ROOM, LARGEST_ROOM = 2.2, 10.0
@@ -114,23 +118,14 @@ def _planes(centres: Array) -> Mask:
             break
         near = np.abs(normals @ some.T - offsets[:, None]) < PLANE_DISTANCE
         best = int(near.sum(axis=1).argmax())
-        found = _on_plane(centres[rest], normals[best], float(offsets[best]))
-        found = rest[found]
+        normal, offset = refined_plane(
+            centres[rest], normals[best], float(offsets[best]), PLANE_DISTANCE
+        )
+        found = rest[np.abs(centres[rest] @ normal - offset) < PLANE_DISTANCE]
         if len(found) < PLANE_SHARE * len(centres) or not _wide(centres[found]):
             break
         on[found] = True
     return on
-
-
-def _on_plane(points: Array, normal: Array, offset: float) -> np.ndarray:
-    """Indices of the points (n, 3) [m] on a plane, refined by least squares."""
-    near = np.flatnonzero(np.abs(points @ normal - offset) < PLANE_DISTANCE)
-    for _ in range(5):
-        centre = points[near].mean(axis=0)
-        normal = np.linalg.eigh(np.cov((points[near] - centre).T))[1][:, 0]
-        away = np.abs((points - centre) @ normal)
-        near = np.flatnonzero(away < PLANE_DISTANCE)
-    return near
 
 
 def _wide(points: Array) -> bool:

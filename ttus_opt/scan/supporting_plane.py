@@ -104,7 +104,7 @@ def _one_round(
     for best in np.argsort(-score):
         if score[best] == 0:
             return None
-        normal, offset = _refine(sample, normals[best], float(offsets[best]))
+        normal, offset = refined_plane(sample, normals[best], float(offsets[best]))
         behind = camera is not None and normal @ camera <= offset
         if not behind and _supports(sample, normal, offset):
             return normal, offset
@@ -137,14 +137,23 @@ def planes_through(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     return normals, np.einsum("ij,ij->i", normals, a[good])
 
 
-def _refine(sample: Array, normal: Array, offset: float) -> tuple[Array, float]:
-    """Least squares on the points within the tolerance, repeated."""
+def refined_plane(
+    points: Array, normal: Array, offset: float, tolerance: float = TOLERANCE
+) -> tuple[Array, float]:
+    """Normal and offset [m] by least squares on the points near a plane, repeated.
+
+    Args:
+        points: Shape (n, 3) [m].
+        normal: Unit normal of the plane, shape (3,).
+        offset: Of the plane [m].
+        tolerance: Points up to this far from the plane count [m].
+    """
     last: NDArray[np.bool_] | None = None
     for _ in range(6):
-        within = np.abs(sample @ normal - offset) < TOLERANCE
+        within = np.abs(points @ normal - offset) < tolerance
         if last is not None and np.array_equal(within, last):
             break  # nothing moves any more
-        near, last = sample[within], within
+        near, last = points[within], within
         if len(near) < 10:
             break
         centre = near.mean(axis=0)
@@ -180,7 +189,7 @@ def _supports(sample: Array, normal: Array, offset: float) -> bool:
 
 def _finish(cloud: Array, normal: Array, offset: float) -> SupportingPlane:
     """Refine on all points; the thickness follows from how flat the plane is."""
-    normal, offset = _refine(cloud, normal, offset)
+    normal, offset = refined_plane(cloud, normal, offset)
     height = cloud @ normal - offset
     spread = 1.48 * np.median(np.abs(height[np.abs(height) < 2 * TOLERANCE]))
     return SupportingPlane(normal, offset, float(max(TOLERANCE, 4.0 * spread)))

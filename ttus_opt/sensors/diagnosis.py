@@ -21,6 +21,7 @@ from ttus_opt.probe.recording_faults import (
     missing,
 )
 from ttus_opt.probe.repair import gaps, repaired
+from ttus_opt.scan.cloud import extent_words
 
 #: Noise of the second difference of white noise, and of its median absolute value
 SECOND_DIFFERENCE, MEDIAN = 6.0**0.5, 1.4826
@@ -112,12 +113,8 @@ class Diagnosis:
             f"{several}{rate}"
         ]
         if self.position is not None and self.turned is not None:
-            spans = ", ".join(
-                f"{axis} {low:.3f} to {high:.3f}"
-                for axis, low, high in zip("xyz", *self.position, strict=True)
-            )
             noise = 1e3 * self.noise["position"]
-            lines.append(f"position {spans} m")
+            lines.append(f"position {extent_words(self.position)} m")
             lines.append(
                 f"rotation up to {np.rad2deg(self.turned):.0f}° from the first, noise "
                 f"of positions {noise:.2g} mm"
