@@ -200,6 +200,9 @@ def test_an_unusable_measurement_stops_both(wrench):
     # in the follower's next frame (100 Hz), and a frame of its own later (200 Hz)
     assert reaches(simulation, State.STOP, "follower", 0.05) - began <= 0.011
     assert reaches(simulation, State.STOP, "operator", 0.05) - began <= 0.021
+    for _ in simulation.run(0.2):
+        pass
+    assert simulation.operator.newest.wrench.max() < 1.0  # and nobody learns from it
 
 
 def test_a_stop_is_not_kept_waiting_by_what_is_to_be_learned():
@@ -217,13 +220,16 @@ def test_a_stop_is_not_kept_waiting_by_what_is_to_be_learned():
     assert operator.folded == before + 1
 
 
-def test_an_invalid_hand_pose_stops():
-    operator = session().operator
-    found = operator.step(0.0, [], np.eye(3), np.array([np.nan, 0, 0]))
-    assert found.state is State.STOP
-    np.testing.assert_array_equal(
-        operator.feel(0.0, np.eye(3), np.array([np.nan, 0, 0])), np.zeros(6)
-    )
+@pytest.mark.parametrize("turn", [np.nan, 0.0, -1.0, 1.0])
+def test_an_invalid_hand_pose_stops(turn):
+    simulation = session()
+    for _ in simulation.run(0.5):
+        pass
+    operator, now = simulation.operator, simulation.time + 0.001
+    assert operator.feedback is not None
+    pose = turn * np.eye(3), np.array([np.nan if turn == 1.0 else 0.11, 0, 0])
+    assert operator.step(now, [], *pose).state is State.STOP
+    np.testing.assert_array_equal(operator.feel(now, *pose), np.zeros(6))
 
 
 def test_rearming_both_sides_at_zero_contact_goes_on():
@@ -364,8 +370,12 @@ def test_the_follower_turns_no_faster_than_its_limit():
     np.testing.assert_allclose(last, asked, atol=1e-6)
 
 
-@pytest.mark.parametrize("which", ["rotation", "position", "skin"])
-def test_a_pose_that_is_not_a_number_stops_and_moves_nothing(which):
+@pytest.mark.parametrize(
+    ("which", "factor"),
+    [("rotation", f) for f in (np.nan, 0.0, -1.0)]
+    + [("position", np.nan), ("skin", np.nan), ("skin", 100.0)],
+)
+def test_a_pose_that_is_not_one_stops_and_moves_nothing(which, factor):
     surface, _, content = parts()
     follower, sender = Follower(3, surface, content), Peer(9)
     good = {"rotation": np.eye(3), "position": np.array([0.13, 0.0, 0.15])}
@@ -374,11 +384,11 @@ def test_a_pose_that_is_not_a_number_stops_and_moves_nothing(which):
         sensed = Sample(0.01 * k, **good, wrench=np.zeros(6))
         data = commanded(sender, 0.01 * k, np.eye(3), good["position"])
         before = follower.step(0.01 * k, data, sensed, np.array([0.002, 0, 0]))
-    skin = np.full(3, np.nan) if which == "skin" else np.array([0.002, 0.0, 0.0])
-    bad = good if which == "skin" else good | {which: np.nan * good[which]}
+    skin = np.array([0.002, 0.0, 0.0]) * (factor if which == "skin" else 1.0)
+    bad = good if which == "skin" else good | {which: factor * good[which]}
     found = follower.step(0.03, [], Sample(0.03, **bad, wrench=np.zeros(6)), skin)
     assert found.state is State.STOP
-    assert "not a number" in found.cause
+    assert "not a " in found.cause
     np.testing.assert_allclose(found.position, before.position, atol=2e-3)
     np.testing.assert_allclose(found.rotation, before.rotation)
 
@@ -403,6 +413,52 @@ def test_retraction_starts_where_the_probe_is_whatever_stopped_it():
         found = follower.step(0.4, [], sensed)
         assert found.state is State.STOP
         assert there[0] <= found.position[0] < there[0] + 1e-3
+
+
+def follows(asked, at, *, skin=None, frames=1, follower=None, start=0.0):
+    """Targets of a follower whose probe is there; by default a new one."""
+    surface, _, content = parts()
+    follower, found = follower or Follower(3, surface, content), []
+    for k in range(frames):
+        now, follower._ready = start + 0.01 * k, True
+        sensed = Sample(now, np.eye(3), at, np.zeros(6))
+        sender = Peer(9)
+        sender._sequence = round(1e3 * now)
+        data = commanded(sender, now, np.eye(3), asked)
+        found.append(follower.step(now, data, sensed, skin))
+        follower._ready = True
+    return follower, found
+
+
+def test_a_skin_that_jumps_moves_the_probe_no_faster_than_its_limit():
+    at = np.array([0.13, 0.0, 0.15])
+    follower, _ = follows(at, at, skin=np.zeros(3), frames=5)
+    skin = np.array([0.04, 0.0, 0.0])
+    _, found = follows(at, at, skin=skin, frames=3, follower=follower, start=0.05)
+    steps = np.diff([at[0], *(step.position[0] for step in found)])
+    assert steps.max() <= 0.25 * 0.01 + 1e-9
+    assert steps.min() > 0.0
+
+
+def test_a_probe_that_was_moved_by_hand_is_followed_from_there():
+    at, moved = np.array([0.13, 0.0, 0.15]), np.array([0.13, 0.0, 0.25])
+    follower, _ = follows(at, at, frames=5)
+    follower.stop()
+    follows(at, at, frames=5, follower=follower, start=0.05)
+    follows(at, moved, frames=5, follower=follower, start=0.10)
+    follower.rearm(0.0)
+    _, found = follows(at, moved, frames=2, follower=follower, start=0.15)
+    assert found[-1].state is State.NORMAL
+    assert np.linalg.norm(found[-1].position - moved) <= 2 * 0.25 * 0.01 + 1e-9
+
+
+def test_the_way_to_a_far_command_does_not_lead_through_the_patient():
+    at, asked = np.array([0.12, 0.0, 0.15]), np.array([-0.12, 0.02, 0.15])
+    _, found = follows(asked, at, frames=400)
+    radius = [np.hypot(*step.position[:2]) for step in found]
+    assert min(radius) >= 0.10 - 0.03 - 1e-4
+    steps = np.linalg.norm(np.diff([s.position for s in found], axis=0), axis=1)
+    assert steps.max() <= 0.25 * 0.01 + 1e-9
 
 
 def test_a_first_pose_that_is_not_a_number_is_refused():

@@ -33,7 +33,7 @@ from ttus_opt.live.messages import (
     pose_of,
 )
 from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
-from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.live.safety import SafetyLimits, State, is_pose
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.scan.surface import Surface
 
@@ -53,6 +53,7 @@ class FollowerLimits:
         retreat: Speed of retraction [m/s].
         lifted: Force below which retraction ends [N].
         farthest: Longest retraction, where force says nothing [m].
+        breath: Farthest that breathing moves the skin; beyond, STOP [m].
     """
 
     speed: float = 0.25
@@ -62,6 +63,7 @@ class FollowerLimits:
     retreat: float = 0.05
     lifted: float = 0.1
     farthest: float = 0.08
+    breath: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -151,26 +153,25 @@ class Follower:
         """
         if not now >= self._now:
             raise InputError(f"the clock must not go back, got {now} s")
-        sensed = self._checked(sensed, skin)
         passed = min(now - self._now, 0.1) if np.isfinite(self._now) else 0.0
+        sensed = self._checked(sensed, skin, passed)
         self._now = now
         send: list[Outgoing] = []
         for data in packets:
             self._take(now, data, send)
         safety, force = self.peer.safety, float(np.linalg.norm(sensed.wrench[:3]))
-        safety.check_wrench(force, float(np.linalg.norm(sensed.wrench[3:])))
+        torque = float(np.linalg.norm(sensed.wrench[3:]))
+        usable = safety.check_wrench(force, torque)
         state = safety.judge(now, self._missing)
-        if self._target is None:
+        obeyed, self._obeys = self._obeys, state is State.NORMAL
+        if self._target is None or self._obeys is not obeyed:  # from where the probe is
             self._target = sensed.rotation.copy(), sensed.position.copy()
-        if state is State.NORMAL:
-            self._obeys, self._retracted = True, 0.0
+        if self._obeys:
+            self._retracted = 0.0
             self._obey(passed)
         else:
-            if self._obeys:  # start from where the probe is
-                self._target = sensed.rotation.copy(), sensed.position.copy()
-            self._obeys = False
             self._retract(passed, force)
-        self._report(now, sensed, send)
+        self._report(now, sensed, usable, send)
         self.peer.announce(now, send)
         rotation, position = self._target
         position = position + self._skin
@@ -238,18 +239,19 @@ class Follower:
         """Whether what was sent to this operator seems to be lost with its stream."""
         return not self._ready and now - self._offered >= OFFER
 
-    def _checked(self, sensed: Sample, skin: Array | None) -> Sample:
-        """The sample of the patient at rest; what is not a number stops this side."""
+    def _checked(self, sensed: Sample, skin: Array | None, passed: float) -> Sample:
+        """The sample of the patient at rest; what is unusable stops this side."""
         skin = np.zeros(3) if skin is None else skin
-        if math.isfinite(float(skin.sum())):
-            self._skin = skin
+        if float(np.linalg.norm(skin)) <= self.limits.breath:
+            most = math.inf if self._target is None else self.limits.speed * passed
+            self._skin = self._skin + _shortened(skin - self._skin, most)
         else:
-            self.peer.safety.stop("the skin's motion is not a number")
+            self.peer.safety.stop("the skin's motion is too large, or not a number")
         rotation, position = sensed.rotation, sensed.position - self._skin
-        if not math.isfinite(float(rotation.sum() + position.sum())):
+        if not is_pose(rotation, position):
             if self._target is None:
-                raise InputError("the probe's pose is not a number: mend its tracker")
-            self.peer.safety.stop("the probe's pose is not a number")
+                raise InputError("the probe's pose is not a pose: mend its tracker")
+            self.peer.safety.stop("the probe's pose is not a pose")
             rotation, position = self._target
         return replace(sensed, rotation=rotation, position=position)
 
@@ -257,16 +259,16 @@ class Follower:
         """Move the target towards the command, within speeds and workspace."""
         assert self._command is not None and self._target is not None
         rotation, position = self._command
-        way = self._within(position) - self._target[1]
-        length, most = float(np.linalg.norm(way)), self.limits.speed * passed
-        if length > most:
-            way *= most / length
+        before, most = self._target[1], self.limits.speed * passed
+        way = _shortened(self._within(position) - before, most)
+        # the straight way may lead through the patient
+        way = _shortened(self._within(before + way) - before, most)
         turn = Rotation.from_matrix(rotation @ self._target[0].T).as_rotvec()
         angle, most = float(np.linalg.norm(turn)), self.limits.turn * passed
         if angle > most:
             part = Rotation.from_rotvec(turn * (most / angle)).as_matrix()
             rotation = part @ self._target[0]
-        self._target = rotation, self._target[1] + way
+        self._target = rotation, before + way
 
     def _within(self, position: Array) -> Array:
         """The nearest position along the spoke that is within the workspace."""
@@ -291,14 +293,16 @@ class Follower:
         self._retracted += step
         self._target = rotation, position + step * out
 
-    def _report(self, now: float, sensed: Sample, send: list[Outgoing]) -> None:
+    def _report(
+        self, now: float, sensed: Sample, usable: bool, send: list[Outgoing]
+    ) -> None:
         """Send what differs noticeably, or a sign of life."""
         rate, safety = self.peer.rate, self.peer.safety
         rate.tick(now)
         if not rate.ready:
             return
-        finite = np.isfinite(sensed.wrench).all()
-        news = finite and (
+        # what stopped this side teaches the operator nothing
+        news = usable and (
             not self._samples or self.deadband.differ(sensed, self._samples[0])
         )
         if news and self.peer.met:
@@ -314,3 +318,9 @@ class Follower:
         else:
             send.append(self.peer.pack(now, StateReport()))
         self._reported = now
+
+
+def _shortened(way: Array, most: float) -> Array:
+    """A way (3,) of this length at most [m]."""
+    length = float(np.linalg.norm(way))
+    return way if length <= most else way * (most / length)

@@ -36,7 +36,7 @@ from ttus_opt.live.messages import (
 from ttus_opt.live.model import LiveModel
 from ttus_opt.live.model_codec import decode_model
 from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
-from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.live.safety import SafetyLimits, State, is_pose
 from ttus_opt.message import decode
 from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.point_shell import PointShell
@@ -154,8 +154,8 @@ class Operator:
                 self._learn(sample)
             self._unlearned = []
             self._refresh(now)
-        if not math.isfinite(float(position.sum() + rotation.sum())):
-            safety.stop("the hand's pose is not a number")
+        if not is_pose(rotation, position):
+            safety.stop("the hand's pose is not a pose")
             state = safety.state
         else:
             self._report(now, rotation, position, send)
@@ -176,7 +176,7 @@ class Operator:
             position: Its origin, patient frame, shape (3,) [m].
         """
         self._hand = np.asarray(position, dtype=float)
-        if self.feedback is None or not math.isfinite(float(position.sum())):
+        if self.feedback is None or not is_pose(rotation, position):
             self._felt = np.zeros(6)
             return self._felt
         wrench = self.feedback.felt(now, rotation, position)

@@ -18,6 +18,7 @@ import enum
 import math
 from dataclasses import dataclass
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 
 
@@ -67,6 +68,16 @@ class SafetyLimits:
     def silence(self) -> float:
         """Time without a packet after which a side holds [s]."""
         return max(self.hold_seconds, 3.0 * self.period)
+
+
+def is_pose(rotation: Array, position: Array) -> bool:
+    """Whether a rotation (3, 3) turns, and it and a position (3,) are finite.
+
+    A tracker that has lost its tool may send zeros, a mirror a determinant of −1.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return abs(volume - 1.0) <= 0.01 and math.isfinite(sum(position.tolist()))
 
 
 class Supervisor:
@@ -137,14 +148,21 @@ class Supervisor:
         self.state, self.cause = (State.HOLD if cause else State.NORMAL), cause
         return self.state
 
-    def check_wrench(self, force: float, torque: float) -> None:
-        """Stop beyond the limits, or where a measurement is not a number [N], [N·m]."""
+    def check_wrench(self, force: float, torque: float) -> bool:
+        """Stop beyond the limits, or where a measurement is not a number [N], [N·m].
+
+        Returns:
+            Whether it is within them.
+        """
         if not (math.isfinite(force) and math.isfinite(torque)):
             self.stop("a measurement is not a number")
         elif force > self.limits.force:
             self.stop(f"measured force above {self.limits.force:g} N")
         elif torque > self.limits.torque:
             self.stop(f"measured torque above {self.limits.torque:g} N m")
+        else:
+            return True
+        return False
 
     def rearm(self, force: float) -> None:
         """End a STOP; to HOLD, from where packets lead to NORMAL.
