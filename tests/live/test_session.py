@@ -25,9 +25,11 @@ from ttus_opt.live.messages import (
     pose_command,
 )
 from ttus_opt.live.model import LiveModel
+from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Peer
 from ttus_opt.live.safety import State
+from ttus_opt.message import decode, encode
 
 links = st.builds(
     Impairment,
@@ -277,6 +279,55 @@ def test_an_operator_that_starts_again_gets_the_model_again():
     assert simulation.operator.model is not None
 
 
+def test_a_follower_that_starts_again_is_obeyed_by_none_and_obeys_again():
+    """The operator keeps what it learned: it is offered the same model."""
+    simulation = deepest()
+    learned = simulation.operator.model
+    simulation.follower = Follower(9, *parts()[::2])
+    assert reaches(simulation, State.NORMAL, "follower", 0.5)
+    assert simulation.operator.model is learned
+
+
+def test_a_hello_that_is_lost_with_its_stream_is_said_again():
+    simulation = session()
+    send, until = simulation.there.send, 0.5
+    simulation.there.send = lambda now, packets: send(
+        now, [p for p in packets if not (p.reliable and now < until and knows())]
+    )
+
+    def knows():
+        return simulation.operator.model is not None
+
+    assert reaches(simulation, State.NORMAL, "follower", 2.0) >= until
+    for _ in simulation.run(0.1):
+        pass
+    said, pack = [], simulation.operator.peer.pack
+    simulation.operator.peer.pack = lambda now, body, **options: (
+        said.append(body),
+        pack(now, body, **options),
+    )[1]
+    for _ in simulation.run(1.0):
+        pass
+    assert not any(isinstance(body, Hello) for body in said)
+
+
+def test_who_joins_after_a_new_surface_gets_it():
+    surface, shell, content = parts()
+    simulation = session()
+    higher = replace(surface, radius=surface.radius + 0.005)
+    change = encode(higher, base=content[0])
+    over = encode_model(LiveModel(decode(change, base=content[0]), shell, PLAN))
+    for _ in simulation.run(0.5):
+        pass
+    simulation.back.send(0.5, simulation.follower.renew(1235.0, change, over))
+    for epoch in (9, 10):
+        simulation.operator = Operator(epoch, shell)
+        for _ in simulation.run(0.5):
+            pass
+        assert simulation.operator.model.surface.radius.max() > 0.104
+    assert simulation.follower.surface.radius.max() > 0.104  # the workspace as well
+
+
 def test_packets_of_a_process_that_was_replaced_are_ignored():
     old, new, one = Peer(5), Peer(6), Peer(1)
     for sender, counts in ((old, True), (new, True), (old, False)):
@@ -492,9 +543,6 @@ def test_a_new_surface_is_felt_without_a_jump():
     simulation = session(moved=path(period=20.0))
     for _ in simulation.run(4.0):
         pass
-    from ttus_opt.live.model_codec import encode_model
-    from ttus_opt.message import decode, encode
-
     higher = replace(surface, radius=surface.radius + 0.002)
     change = encode(higher, base=content[0])
     seen = decode(change, base=content[0])

@@ -77,6 +77,60 @@ def test_strangers_are_not_heard(links):
     plain.close()
 
 
+def both_hear(here, there):
+    """Until datagrams arrive on both sides."""
+
+    def heard(got):
+        for side in (here, there):
+            side.send(time.monotonic(), [Outgoing(b"of 25 bytes or more, as ever")])
+        return got[0] and got[1]
+
+    until(heard, here, there)
+
+
+def test_whose_answer_is_lost_asks_again(links):
+    """An operator who comes after another one, over a link that loses a packet."""
+    there = links(port=0, calls=False)
+    both_hear(links(port=there.port, calls=True), there)
+    send, lost = there._sendto, []
+    there._sendto = lambda data, to=None: (
+        send(data, to) if to is None or lost else lost.append(data)
+    )
+    both_hear(links(port=there.port, calls=True), there)
+    assert lost
+
+
+def test_a_follower_that_starts_again_is_met(links):
+    there = links(port=0, calls=False)
+    here = links(port=there.port, calls=True)
+    both_hear(here, there)
+    there.close()
+    both_hear(here, links(port=there.port, calls=False))
+
+
+def test_who_has_no_key_gets_no_more_than_he_sends(links):
+    there = links(port=0, calls=False)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.setblocking(False)
+        sealed = b"TL" + bytes([1, 1]) + bytes(60)
+        for data in (b"x", bytes(80), b"TL" + bytes([1, 0]) + bytes(48), sealed[:40]):
+            stranger.sendto(data, ("127.0.0.1", there.port))
+            for _ in range(5):
+                there.receive(time.monotonic())
+                there.send(time.monotonic(), [Outgoing(b"report")])
+                time.sleep(0.06)
+            with pytest.raises(BlockingIOError):
+                stranger.recv(1000)
+        stranger.sendto(sealed, ("127.0.0.1", there.port))
+        there.receive(time.monotonic())
+        there.send(time.monotonic(), [])
+        time.sleep(0.25)
+        there.send(time.monotonic(), [])
+        assert len(stranger.recv(1000)) < len(sealed)
+        with pytest.raises(BlockingIOError):
+            stranger.recv(1000)
+
+
 def test_a_stream_that_no_side_of_ours_opened(links):
     there = links(port=0, calls=False)
     with socket.create_connection(("127.0.0.1", there.port)) as plain:

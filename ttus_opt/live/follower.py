@@ -9,6 +9,7 @@ shown the target instead.
 from __future__ import annotations
 
 import math
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ from ttus_opt.live.deadband import Deadband
 from ttus_opt.live.messages import (
     MOST_SAMPLES,
     VERSION,
-    Acknowledgement,
+    Body,
     Hello,
     ModelMessage,
     PoseCommand,
@@ -34,6 +35,8 @@ from ttus_opt.live.messages import (
 )
 from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
 from ttus_opt.live.safety import SafetyLimits, State, is_pose
+from ttus_opt.message import decode
+from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.scan.surface import Surface
 
@@ -116,7 +119,8 @@ class Follower:
         """
         self.peer, self.surface = Peer(epoch % OPERATOR, safety), surface
         self.limits, self.deadband = limits or FollowerLimits(), deadband or Deadband()
-        self._surface, self._model = content
+        self._surfaces: tuple[bytes, ...] = content[:1]  # the last whole, its change
+        self._model = content[1]
         self._greeted, self._offered, self._ready = 0, -np.inf, False
         self._command: tuple[Array, Array] | None = None
         self._commanded = -np.inf
@@ -191,10 +195,19 @@ class Follower:
 
         Args:
             now: This side's clock [s].
-            surface: The new surface's message, whole or as a change of the last.
+            surface: The new surface's message, whole or as a change of the last whole.
             model: The whole model over it, for operators that join later.
+
+        Raises:
+            InputError: An unusable surface.
         """
-        self._model = model
+        whole = self._surfaces[:1]
+        is_whole = Reader(surface).kind == SURFACE
+        skin = decode(surface, base=None if is_whole else whole[0])
+        if not isinstance(skin, Surface):
+            raise InputError("a new surface must be a message of a surface")
+        self.surface, self._model = skin, model
+        self._surfaces = (surface,) if is_whole else (*whole, surface)
         return (self.peer.pack(now, SurfaceMessage(surface), reliable=True),)
 
     @property
@@ -219,16 +232,14 @@ class Follower:
                 )
             case Hello(units=units) if units != "SI":
                 self.peer.safety.stop(f"the operator has units {units}, this side SI")
+            case Hello(model=name) if name == zlib.crc32(self._model):
+                self._ready = True
             case Hello() if self._greeted != self.peer.met or self._waits(now):
                 self._greeted, self._offered = self.peer.met, now
-                for body in (
-                    Hello(VERSION),
-                    SurfaceMessage(self._surface),
-                    ModelMessage(self._model),
-                ):
-                    send.append(self.peer.pack(now, body, reliable=True))
-            case Acknowledgement():
-                self._ready = True
+                offer: list[Body] = [Hello(VERSION)]
+                offer += map(SurfaceMessage, self._surfaces)
+                offer.append(ModelMessage(self._model))
+                send += [self.peer.pack(now, body, reliable=True) for body in offer]
             case PoseCommand() as command if received.sent >= self._commanded:
                 self._commanded = received.sent
                 self._command = pose_of(command)

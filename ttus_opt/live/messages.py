@@ -57,11 +57,11 @@ class NotFiniteError(MessageError):
 
 
 class Hello(msgspec.Struct, tag=1, array_like=True, frozen=True):
-    """Who joins, and with what.
+    """Who joins, and with what; an operator repeats it until the follower obeys.
 
     Attributes:
         version: `VERSION`.
-        model: Name of the model it has, 0 for none.
+        model: CRC-32 of the last model's message that it took, 0 for none.
         units: Always SI.
     """
 
@@ -100,12 +100,6 @@ class ModelMessage(msgspec.Struct, tag=5, array_like=True, frozen=True):
     content: bytes
 
 
-class Acknowledgement(msgspec.Struct, tag=6, array_like=True, frozen=True):
-    """The model of this name is rendered."""
-
-    model: int
-
-
 class StateReport(msgspec.Struct, tag=7, array_like=True, frozen=True):
     """Only the header, which has the state: a sign of life."""
 
@@ -122,7 +116,6 @@ Body = (
     | Measurement
     | SurfaceMessage
     | ModelMessage
-    | Acknowledgement
     | StateReport
     | Stop
 )

@@ -23,7 +23,6 @@ from ttus_opt.live.gate import Gate
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import (
     VERSION,
-    Acknowledgement,
     Hello,
     Measurement,
     MessageError,
@@ -43,7 +42,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
-#: Time between hellos until a model has arrived; between updates of what is felt, and
+#: Time between hellos until the follower obeys; between updates of what is felt, and
 #: of its uncertainty [s]
 GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
 
@@ -108,6 +107,7 @@ class Operator:
         self._make = feedback
         self._surface: Surface | None = None
         self._whole: bytes | None = None
+        self._named = 0
         self._clock = -math.inf
         self._greeted = self._updated = self._sent = -math.inf
         self._last_sent: tuple[Array, Array] | None = None
@@ -143,7 +143,7 @@ class Operator:
         send: list[Outgoing] = []
         samples: list[Sample] = []
         for data in packets:
-            self._take(now, data, samples, send)
+            self._take(now, data, samples)
         safety, before = self.peer.safety, self._state
         state = safety.judge(
             now, "" if self.feedback else "no model of the patient yet"
@@ -247,9 +247,7 @@ class Operator:
         size = float(np.linalg.norm(self._felt[:3]))
         return size * self._uncertainty.at(*self._hand.tolist()) if size else 0.0
 
-    def _take(
-        self, now: float, data: bytes, samples: list[Sample], send: list[Outgoing]
-    ) -> None:
+    def _take(self, now: float, data: bytes, samples: list[Sample]) -> None:
         """One packet."""
         met = self.peer.met
         received = self.peer.receive(now, data)
@@ -268,8 +266,7 @@ class Operator:
                     self._take_surface(content)
                 case ModelMessage(content=content):
                     self._take_model(content)
-                    name = Acknowledgement(zlib.crc32(content))
-                    send.append(self.peer.pack(now, name, reliable=True))
+                    self._named, self._greeted = zlib.crc32(content), -math.inf
                 case Measurement() as body:
                     samples += self._new(body, received.sent)
                 case _:
@@ -345,10 +342,12 @@ class Operator:
     def _report(
         self, now: float, rotation: Array, position: Array, send: list[Outgoing]
     ) -> None:
-        """Send a hello until there is a model, and the pose."""
-        if self.model is None and now - self._greeted >= GREET:
+        """Send a hello until the follower knows this side's model, and the pose."""
+        waits = self.peer.safety.other is not State.NORMAL
+        if (waits or not self._named) and now - self._greeted >= GREET:
             self._greeted = now
-            send.append(self.peer.pack(now, Hello(VERSION), reliable=True))
+            hello = Hello(VERSION, self._named)
+            send.append(self.peer.pack(now, hello, reliable=True))
         rate, last = self.peer.rate, self._last_sent
         rate.tick(now)
         if not rate.ready:

@@ -87,6 +87,7 @@ class Supervisor:
         state: Present state.
         cause: Why it is not NORMAL; empty in NORMAL.
         stops: Number of stops that began on this side so far [–].
+        other: State of the other side, as it last told.
     """
 
     def __init__(self, limits: SafetyLimits | None = None) -> None:
@@ -97,11 +98,11 @@ class Supervisor:
         # stops of the other side: the last reported, and those accepted by re-arming
         self._reported = 0
         self._accepted: int | None = None
-        self._other = State.HOLD
+        self.other = State.HOLD
 
     def heard(self, now: float, other: State, stops: int, cause: str = "") -> None:
         """A packet arrived from the other side, with its state, its stops, and why."""
-        self._heard, self._other, self._reported = now, other, stops
+        self._heard, self.other, self._reported = now, other, stops
         if self._accepted is None:  # what was before we met does not stop this side
             self._accepted = stops
         if stops > self._accepted and self.state is not State.STOP:
@@ -141,7 +142,7 @@ class Supervisor:
             cause = "not met yet"
         elif silence >= self.limits.silence:
             cause = f"no packet for {1e3 * self.limits.silence:.0f} ms"
-        elif self._other is State.STOP:
+        elif self.other is State.STOP:
             cause = "the other side has stopped"
         else:
             cause = ready

@@ -72,13 +72,18 @@ def read_key(path: Path) -> bytes:
     return key
 
 
+def looks_sealed(data: bytes) -> bool:
+    """Whether a packet begins like data of a channel."""
+    return data.startswith(_HEAD.pack(MARK, VERSION, DATA))
+
+
 class SealedChannel:
     """One side of an encrypted channel, without sockets.
 
     Attributes:
         ready: Whether keys are agreed, so that `seal` works.
         confirmed: Whether a packet of the other side has been opened.
-        greetings: Greetings taken so far [–].
+        greetings: Greetings taken so far that want an answer, also again [–].
         refused: Packets refused so far [–].
     """
 
@@ -165,6 +170,7 @@ class SealedChannel:
         public, tag = data[_HEAD.size : _HEAD.size + KEY], data[_HEAD.size + KEY :]
         held = self._candidate[0] if self._candidate else b""
         if len(public) != KEY or public in (self._other, held, *self._left):
+            self.greetings += public == held  # its answer was lost
             return
         try:
             aad = data[: _HEAD.size] + public + self._role(False)

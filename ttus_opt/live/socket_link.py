@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.messages import LONGEST_DATAGRAM
 from ttus_opt.live.peer import Outgoing
-from ttus_opt.live.sealing import SealedChannel
+from ttus_opt.live.sealing import SealedChannel, looks_sealed
 from ttus_opt.live.session_stream import SessionStream, unusable
 
 #: Time between greetings [s]
@@ -36,7 +36,7 @@ class SocketLink:
     def __init__(self, key: bytes, host: str, port: int, *, calls: bool) -> None:
         """Open the sockets; see `session_stream.SessionStream`."""
         self._address: tuple[str, int] | None = None
-        self._greeted = -1e9
+        self._calls, self._greeted = calls, -1e9
         self._sealed = SealedChannel(key, calls=calls)
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._udp.setblocking(False)
@@ -78,9 +78,10 @@ class SocketLink:
             if content is not None:
                 self._address = sender  # authentic: answers go there
                 arrived.append(content)
-            elif self._sealed.greetings > greetings:
+            elif self._sealed.greetings > greetings or self._is_of_before(data):
                 self._sendto(self._sealed.greeting(), sender)
-            self._address = self._address or sender
+                if self._sealed.ready and not self._sealed.confirmed:
+                    self._address = sender
         return arrived + self._stream.receive(now)
 
     def close(self) -> None:
@@ -94,6 +95,14 @@ class SocketLink:
         if not self._sealed.confirmed:
             self._greeted = now
             self._sendto(self._sealed.greeting())
+
+    def _is_of_before(self, data: bytes) -> bool:
+        """Whether an operator may have sent it who knows the follower before this one.
+
+        It gets a greeting, which is shorter, so that nobody sends more than he gets.
+        """
+        unmet = not (self._calls or self._sealed.confirmed)
+        return unmet and looks_sealed(data) and len(data) > len(self._sealed.greeting())
 
     def _sendto(self, data: bytes, address: tuple[str, int] | None = None) -> None:
         to = address or self._address
