@@ -63,4 +63,4 @@ def test_the_conditions_of_a_cone(x, y, optimal):
     kkt = kkt_residuals(program, np.array([x]), Duals({"limit": np.array(y)}))
     assert (kkt.worst_relative < 1e-12) == optimal
     assert not program.is_quadratic
-    assert not program.is_unconstrained
+    assert program.limited_rows == (limit,)

@@ -296,5 +296,6 @@ def active_limits(program: Program, x: Array, duals: Duals) -> int:
 def _steepest(program: Program, x: Array) -> float:
     """Largest entry among the summands of the objective's gradient."""
     return max(
-        float(np.abs(part).max(initial=0.0)) for part in program.quadratic_gradient(x)
+        float(np.abs(part).max(initial=0.0))
+        for part in (program.curvature_times(x), program.gradient_at_zero())
     )

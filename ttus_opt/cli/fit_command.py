@@ -76,9 +76,9 @@ class WeightOptions:
         if not self.paper:
             return given
         from ttus_opt.core.paper import WEIGHTS
-        from ttus_opt.problem.formulation import option_names
+        from ttus_opt.problem.formulation import option_defaults
 
-        known = option_names(problem.name)
+        known = option_defaults(problem.name)
         usual = {n: w for n, w in WEIGHTS.items() if known is None or n in known}
         return usual | given
 

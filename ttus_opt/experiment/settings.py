@@ -13,7 +13,7 @@ from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import has_weights
-from ttus_opt.problem.formulation import available, option_names
+from ttus_opt.problem.formulation import option_defaults
 
 #: Formulations compared by default
 FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
@@ -159,9 +159,8 @@ def distinct(settings: Sequence[Setting]) -> tuple[Setting, ...]:
 
 def _weights(name: str, weight: float) -> Mapping[str, float]:
     """Options for a formulation's weights; none where the data choose them."""
-    known = option_names(name) or ()
-    defaults = {info.name: info.options for info in available()}.get(name, {})
-    if "force_weight" not in known or defaults.get("force_weight", weight) is None:
+    known = option_defaults(name) or {}
+    if known.get("force_weight") is None:
         return MappingProxyType({})
     chosen = {"force_weight", "torque_weight"} & set(known)
     return MappingProxyType(dict.fromkeys(sorted(chosen), weight))

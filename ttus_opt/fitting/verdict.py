@@ -312,7 +312,7 @@ def _conflict(
     program: Program, candidate: Candidate, request: Request
 ) -> tuple[str, ...]:
     """Names of constraints with a proven conflict."""
-    if program.is_unconstrained:
+    if not (program.limited_rows or program.bounds):
         return ()
     claimed = candidate.duals if candidate.x is None else None
     seconds = request.time_limit or CONFLICT_SECONDS

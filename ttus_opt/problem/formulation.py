@@ -111,16 +111,6 @@ def load(
 load_formulation = load
 
 
-def option_names(formulation: str | Path) -> tuple[str, ...] | None:
-    """Names of a formulation's options; None where it takes any.
-
-    Raises:
-        InputError: There is no such formulation.
-    """
-    known = _options(_find(formulation)[0])
-    return None if known is None else tuple(known)
-
-
 def option_defaults(formulation: str | Path) -> dict[str, Any] | None:
     """A formulation's options with their defaults; None where it takes any.
 

@@ -134,7 +134,17 @@ class Program:
                 )
         return cls(
             variables,
-            tuple(_program_term(term, sizes) for term in stated),
+            tuple(
+                ProgramTerm(
+                    term.name,
+                    term.weight,
+                    stacked(term.assembled.blocks, sizes, len(term.assembled.target)),
+                    term.assembled.target,
+                    term.penalty,
+                    term.assembled.tags | ({Tag.MEASURED} if term.measures else set()),
+                )
+                for term in stated
+            ),
             tuple(linear),
             tuple(bounds),
             scene.laplace,
@@ -187,11 +197,6 @@ class Program:
     def limited_rows(self) -> tuple[ProgramConstraint | ProgramCones, ...]:
         """All rows with multipliers: linear ones, then cones."""
         return *self.constraints, *self.cones
-
-    @property
-    def is_unconstrained(self) -> bool:
-        """Whether it has neither constraints nor bounds nor cones."""
-        return not (self.constraints or self.bounds or self.cones)
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -260,10 +265,6 @@ class Program:
             InputError: A penalty is neither squares nor linear.
         """
         self._require_quadratic()
-        return self.quadratic_gradient(x)
-
-    def quadratic_gradient(self, x: Array) -> tuple[Array, Array]:
-        """`gradient` of the squares and linear terms."""
         return self.curvature_times(x), self.gradient_at_zero()
 
     def curvature_times(self, x: Array) -> Array:
@@ -384,16 +385,3 @@ def _variable_sizes(n_voxels: int, members: Iterable[_Named]) -> dict[str, int]:
                     f"{sizes[name]}"
                 )
     return sizes
-
-
-def _program_term(term: Term, sizes: Mapping[str, int]) -> ProgramTerm:
-    """A term's rows over all variables."""
-    rows = term.assembled
-    return ProgramTerm(
-        term.name,
-        term.weight,
-        stacked(rows.blocks, sizes, len(rows.target)),
-        rows.target,
-        term.penalty,
-        rows.tags | ({Tag.MEASURED} if term.measures else set()),
-    )

@@ -9,7 +9,7 @@ the dual's directions and the last solution to start from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,9 +53,6 @@ BOUNDS = 4
 #: check knows only a bound of it [–]
 GAP, GRADIENT = 1e-3, 0.1
 
-#: Most unknowns beside the field
-MOST = 64
-
 
 class NormalEquations(Solver):
     """Preconditioned conjugate gradients on the normal equations.
@@ -82,7 +79,7 @@ class NormalEquations(Solver):
         why = (
             super().refusal(program)
             or refusal_of_terms(program)
-            or refusal_of_unknowns(program, MOST)
+            or refusal_of_unknowns(program)
         )
         if why:
             return why
@@ -137,7 +134,7 @@ class _Loaded(Limited):
         function, tolerance = self._function, self._request.tolerance
         at = function.start() if self._at is None else self._at
         share = min(accuracy.rtol / (DUAL_MARGIN * tolerance), 1.0)
-        found = self._minimum(at, self._goal(share, _Scale.of(function), accuracy))
+        found = self._minimum(at, self._goal(share, accuracy))
         self._at, p = found.at, function.field(found.at)
         x = np.concatenate([p, function.coefficients(p)])
         duals = duals_without_limits(self._program, x)
@@ -145,11 +142,14 @@ class _Loaded(Limited):
         detail = self._preconditioner.description
         return Candidate(x, duals, found.steps, claim, detail)
 
-    def _goal(self, share: float, scale: _Scale, accuracy: Accuracy) -> Goal:
+    def _goal(self, share: float, accuracy: Accuracy) -> Goal:
         """The tolerance with its margins, times a share of the gap [–]."""
-        tolerance = self._request.tolerance
-        gap, least = share * GAP, (tolerance / STRICTER) ** 2 * scale.value
-        gradient = share * GRADIENT * tolerance * scale.gradient
+        function, tolerance = self._function, self._request.tolerance
+        start = function.start()  # the given values, zero elsewhere
+        slope = function.gradient(function.residual(np.zeros_like(start)))
+        scale = float(np.linalg.norm(slope))
+        least = (tolerance / STRICTER) ** 2 * function.value(start)
+        gap, gradient = share * GAP, share * GRADIENT * tolerance * scale
         return Goal(gap * tolerance, gap * least, gradient, accuracy)
 
     def _minimum(self, at: Array, goal: Goal) -> Minimum:
@@ -171,25 +171,6 @@ class _Loaded(Limited):
                 break
             goal = goal.times(0.1 * enough * value / bound)
         return replace(found, steps=steps)
-
-
-@dataclass(frozen=True)
-class _Scale:
-    """Scales of relative residuals.
-
-    Attributes:
-        value: F at the given values, zero elsewhere.
-        gradient: Norm of half the gradient at zero.
-    """
-
-    value: float
-    gradient: float
-
-    @classmethod
-    def of(cls, function: LeastSquares) -> _Scale:
-        start = function.start()
-        slope = function.gradient(function.residual(np.zeros_like(start)))
-        return cls(function.value(start), float(np.linalg.norm(slope)))
 
 
 SOLVERS = [NormalEquations()]

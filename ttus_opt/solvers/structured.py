@@ -44,9 +44,6 @@ from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes
 
-#: Most unknowns beside the field: each costs an approximate dual solve
-MOST = 64
-
 
 class Structured(Solver):
     """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets."""
@@ -67,12 +64,8 @@ class Structured(Solver):
         terms = refusal_of_terms(program)
         if terms:
             return terms
-        if second_field(program) is not None:
-            return self._refusal_of_pair(program)
-        return refusal_of_unknowns(program, MOST) or refusal_of_limits(program)
-
-    def _refusal_of_pair(self, program: Program) -> str:
-        """Takes two fields with a Laplace term each, bounds, and a largest share."""
+        if second_field(program) is None:
+            return refusal_of_unknowns(program) or refusal_of_limits(program)
         try:
             FieldPair.of(program)
         except ValueError as error:

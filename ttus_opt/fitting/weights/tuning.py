@@ -41,7 +41,7 @@ from ttus_opt.fitting.weights.tuning_result import (
     ratio_name,
 )
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
-from ttus_opt.problem.formulation import Formulation, load, option_names
+from ttus_opt.problem.formulation import Formulation, load, option_defaults
 
 #: Formulations compared by default: drag first, whose rows include those without it
 CANDIDATES = ("coulomb_global", "eq10")
@@ -295,7 +295,7 @@ def _candidate(
                 "the formulation belongs to another scene: build it for this one"
             )
         return _tuned(None, formulation, formulation)
-    known = option_names(formulation)
+    known = option_defaults(formulation)
     given = {k: v for k, v in options.items() if known is None or k in known}
     if vary is None:
         vary = VARIED.get(str(formulation), {})

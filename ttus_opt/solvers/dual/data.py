@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
@@ -57,7 +56,9 @@ class DualData:
         rows, root = stacked.matrix, stacked.root
         columns = root[:, None] * rows[:, V:].toarray()
         own = sp.csr_array(rows if rows.shape[1] == V else rows[:, :V])
-        system = DualSystem(operator_of(program, prior), compliance, own, root)
+        declared = prior.laplace_rows
+        laplace = (declared and declared.system) or program.laplace
+        system = DualSystem(laplace, compliance, own, root)
         return cls(system, b, root * stacked.target, columns)
 
 
@@ -88,12 +89,6 @@ def has_all_rows(prior: ProgramTerm) -> bool:
     """Whether a prior has rows for fixed voxels too, so that their values are soft."""
     scale = row_scale(prior)
     return scale is None or len(prior.target) == len(scale)
-
-
-def operator_of(program: Program, prior: ProgramTerm) -> LaplaceSystem:
-    """The operator of a prior: the scene's L, or a variant."""
-    rows = prior.laplace_rows
-    return program.laplace if rows is None else rows.system or program.laplace
 
 
 def hard_values(program: Program) -> Array | None:
@@ -147,9 +142,13 @@ def refusal_of_terms(program: Program) -> str:
     return f"{others[0]} is not a sum of squares" if others else ""
 
 
-def refusal_of_unknowns(program: Program, most: int) -> str:
+#: Most unknowns beside the field: each costs an approximate dual solve
+MOST_BESIDE = 64
+
+
+def refusal_of_unknowns(program: Program) -> str:
     """Why there are too many unknowns beside the field; empty if there are not."""
     others = program.n_variables - len(program.laplace.free)
-    if others <= most:
+    if others <= MOST_BESIDE:
         return ""
-    return f"it takes at most {most} unknowns beside the field, got {others}"
+    return f"it takes at most {MOST_BESIDE} unknowns beside the field, got {others}"

@@ -67,8 +67,10 @@ class UnseenFields:
             None if no term is heavy, if a heavy one has rows other than differences, or
             if the connected sets are single voxels or nearly the whole grid.
         """
-        heavy = [t for t in wide if t.weight * _largest_square(t) > HEAVY]
-        if not heavy or not all(_is_of_differences(t) for t in heavy):
+        heavy = [
+            t for t in wide if t.weight * (t.matrix.data**2).max(initial=0) > HEAVY
+        ]
+        if not heavy or not all(_is_of_differences(t.matrix) for t in heavy):
             return None
         sets = _indicators(joined([t.matrix for t in heavy]), moving)
         if sets is None or sets.shape[1] > MOST_SETS:
@@ -94,12 +96,7 @@ class UnseenFields:
         return np.asarray(z + self.fields @ own)
 
 
-def _largest_square(term: ProgramTerm) -> float:
-    return float((term.matrix.data**2).max(initial=0.0))
-
-
-def _is_of_differences(term: ProgramTerm) -> bool:
-    M = term.matrix
+def _is_of_differences(M: sp.csr_array) -> bool:
     largest = float(np.abs(M.data).max(initial=0.0))
     return bool((np.abs(M.sum(axis=1)) <= ROUNDING * largest).all())
 
