@@ -144,6 +144,7 @@ FURTHER = {
     "haptic/point_drag.py": ("haptic/test_drag.py", "haptic/test_wrench.py"),
     "laplace/stencil.py": ("laplace/test_system.py",),
     "laplace/system.py": ("laplace/test_stencil.py",),
+    "problem/members.py": ("problem/verify/test_kkt.py",),
     "problem/terms/depth_profile.py": ("problem/terms/test_depth_map_estimate.py",),
     "problem/terms/drag_estimate.py": ("problem/terms/test_distinct_drag.py",),
     "problem/verify/kkt.py": ("problem/verify/test_absorption.py",),
