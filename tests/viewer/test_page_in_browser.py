@@ -6,6 +6,7 @@ pictures are slow to draw here, so no test looks at a pixel.
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -36,6 +37,21 @@ if CHROMIUM is None:
 PATIENCE = 120.0
 
 PHONE, DESK = {"width": 390, "height": 700}, {"width": 900, "height": 560}
+
+#: A phone draws more pixels than a page counts, and says that it is one
+HELD = {"device_scale_factor": 3, "user_agent": "Mozilla/5.0 (Linux) Mobile"}
+
+#: From now on no frame takes less than this [ms]
+SLOWLY = """() => {
+  const own = requestAnimationFrame;
+  window.requestAnimationFrame = (draw) => own((now) => {
+    for (const end = performance.now() + 40; performance.now() < end;);
+    draw(now);
+  });
+}"""
+
+#: Pixels of the canvas, of those of the page
+SHARE = "(() => { const c = __viserMutable.canvas; return c.width / c.clientWidth })()"
 
 #: viser's own, at every drag in Chromium; it has no effect
 KNOWN = "Unable to preventDefault inside passive event listener invocation."
@@ -75,8 +91,8 @@ def viewer():
 class Visit:
     """A page and what went wrong in it."""
 
-    def __init__(self, browser, url, size):
-        self.page = browser.new_page(viewport=size)
+    def __init__(self, browser, url, size, **device):
+        self.page = browser.new_page(viewport=size, **device)
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.faults: list[str] = []
         self.asked: list[str] = []
@@ -141,7 +157,7 @@ def cameras(viewer, *, phone=False):
     The last visitor may be either: a page that was cut off comes back as a new one.
     """
     every = [one.camera for one in viewer._served.server.get_clients().values()]
-    return [one for one in every if (one.image_width <= PHONE["width"]) == phone]
+    return [c for c in every if (c.image_width < 0.8 * c.image_height) == phone]
 
 
 def pixel(viewer, point, *, phone=False):
@@ -311,8 +327,29 @@ def test_two_pages_see_one_state(browser, visit, viewer):
     visit.page.get_by_text("4.5", exact=True).first.wait_for()
 
 
-def test_a_phone_is_wide_enough(browser, viewer):
-    phone = Visit(browser, viewer.url, PHONE)
+def test_a_slow_page_draws_fewer_pixels_while_one_drags(browser, viewer):
+    slow = Visit(browser, viewer.url, DESK)
+    slow.page.evaluate(SLOWLY)
+    slow.page.mouse.move(100, 300)
+    slow.page.mouse.down()
+    x = itertools.count(100)
+
+    def fewer():
+        slow.page.mouse.move(next(x) % 400, 300)
+        return slow.page.evaluate(SHARE) < 0.55
+
+    slow.until(fewer)
+    slow.page.mouse.up()
+    slow.until(lambda: slow.page.evaluate(SHARE) > 0.95)
+    slow.page.close()
+    assert slow.faults == []
+
+
+@pytest.mark.parametrize(
+    ("height", "device"), [(700, {}), (600, HELD)], ids=["narrow", "phone"]
+)
+def test_a_phone_is_wide_enough(browser, viewer, height, device):
+    phone = Visit(browser, viewer.url, PHONE | {"height": height}, **device)
     width = phone.page.evaluate("document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
     phone.until(lambda: cameras(viewer, phone=True))
@@ -320,8 +357,9 @@ def test_a_phone_is_wide_enough(browser, viewer):
     def in_sight():  # beside and above the panel
         skin = viewer.page.stage.skin.vertices
         x, y = np.transpose([pixel(viewer, point, phone=True) for point in skin[::7]])
-        seen = x.min() > 0 and x.max() < PHONE["width"] and y.min() > 0
-        return bool(seen and y.mean() < 0.3 * PHONE["height"])
+        *_, camera = cameras(viewer, phone=True)
+        seen = x.min() > 0 and x.max() < camera.image_width and y.min() > 0
+        return bool(seen and y.mean() < 0.3 * camera.image_height)
 
     phone.until(in_sight)
     phone.page.close()

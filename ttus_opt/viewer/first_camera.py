@@ -14,6 +14,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.scan.surface import Surface
+from ttus_opt.viewer.guarded_server import BROWSER
 
 if TYPE_CHECKING:
     import viser
@@ -26,8 +27,9 @@ FIELD_OF_VIEW = 35.0
 #: as the panel of a phone covers the lower half [–]
 SHAPES = ((0.8, 2.7, 0.0), (0.6, 3.6, 0.0), (0.0, 5.0, 0.95))
 
-#: A picture no wider is a phone's, if it is not wide for its height [px]
-PHONE = 430
+#: A picture no wider is a phone's, if it is not wide for its height [px]; a phone's own
+#: pixels are several times as many, but its browser calls itself one
+PHONE, CALLED = 430, "Mobi"
 
 #: Two cameras this far apart are one: pages compute with 32 bits [m]
 SAME = 1e-3
@@ -76,19 +78,19 @@ class FirstCamera:
 
         async def connected(client: Any) -> None:
             async def reported(camera: Any) -> None:
-                self.settle(camera)
+                self.settle(camera, phone=CALLED in BROWSER.get())
 
             client.camera.on_update(reported)
 
         server.on_client_connect(connected)
 
-    def settle(self, camera: Any) -> None:
+    def settle(self, camera: Any, *, phone: bool = False) -> None:
         """Move a page's camera, where it still is the first one of another shape."""
         wide = [
             camera.image_width >= least * camera.image_height for least, *_ in SHAPES
         ]
         own = wide.index(True)
-        if own > 0 and camera.image_width <= PHONE:
+        if own > 0 and (phone or camera.image_width <= PHONE):
             own = len(SHAPES) - 1
         for k, (position, _) in enumerate(self.cameras):
             if k != own and np.allclose(camera.position, position, 0.0, SAME):

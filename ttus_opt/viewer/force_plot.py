@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ttus_opt.viewer.colour_map import MEASURED, RENDERED, hexadecimal
+from ttus_opt.viewer.page_script import run_on_pages
 
 #: Height of a plot [px]
 HEIGHT = 150
@@ -84,7 +85,4 @@ def add_plot(
 
 def go_on_click(server: Any, plot: Any, frame: Any) -> None:
     """Let a click on a plot set the input that holds the frame, on every page."""
-    from viser._messages import RunJavascriptMessage
-
-    source = ON_CLICK % (plot._impl.uuid, frame._impl.uuid)
-    server._websock_server.queue_message(RunJavascriptMessage(source=source))
+    run_on_pages(server, ON_CLICK % (plot._impl.uuid, frame._impl.uuid))

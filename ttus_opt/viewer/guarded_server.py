@@ -13,6 +13,7 @@ import hmac
 import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 Check = Callable[["ServerConnection", "Request"], "Response | None"]
+
+#: What a browser calls itself, in whatever answers its connection
+BROWSER: ContextVar[str] = ContextVar("browser", default="")
 
 #: Where a page is looked for first
 PORT = 8050
@@ -145,6 +149,7 @@ def _checked(answer: Check, token: str) -> Check:
         if not hmac.compare_digest(first.encode(), token.encode()):
             return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
         request.path = f"/{rest}"
+        BROWSER.set(request.headers.get("User-Agent", ""))
         response = answer(connection, request)
         if response is not None:
             for name, value in HEADERS.items():

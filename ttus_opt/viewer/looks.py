@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ttus_opt.viewer.page_script import COARSE, run_on_pages
+
 if TYPE_CHECKING:
     import viser
 
@@ -33,6 +35,7 @@ def dress(server: viser.ViserServer) -> list[Any]:
     )  # fmt: skip
     gui.main_panel.dock_right()
     gui.main_panel.set_width(WIDTH)
+    run_on_pages(server, COARSE)
     scene.world_axes.visible = False
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)
