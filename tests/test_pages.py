@@ -239,12 +239,32 @@ def test_the_python_lines_print_what_is_said(readme):
 
 
 def test_files_and_folders_it_names_are_there(readme):
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     linked = re.findall(r"\]\(([\w./]+)\)", readme)
-    named = re.findall(r"`(ttus_opt/[\w./]+|formulations/)`", readme + page)
-    assert min(len(linked), len(named)) > 5
-    for path in linked + named:
+    assert len(linked) > 5
+    for path in linked:
         assert (ROOT / path).exists(), path
+
+
+#: Pages that name files of the package, and how they do
+NAMING = ["CONTRIBUTING.md", "docs/architecture.md", "docs/comparators.md"]
+FILE = re.compile(
+    r"`((?:ttus_opt|tests|formulations|benchmarks|examples)/[\w./]*|[\w/]+\.py)`"
+)
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / p for p in NAMING] + PAGES, ids=lambda p: p.stem
+)
+def test_files_of_the_package_that_a_page_names_are_there(page):
+    """The second of a row or paragraph may be named from the folder of the first."""
+    for part in re.split(r"\n(?=[\n|#-])", page.read_text(encoding="utf-8")):
+        folders = []
+        for path in FILE.findall(part):
+            if "/" in path or folders:  # else it may be the reader's own
+                near = [ROOT, ROOT / "ttus_opt", *folders]
+                found = [folder / path for folder in near if (folder / path).exists()]
+                assert found, path
+                folders += [one if one.is_dir() else one.parent for one in found]
 
 
 def test_the_picture_is_small():

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,6 +66,12 @@ def test_the_shelf_has_these_at_least():
 @pytest.mark.parametrize("name", sorted(EXPECTED))
 def test_a_formulation_is_made_of(name):
     assert members(name) == EXPECTED[name]
+
+
+def test_the_shelf_of_the_manual_has_them_all():
+    page = Path(__file__).parents[2] / "docs" / "method" / "formulations.md"
+    shelf = page.read_text(encoding="utf-8").split("### 8.3")[1].split("\n### ")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` \|", shelf, re.M)) == sorted(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

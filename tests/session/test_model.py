@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt import example
-from ttus_opt.core.errors import InputError, MistakeWarning
+from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import NoSolutionError
 from ttus_opt.report.metrics import evaluate
@@ -86,6 +86,13 @@ class Wrong(Solver):
     def prepare(self, program, request):
         answer = Candidate(np.zeros(program.n_variables))
         return SimpleNamespace(solve=lambda: answer)
+
+
+def test_a_formulation_that_cannot_be_tuned_keeps_its_weights_aloud():
+    huber = session(formulation="robust", options={}, weights="auto")
+    with pytest.warns(TtusWarning, match="weights were not chosen.*cannot be tuned"):
+        found = fit_model(huber, SURFACE, SHELL, RECORDINGS)
+    assert found.choice.tuning is None and found.after.formulation == "robust"
 
 
 def test_a_field_that_fails_its_check_is_no_model():

@@ -50,9 +50,9 @@ class WeightOptions:
     Attributes:
         force_weight: Weight λ_f of forces. Giving it turns the choice of weights off.
         torque_weight: Weight λ_τ of torques. Giving it turns the choice of weights off.
-        weights: auto: choose weights and boundary scale of a formulation by marginal
-            likelihood, as ttus-opt tune does, unless its own predict left-out presses
-            better. own: the formulation's, 0.01. By default auto if no weight is given.
+        weights: auto: choose weights and boundary scale of a formulation by places left
+            out, as ttus-opt tune does. own: the formulation's, 0.01. By default auto if
+            no weight is given.
         paper: Use the paper's choices unless you give others: --inner 1 --sampling
             voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
     """

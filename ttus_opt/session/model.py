@@ -78,7 +78,8 @@ def fit_model(
     _judge_recordings(scene)
     before = fit(scene, "laplace_only")
     wanted = session.fit
-    choice = choice_of(wanted.weights, scene, wanted.formulation, wanted.options)
+    given = wanted.weights, scene, wanted.formulation, wanted.options
+    choice = choice_of(*given, strict=False)
     after = fit(choice.scene, choice.formulation, solver=wanted.solver)
     after = replace(after, chosen=choice.lines)
     for solution in (before, after):

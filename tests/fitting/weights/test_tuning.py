@@ -186,6 +186,13 @@ def test_one_thread_does_the_dense_algebra():
     assert seen and all(one == {1} for one in seen)
 
 
+def test_an_option_at_the_end_of_its_range_is_told():
+    ridges = {"ridge": (1e2, 1e4)}  # the less the better
+    found = tune(drawn(), "tikhonov", vary=ridges, compare=False)
+    option = found.hyperparameters[-1]
+    assert (option.name, option.value, option.at_bound) == ("option_ridge", 1e2, True)
+
+
 @pytest.mark.slow
 def test_an_option_is_chosen_among_others():
     found = tune(drawn(), "free_surface", compare=False)

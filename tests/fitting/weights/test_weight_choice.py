@@ -237,7 +237,9 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path):
     assert not has_choice("laplace_only")
     own = tmp_path / "own.py"
     own.write_text("def build(scene, strength: float = 1.0): ...\n", encoding="utf-8")
-    assert not has_weights(own)
+    assert not has_weights(own) and has_choice(own)
+    assert word_for(None, own, {"strength": 2.0}) == "auto"
+    assert word_for(None, str(own), WEIGHT) == "own"
     declared = tt.load_formulation("eq10", drawn())
     assert isinstance(declared, Formulation) and not has_weights(declared)
     with pytest.raises(InputError, match="chooses force_weight"):

@@ -315,8 +315,8 @@ def _candidate(
         values = np.geomspace(low, high, TRIED).tolist()
         scores = [tuned({**given, name: one}, True).log_density for one in values]
         best, median = values[int(np.argmax(scores))], float(np.sqrt(low * high))
-        told = max(scores) - min(scores) > 0.5
-        one = Hyperparameter(f"option_{name}", best, median, np.nan, told)
+        told, at_end = max(scores) - min(scores) > 0.5, best in (values[0], values[-1])
+        one = Hyperparameter(f"option_{name}", best, median, np.nan, told, at_end)
         given, varied = given | {name: best}, (*varied, one)
     return replace(tuned(given, False), varied=varied)
 

@@ -135,8 +135,9 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
 
 
 def has_choice(formulation: str | Path) -> bool:
-    """Whether `choice_of` chooses: it has weights, or is a depth map."""
-    return formulation in DEPTH_MAPS or has_weights(formulation)
+    """Whether `choice_of` chooses: it has weights, is a depth map or a user's file."""
+    given = formulation in DEPTH_MAPS or has_weights(formulation)
+    return given or Path(formulation).suffix == ".py"
 
 
 def checked_word(word: str, words: Sequence[str] = WORDS) -> str:

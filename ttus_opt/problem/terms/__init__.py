@@ -1,4 +1,4 @@
-"""Terms of an objective, one file each.
+"""Terms of an objective, those of one idea in a file.
 
 Classes are imported on first use, such as `ttus_opt.problem.terms.LaplaceTerm`;
 ``dir(ttus_opt.problem.terms)`` lists them.
