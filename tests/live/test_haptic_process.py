@@ -1,13 +1,15 @@
 """The loop's own process: shared memory, and what it does when it is left alone."""
 
 import dataclasses
+import os
+import signal
 import time
 from functools import partial
 
 import numpy as np
 import pytest
 
-from tests.live.springy import BALL, RADIUS, Spring, parts, path
+from tests.live.springy import BALL, PLAN, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.hand import Hand
@@ -21,9 +23,10 @@ from ttus_opt.live.haptic_process import (
     LoopPlan,
 )
 from ttus_opt.live.messages import ModelMessage
+from ttus_opt.live.model import LiveModel
 from ttus_opt.live.model_codec import decode_model
 from ttus_opt.live.operator import Operator
-from ttus_opt.live.real_time import run_operator
+from ttus_opt.live.real_time import Metronome, run_operator
 from ttus_opt.live.recording import Description, Recorder
 from ttus_opt.live.replay import replay
 from ttus_opt.live.safety import State
@@ -58,6 +61,90 @@ def test_a_device_is_shown_force_and_torque():
         device.position[0] = RADIUS + BALL - 0.01
     np.testing.assert_array_equal(shown[-1], frame[SHOWN])
     assert np.linalg.norm(shown[-1][:3]) > 1.0
+
+
+@pytest.mark.parametrize("turn", [np.nan, 0.0, -1.0])
+def test_at_what_is_no_pose_nothing_is_felt_until_the_hand_was_lifted(turn):
+    model, given = plan()
+    device, shown = Still(), []
+    device.step = lambda time, wrench, seconds: shown.append(wrench[0])
+    loop, good = Loop(dataclasses.replace(given, device=lambda: device), model.field), 0
+    lifted = RADIUS + BALL + 0.01
+    for k, x in enumerate([lifted, 0.11, np.nan, 0.11, lifted, 0.11]):
+        device.rotation = (turn if np.isnan(x) else 1.0) * np.eye(3)
+        device.position[0] = 0.11 if np.isnan(x) else x
+        loop.frame(1e-3 * k, stopped=False)
+    assert np.isfinite(shown).all()
+    assert [force > 1.0 for force in shown] == [False, True, False, False, False, True]
+
+
+class Noting(Still):
+    """A device that writes down the force that it shows."""
+
+    def __init__(self, file, fails=None):
+        super().__init__()
+        self._file, self._fails = file, fails
+
+    def step(self, time, wrench, seconds):
+        super().step(time, wrench, seconds)
+        if seconds and self._fails and time > self._fails:
+            self._fails = None
+            raise OSError("the device does not answer")
+        with self._file.open("a") as file:
+            file.write(f"{np.linalg.norm(wrench)}\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["end", "fault", "SIGTERM", "SIGINT"])
+def test_whatever_ends_the_loop_no_force_is_shown_last(how, tmp_path):
+    model, given = plan()
+    file = tmp_path / "shown"
+    fails = 0.3 if how == "fault" else None
+    device = partial(Noting, file, fails)
+    with HapticProcess(dataclasses.replace(given, device=device)) as loop:
+        loop.begin(model.field)
+        until(lambda: np.linalg.norm(loop.shown) > 1.0, loop)
+        if how.startswith("SIG"):
+            os.kill(loop._process.pid, getattr(signal, how))
+        if how == "SIGINT":  # Ctrl-C is the operator's
+            end = time.monotonic() + 0.5
+            until(lambda: time.monotonic() > end, loop)
+            assert loop.alive
+        elif how != "end":
+            until(lambda: not loop.alive, loop)
+    shown = [float(force) for force in file.read_text().split()]
+    assert max(shown) > 1.0
+    assert shown[-1] == 0.0
+    if how == "end":  # not at once
+        assert np.diff(shown[-40:]).min() > -0.3 * max(shown)
+
+
+@pytest.mark.slow
+def test_a_field_of_another_size_is_felt():
+    model, given = plan()
+    with HapticProcess(given).begin(model.field) as loop:
+        until(lambda: np.linalg.norm(loop.shown) > 0.5, loop)
+        before = np.linalg.norm(loop.shown)
+        finer = dataclasses.replace(PLAN, shape=(14, 30, 14))
+        other = LiveModel(model.surface, model.shell, finer)
+        half = other.field
+        half.values[:] *= 0.5
+        loop.update(half)
+        until(lambda: np.linalg.norm(loop.shown) < 0.6 * before, loop)
+        half.values[:] *= 2.0
+        loop.update(half)
+        until(lambda: np.linalg.norm(loop.shown) > 0.8 * before, loop)
+
+
+def test_frames_that_were_missed_are_not_made_up_for():
+    """After a pause, as by Ctrl-Z, a device is not driven faster than in time."""
+    times = []
+    for now in Metronome(1000.0, 0.5):
+        times.append(now)
+        if len(times) == 50:
+            time.sleep(0.3)
+    assert len(times) < 260
+    assert times[-1] - times[0] < 0.6
 
 
 def until(condition, loop, state=State.NORMAL, seconds=60.0):

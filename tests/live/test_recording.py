@@ -97,6 +97,16 @@ def test_no_file_is_left_by_a_session_that_failed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_interrupt_completes_the_file(recorded, tmp_path):
+    path = tmp_path / "session.mcap"
+    simulation = session()
+    with pytest.raises(KeyboardInterrupt), Recorder(path) as recorder:
+        for moment in simulation.run(0.25):
+            recorder.watch(moment)
+        raise KeyboardInterrupt
+    assert len([*frames_of(path)[1]]) == 250
+
+
 def test_a_damaged_file_is_refused_whatever_its_codecs_find(recorded, tmp_path):
     whole, path = recorded[0].read_bytes(), tmp_path / "session.mcap"
     rng, refused = np.random.default_rng(0), 0

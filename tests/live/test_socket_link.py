@@ -1,5 +1,6 @@
 """Real sockets on this machine."""
 
+import errno
 import socket
 import struct
 import time
@@ -221,6 +222,19 @@ def test_little_of_a_stranger_is_read(links):
         while not closed(stranger):
             assert time.monotonic() < end
             there.receive(10.0)
+
+
+@pytest.mark.parametrize("fault", [errno.ENOBUFS, errno.ENETDOWN])
+def test_a_datagram_that_the_system_drops_is_lost_and_ends_no_session(links, fault):
+    class Full:
+        def sendto(self, data, address):
+            raise OSError(fault, "dropped")
+
+    link = links(port=0, calls=False)
+    with link._udp:
+        link._udp = Full()
+        link._sendto(b"packet", ("127.0.0.1", link.port))
+        link.close = link._stream.close
 
 
 def test_an_unusable_address(links):

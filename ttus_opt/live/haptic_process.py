@@ -12,6 +12,8 @@ import contextlib
 import dataclasses
 import math
 import multiprocessing
+import signal
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,7 +29,7 @@ from ttus_opt.live.feedback import ModelFeedback
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, promptly
-from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.live.safety import SafetyLimits, State, is_pose
 from ttus_opt.live.shared_arrays import SharedArray
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
@@ -107,7 +109,7 @@ class HapticProcess:
             raise NumericalError("the haptic loop's process did not start") from error
 
     def begin(self, field: PotentialField) -> HapticProcess:
-        """Begin the loop with a first field; later ones have its number of voxels."""
+        """Begin the loop with a first field."""
         self._voxmap = field.voxmap
         self._values = SharedArray(field.voxmap.grid.n_voxels)
         self.tell(0.0, State.HOLD)
@@ -158,10 +160,12 @@ class HapticProcess:
     def update(self, field: PotentialField) -> None:
         """Publish a field: its values, where the grid and the surface are the last.
 
-        A field over another surface goes through the pipe, whole.
+        A field over another surface, or of another size than the first, goes through
+        the pipe, whole.
         """
         assert self._values is not None
-        if field.voxmap is self._voxmap:
+        fits = field.voxmap.grid.n_voxels == self._values.size
+        if field.voxmap is self._voxmap and fits:
             self._values.write(field.voxmap.grid.flatten(field.values))
             return
         self._voxmap = field.voxmap
@@ -210,7 +214,12 @@ class HapticProcess:
 
 
 def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
-    """The loop, in its process."""
+    """The loop, in its process.
+
+    Ctrl-C reaches this process as well; the operator's ends it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     hand = SharedArray(HAND, names[0], depth=BEHIND)
     control = SharedArray(CONTROL, names[1])
     _warm_up(plan.shell)
@@ -248,31 +257,37 @@ def _beat(
     values: SharedArray,
     end: Connection,
 ) -> Lateness:
-    """Frames until the end is told, or nobody is there any more."""
+    """Frames until the end is told, or nobody is there any more.
+
+    Whatever ends them, the device is shown no force last.
+    """
     beat, seen, gone = Metronome(1000.0, loop.plan.seconds), 0, False
     whole = 0
-    for now in beat:
-        if not gone and end.poll():
-            try:
-                message = end.recv()
-                if message is None:
-                    break
-                patient, seen = message  # values before it are of another surface
-                loop.replace(patient)
-                whole += 1
-            except (EOFError, OSError):  # the operator's process is gone
-                gone = True
-        told, _ = control.read()
-        if values.count > seen:
-            new, seen = values.read()
-            loop.renew(new, float(told[2]))
-        silent = gone or now - told[0] >= loop.plan.limits.stop_seconds
-        stopped = silent or told[1] == State.STOP
-        frame = loop.frame(now, stopped)
-        more = seen, loop.share, now, stopped, told[2], whole
-        hand.write(np.concatenate([frame, more]))
-        if silent and loop.gate.gain == 0.0:
-            break
+    try:
+        for now in beat:
+            if not gone and end.poll():
+                try:
+                    message = end.recv()
+                except (EOFError, OSError):  # the operator's process is gone
+                    message = None
+                gone = message is None
+                if message is not None:
+                    patient, seen = message  # values before it are of another surface
+                    loop.replace(patient)
+                    whole += 1
+            told, _ = control.read()
+            if values.count > seen:
+                new, seen = values.read()
+                loop.renew(new, float(told[2]))
+            silent = gone or now - told[0] >= loop.plan.limits.stop_seconds
+            stopped = silent or told[1] == State.STOP
+            frame = loop.frame(now, stopped)
+            more = seen, loop.share, now, stopped, told[2], whole
+            hand.write(np.concatenate([frame, more]))
+            if silent and loop.gate.gain == 0.0:
+                break
+    finally:
+        loop.let_go()
     return beat.lateness
 
 
@@ -284,7 +299,7 @@ class Loop:
         self._device, self._field = plan.device(), start
         self._feedback = ModelFeedback(start, plan.shell)
         self.gate = Gate(plan.limits.contact)
-        self._begun = math.nan
+        self._begun, self._last = math.nan, 0.0
 
     @property
     def share(self) -> float:
@@ -306,13 +321,22 @@ class Loop:
         self._feedback.update(field)
         self._field = field
 
+    def let_go(self) -> None:
+        """Show the device no force; the last that it is shown."""
+        self._device.step(self._last, np.zeros(6), 1e-3)
+
     def frame(self, now: float, stopped: bool) -> Array:
-        """One frame: pose, rendered wrench, and what reached the hand, (24,)."""
+        """One frame: pose, rendered wrench, and what reached the hand, (24,).
+
+        At what is no pose nothing is felt, until the hand was lifted once.
+        """
         device = self._device
         if math.isnan(self._begun):
             self._begun = now
         pose = device.rotation, device.position.copy()
-        rendered = self._feedback.felt(now, *pose)
-        shown = self.gate(now, rendered, stopped)
-        device.step(now - self._begun, shown, 1e-3)
+        known = is_pose(*pose)
+        rendered = self._feedback.felt(now, *pose) if known else np.zeros(6)
+        shown = self.gate(now, rendered, stopped or not known)
+        self._last = now - self._begun
+        device.step(self._last, shown, 1e-3)
         return np.concatenate([pose[0].ravel(), pose[1], rendered, shown])

@@ -38,6 +38,9 @@ SHOW = 0.1
 #: Lateness from which a frame is late, over its period [–]
 LATE = 1.0
 
+#: Lateness from which the frames that were missed are not made up for [s]
+MISSED = 0.1
+
 #: Time before a deadline that is waited for busily, as sleep is coarser [s]
 SPIN = 2e-4
 
@@ -130,7 +133,7 @@ class Lateness:
 
 
 class Metronome:
-    """Absolute deadlines at a rate.
+    """Absolute deadlines at a rate; after a pause of the process they begin anew.
 
     Args:
         rate: Frames a second [Hz].
@@ -148,10 +151,10 @@ class Metronome:
 
     def __iter__(self) -> Iterator[float]:
         """Times of frames from `time.monotonic`, each when it is due."""
-        self._start = start = time.monotonic()
+        self._start = begun = time.monotonic()
         while True:
-            due = start + self._frames * self._period
-            if due - start >= self._seconds:
+            due = begun + self._frames * self._period
+            if due - self._start >= self._seconds:
                 return
             wait = due - time.monotonic()
             if wait > SPIN:
@@ -162,6 +165,8 @@ class Metronome:
             self._worst = max(self._worst, late)
             self._counts[min(int(late / self.STEP), len(self._counts) - 1)] += 1
             self._frames += 1
+            if late > MISSED:
+                begun += late
             yield now
 
     @property

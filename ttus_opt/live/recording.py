@@ -29,6 +29,7 @@ from ttus_opt.live.haptic_process import HAND
 from ttus_opt.live.haptic_process import SHOWN as REACHED
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.real_time import OperatorFrame
+from ttus_opt.live.safety import is_pose
 from ttus_opt.live.simulation import Moment
 from ttus_opt.live.subject import N_POINTS
 from ttus_opt.probe.point_shell import PointShell
@@ -137,7 +138,7 @@ class Frame(msgspec.Struct, array_like=True, frozen=True):
 class Recorder:
     """Writes a session while it runs; the file appears when it is complete.
 
-    Used in ``with``.
+    Used in ``with``. Ctrl-C completes it.
     """
 
     def __init__(
@@ -195,6 +196,8 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         """Complete the file, or leave none where there was an error."""
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            kind = error = trace = None
         if kind is None:
             self._flush()
             self._writer.finish()
@@ -212,7 +215,7 @@ class Recorder:
         """Write a frame of an operator whose hand is in a process of its own."""
         felt = np.zeros((0, HAND)) if frame.felt is None else frame.felt
         self._write(frame.time, frame.pose, frame.packets, felt)
-        if len(felt) and self._is_due(frame.time):
+        if len(felt) and is_pose(*frame.pose) and self._is_due(frame.time):
             self._show(frame.time, frame.pose, felt[-1][REACHED], frame.measured)
 
     def _write(
@@ -249,6 +252,7 @@ class Recorder:
         for name, numbers in shown.items():
             self._add(self._channels[name], now, _cdr(now, numbers))
 
+    @io.signals_deferred()
     def _add(self, channel: int, now: float, content: bytes) -> None:
         stamp = round(1e9 * now)
         self._writer.add_message(channel, stamp, content, stamp, self._number)

@@ -128,6 +128,7 @@ class _Again:
     def begin(self, field: PotentialField) -> _Again:
         """The first field."""
         self._loop, self._voxmap = Loop(self._plan, field), field.voxmap
+        self._size = field.values.size
         return self
 
     def measured(self, sample: Sample) -> None:
@@ -139,7 +140,7 @@ class _Again:
 
     def update(self, field: PotentialField) -> None:
         """As `HapticProcess.update`."""
-        if field.voxmap is self._voxmap:
+        if field.voxmap is self._voxmap and field.values.size == self._size:
             self._fields.append(field)
             return
         self._voxmap = field.voxmap

@@ -20,7 +20,10 @@ from ttus_opt.live.session_stream import SessionStream, unusable
 GREET = 0.2
 
 #: Errors of a datagram that is lost, not of a socket that is unusable
-_LOST = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EAGAIN)
+_LOST = (
+    *(errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EAGAIN),
+    *(errno.ENETDOWN, errno.ENOBUFS, errno.EADDRNOTAVAIL),
+)
 
 
 class SocketLink:
