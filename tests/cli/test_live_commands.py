@@ -1,10 +1,14 @@
 """Both sides of a session as commands, each in its process."""
 
+import contextlib
 import json
 import math
+import signal
 import socket
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -40,6 +44,41 @@ def test_both_commands_meet(link, tmp_path):
         follower.wait()
     assert told.returncode == 0, told.stderr
     assert "NORMAL" in json.loads(told.stdout)["seen"]
+
+
+def members(session):
+    """Numbers of a session's processes that run."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, own = file.read_text().rpartition(")")[2].split()[:4]
+            if int(own) == session and state != "Z":
+                found.append(int(file.parent.name))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks in /proc")
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_demo_that_is_ended_leaves_no_process(kind, tmp_path):
+    words = [sys.executable, "-m", "ttus_opt", "live", "demo", "--no-page", "-o"]
+    demo = subprocess.Popen(
+        [*words, str(tmp_path / "demo")],
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    end = time.monotonic() + 60.0
+    while len(members(demo.pid)) < 5:  # it, its watch, two workers, their memory's
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    time.sleep(3.0)
+    demo.send_signal(kind)
+    demo.wait(30.0)
+    end = time.monotonic() + 10.0
+    while left := members(demo.pid):
+        assert time.monotonic() < end, left
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize("link", ["udp", "webrtc"])

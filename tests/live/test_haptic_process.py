@@ -68,7 +68,7 @@ def test_at_what_is_no_pose_nothing_is_felt_until_the_hand_was_lifted(turn):
     model, given = plan()
     device, shown = Still(), []
     device.step = lambda time, wrench, seconds: shown.append(wrench[0])
-    loop, good = Loop(dataclasses.replace(given, device=lambda: device), model.field), 0
+    loop = Loop(dataclasses.replace(given, device=lambda: device), model.field)
     lifted = RADIUS + BALL + 0.01
     for k, x in enumerate([lifted, 0.11, np.nan, 0.11, lifted, 0.11]):
         device.rotation = (turn if np.isnan(x) else 1.0) * np.eye(3)

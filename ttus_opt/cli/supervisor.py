@@ -25,9 +25,9 @@ ALONE = ("benchmark", "formulations", "solvers", "warm-up")
 #: What a child that was asked to stop is given to clean up [s]
 GRACE = 1.0
 
-#: A path writes the points it has, when its solver listens; a recording what came; a
-#: viewer tells its pages [s]
-LONGER = {"path": 10.0, "record": 10.0, "view": 10.0}
+#: A path writes the points it has, when its solver listens; a recording or a live
+#: session what came; a viewer tells its pages [s]
+LONGER = {"live": 10.0, "path": 10.0, "record": 10.0, "view": 10.0}
 
 BAD_INPUT, TERMINATED = 2, 143
 

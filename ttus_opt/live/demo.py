@@ -11,6 +11,7 @@ import contextlib
 import math
 import multiprocessing
 import os
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -140,13 +141,26 @@ def _all(
         each: Iterable[TrialResult] = (_one(*task) for task in tasks)
         if processes > 1:
             spawn = multiprocessing.get_context("spawn")
-            workers = ProcessPoolExecutor(processes, mp_context=spawn)
+            workers = ProcessPoolExecutor(processes, spawn, _end_with_parent)
             each = pool.enter_context(workers).map(_one, *zip(*tasks, strict=True))
+            pool.callback(workers.shutdown, cancel_futures=True)
         waiting = iter(each)
         for trial in trials:
             say(f"{trial.comparator}, round trip {1e3 * trial.round_trip:.0f} ms")
             results.append(next(waiting))
     return results
+
+
+def _end_with_parent() -> None:
+    """End this process with its parent, whatever ends that: it would wait for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def _one(trial: Trial, recording: Path | None) -> TrialResult:
