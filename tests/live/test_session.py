@@ -329,8 +329,10 @@ def test_who_joins_after_a_new_surface_gets_it():
 
 
 def test_packets_of_a_process_that_was_replaced_are_ignored():
-    old, new, one = Peer(5), Peer(6), Peer(1)
-    for sender, counts in ((old, True), (new, True), (old, False)):
+    # the last one's clock was set back before it started
+    old, new, last, one = Peer(5), Peer(6), Peer(4), Peer(1)
+    order = (old, True), (new, True), (old, False), (last, True), (new, False)
+    for sender, counts in order:
         data = sender.pack(0.0, Hello(1)).data
         assert (one.receive(0.0, data) is not None) is counts
 

@@ -109,7 +109,7 @@ class Follower:
         """A follower before the first packet.
 
         Args:
-            epoch: Grows with every start of this side, such as `time.time` in seconds.
+            epoch: Another at every start of this side, such as `time.time` in seconds.
             surface: The patient's skin.
             content: Messages of the surface and of the model over it, which every
                 operator gets that joins.

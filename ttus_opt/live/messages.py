@@ -1,7 +1,7 @@
 """Messages of a live session: their fields, limits, sequence and checksum.
 
 A packet is a msgpack array and its CRC-32. Every packet tells who sent it (an epoch,
-which grows with every start of that side), its number, the sender's clock, what it last
+another one at every start of that side), its number, the sender's clock, what it last
 heard, and its state of safety: a lost packet loses nothing but its body. Poses and
 wrenches are float32. `decode` refuses what is damaged, too long, of another version or
 not finite: msgspec checks types, but lets NaN pass.

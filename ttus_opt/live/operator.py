@@ -90,7 +90,7 @@ class Operator:
         """An operator before the first packet.
 
         Args:
-            epoch: Grows with every start of this side, such as `time.time` in seconds.
+            epoch: Another at every start of this side, such as `time.time` in seconds.
             shell: The probe, the same as the follower's.
             safety: When it holds and stops.
             deadband: Motion that is worth a packet at once.

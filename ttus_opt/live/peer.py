@@ -73,6 +73,7 @@ class Peer:
         self.refused = self.met = 0
         self._sequence = 0
         self._seen: dict[int, None] = {}
+        self._left: set[int] = set()  # epochs of processes that were replaced
         self._newest = self._sent = 0
         self._echo, self._echo_at = 0, math.nan
         self._told = 0
@@ -103,8 +104,9 @@ class Peer:
         if packet.epoch == self.epoch:
             return False  # an echo of our own
         if packet.epoch != self.met:
-            if packet.epoch < self.met:
-                return False  # of the process before
+            if packet.epoch in self._left:
+                return False  # of a process before
+            self._left.add(self.met)
             self.met, self._newest = packet.epoch, 0
             self._seen.clear()
             self.quality = LinkQuality()
