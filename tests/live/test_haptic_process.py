@@ -116,7 +116,7 @@ def test_whatever_ends_the_loop_no_force_is_shown_last(how, tmp_path):
     assert max(shown) > 1.0
     assert shown[-1] == 0.0
     if how == "end":  # not at once
-        assert np.diff(shown[-40:]).min() > -0.3 * max(shown)
+        assert any(0.0 < force < 0.9 * max(shown) for force in shown[-60:])
 
 
 @pytest.mark.slow
