@@ -5,6 +5,7 @@
     python benchmarks/truth.py --output truth.md --picture truth.png
     python benchmarks/truth.py --cases bundled --models eq10 comparators rivals
     python benchmarks/truth.py --phantoms ../shared/data --ablate --shape 24 72 30
+    python benchmarks/truth.py --cases tissue --tissue palpation --patch 48 42 38
 
 Cases: the independent phantoms (fitted to `*_fit`, judged on `*_test_truth` without
 noise, and reversed), real tissue as `palpation.py` prepares it, a folder per recording,
@@ -319,9 +320,10 @@ def cases(
     tissue: Path | None,
     patients: Path | None,
     shape: Shape | None,
+    patch: Shape = (24, 42, 38),
 ) -> tuple[list[Case], list[str]]:
     """All cases whose data are there, and why others are not."""
-    torso, patch = shape or (48, 120, 60), (24, 42, 38)
+    torso = shape or (48, 120, 60)
     bundled = Path(example.path("surface.nc")).parent
     found, skipped = [], []
     for name, sweep in (("example", "sweep"), ("example_drag", "sweep_drag")):
@@ -403,6 +405,7 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--models", nargs="+", default=list(members)[:3], help="beside the default")
     add("--ablate", action="store_true", help="as --models ablation")
     add("--shape", nargs=3, type=int, help="voxels of a torso, not of tissue")
+    add("--patch", nargs=3, type=int, default=[24, 42, 38], help="voxels of tissue")
     add("--json", action="store_true", help="print JSON, not the table")
     add("--output", type=Path, help="write the table as Markdown here")
     add("--picture", type=Path, help="draw it here")
@@ -417,7 +420,7 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     asked.models = list(dict.fromkeys(["default", *models]))
     shape = tuple(asked.shape) if asked.shape else None
     data = asked.phantoms, asked.tissue, asked.patients
-    asked.found, asked.skipped = cases(*data, shape)
+    asked.found, asked.skipped = cases(*data, shape, tuple(asked.patch))
     named = dict.fromkeys(w for case in asked.found for w in (case.name, case.kind))
     wanted = set(asked.cases or named)
     if wanted - set(named):
