@@ -284,19 +284,13 @@ def test_the_section_follows_its_slider(visit, viewer):
     choice = visit.page.locator("input[aria-haspopup=listbox]:visible")
     choice.click()
     visit.page.get_by_role("option", name="axial").click()
-    visit.until(
-        lambda: [one.direction for one in viewer.page.section.shown] == ["axial"]
-    )
-    visit.field(viewer.page.section.height).fill("70")
-    visit.until(
-        lambda: (
-            bool(viewer.page.section.shown)
-            and abs(viewer.page.section.shown[0].at - 0.07) < 1e-9
-        )
-    )
+    tab = viewer.page.section
+    visit.until(lambda: [one.direction for one in tab.shown] == ["axial"])
+    visit.field(tab.height).fill("70")
+    visit.until(lambda: [round(one.at, 9) for one in tab.shown] == [0.07])
     choice.click()
     visit.page.get_by_role("option", name="none").click()
-    visit.until(lambda: viewer.page.section.shown == [])
+    visit.until(lambda: tab.shown == [])
 
 
 def test_a_click_on_the_plot_goes_to_that_pose(visit, viewer):

@@ -168,6 +168,12 @@ def test_what_a_colouring_needs_is_said(viewer):
     until(lambda: "filled in" in viewer.page.skin._legend.content)
 
 
+def test_a_colouring_that_fails_is_not_waited_for(viewer, monkeypatch):
+    monkeypatch.setitem(viewer.page.skin._ways, "Fails", lambda: 1 / 0)
+    viewer.page.skin.show("Fails")
+    until(lambda: "not computed" in viewer.page.skin._legend.content)
+
+
 def test_where_to_press_next_is_computed_when_it_is_looked_at(monkeypatch):
     asked = []
 

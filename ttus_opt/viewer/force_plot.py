@@ -54,15 +54,6 @@ def series(names: Sequence[str], *, measured: bool, marker: bool = False) -> Any
     return tuple(out)
 
 
-def axes(quantity: str) -> Any:
-    """Seconds below, the quantity on the left."""
-    small = {"font": "11px sans-serif", "labelFont": "11px sans-serif"}
-    return (
-        {**small, "size": 24, "label": "time [s]", "labelSize": 14},
-        {**small, "size": 36, "label": quantity, "labelSize": 14},
-    )
-
-
 def add_plot(
     gui: Any,
     columns: Any,
@@ -72,10 +63,14 @@ def add_plot(
 ) -> Any:
     """A plot of columns, the first of which is time, over a span of the quantity."""
     upright = {"auto": True} if span is None else {"range": span}
+    small = {"font": "11px sans-serif", "labelFont": "11px sans-serif", "labelSize": 14}
     return gui.add_uplot(
         columns,
         told,
-        axes=axes(quantity),
+        axes=tuple(
+            {**small, "size": size, "label": label}
+            for size, label in ((24, "time [s]"), (36, quantity))
+        ),
         scales={"x": {"time": False, "auto": True}, "y": upright},
         legend={"show": False},  # the numbers above have the colours
         height=HEIGHT,

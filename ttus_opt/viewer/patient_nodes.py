@@ -82,22 +82,13 @@ class PatientNodes:
         """Draw a probe, its mesh in the probe frame, and its forces in a colour."""
         self._colour = colour
         self.probe = self._scene.add_mesh_simple(
-            f"/{self._name}/probe",
-            mesh.vertices,
-            mesh.faces,
-            color=PROBE,
-            opacity=0.6,
-            flat_shading=False,
-            side="double",
-            cast_shadow=False,
-        )
+            f"/{self._name}/probe", mesh.vertices, mesh.faces, color=PROBE,
+            opacity=0.6, flat_shading=False, side="double", cast_shadow=False,
+        )  # fmt: skip
+        tints = {"force": colour, "torque": TORQUE, "measured": MEASURED}
         self._force, self._torque, self._measured = (
             Arrow(self._scene, f"/{self._name}/{what}", tint)
-            for what, tint in (
-                ("force", colour),
-                ("torque", TORQUE),
-                ("measured", MEASURED),
-            )
+            for what, tint in tints.items()
         )
 
     def colour(self, colours: Pixels, marks: Array) -> None:

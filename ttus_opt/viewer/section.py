@@ -91,10 +91,8 @@ def section(potential: PotentialField, direction: Direction, at: float) -> Secti
     else:
         across = np.array([math.cos(at), math.sin(at), 0.0])
         up = np.array([0.0, 0.0, 1.0])
-        origin, size = (
-            np.array([0.0, 0.0, 0.5 * (low + high)]),
-            (2.0 * reach, high - low),
-        )
+        origin = np.array([0.0, 0.0, 0.5 * (low + high)])
+        size = 2.0 * reach, high - low
     columns, rows = (max(round(s / PIXEL), 2) for s in size)
     u = (np.arange(columns) + 0.5) / columns * size[0] - 0.5 * size[0]
     v = 0.5 * size[1] - (np.arange(rows) + 0.5) / rows * size[1]

@@ -78,6 +78,9 @@ class SkinTab:
         except InputError as error:
             self._legend.content = _plain(str(error))
             return
+        except Exception:
+            self._legend.content = _plain("not computed")
+            raise
         lows, highs = zip(*(one.span for one in found), strict=True)
         span = min(lows), max(highs)
         for nodes, one in zip(self._stage.nodes, found, strict=True):

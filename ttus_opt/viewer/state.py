@@ -357,18 +357,16 @@ def _one_patient(fields: Sequence[PotentialField]) -> Surface:
     """
     if len(fields) not in (1, 2):
         raise InputError(f"a viewer shows one field or two, got {len(fields)}")
-    surface = fields[0].voxmap.surface
-    for other in (one.voxmap.surface for one in fields[1:]):
-        shapes = surface.radius.shape, other.radius.shape
-        if shapes[0] != shapes[1]:
-            differ = "{} × {} nodes and {} × {}".format(*shapes[0], *shapes[1])
-        elif not np.allclose(surface.radius, other.radius):
-            apart = float(np.abs(surface.radius - other.radius).max())
-            differ = f"radii that differ by up to {1e3 * apart:.3g} mm"
-        else:
-            continue
-        raise InputError(
-            "two fields are compared on one patient: the surface of the second is "
-            f"another one ({differ})"
-        )
-    return surface
+    surface, other = (fields[k].voxmap.surface for k in (0, -1))
+    one, another = surface.radius, other.radius
+    if one.shape != another.shape:
+        differ = "{} × {} nodes and {} × {}".format(*one.shape, *another.shape)
+    elif not np.allclose(one, another):
+        apart = 1e3 * float(np.abs(one - another).max())
+        differ = f"radii that differ by up to {apart:.3g} mm"
+    else:
+        return surface
+    raise InputError(
+        "two fields are compared on one patient: the surface of the second is "
+        f"another one ({differ})"
+    )
