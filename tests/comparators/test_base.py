@@ -78,8 +78,7 @@ def test_forces_too_small_to_be_contact_are_told():
     ],
 )
 def test_a_cloud_that_is_none_is_told(cloud, words):
-    with pytest.raises(InputError, match=words):
-        on_torso(Straight, cloud=cloud)
+    refuses(InputError, words, on_torso, Straight, cloud=cloud)
 
 
 def test_without_a_cloud_the_surface_s_own_points_are_it():

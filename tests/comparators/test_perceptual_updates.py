@@ -6,6 +6,7 @@ import pytest
 from tests.comparators.contacts import NO_PATCH, STILL, made
 from tests.comparators.recordings import facing, fitted, recordings
 from tests.conftest import torso
+from tests.refusals import refuses
 from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
@@ -88,5 +89,4 @@ def test_rendered_drag_is_against_the_motion_and_in_proportion():
 
 
 def test_a_jnd_that_makes_no_sense_is_told():
-    with pytest.raises(InputError, match="stiffness_jnd"):
-        made(PerceptualUpdates, stiffness_jnd=-0.1)
+    refuses(InputError, "stiffness_jnd", made, PerceptualUpdates, stiffness_jnd=-0.1)

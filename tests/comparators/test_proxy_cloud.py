@@ -94,8 +94,7 @@ def test_the_tip_is_the_mean_of_contacts_by_area_and_depth():
 
 
 def test_a_tip_or_radius_that_is_none_is_told():
-    with pytest.raises(InputError, match="tip must be a point"):
-        on_torso(ProxyCloud, tip=(0.0, 0.0))
+    refuses(InputError, "tip must be a point", on_torso, ProxyCloud, tip=(0.0, 0.0))
     for radius in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="radius must be positive"):
             on_torso(ProxyCloud, radius=radius)

@@ -174,10 +174,8 @@ def test_weights_are_for_formulations_that_do_not_choose_their_own():
     assert dict(eq10.options) == {"force_weight": 0.3, "torque_weight": 0.3}
     assert dict(drag.options) == dict(eq10.options)
     assert dict(depth.options) == {}
-    with pytest.raises(InputError, match="twice"):
-        compared(("eq10", "eq10"), 1.0)
-    with pytest.raises(InputError, match="eq99"):
-        compared(("eq99",), 1.0)
+    refuses(InputError, "twice", compared, ("eq10", "eq10"), 1.0)
+    refuses(InputError, "eq99", compared, ("eq99",), 1.0)
 
 
 def test_weights_from_the_recordings_stand_beside_the_given_ones():
@@ -208,8 +206,7 @@ def test_the_default_on_refined_poses_stands_beside_it():
 
 def test_refuses_plans_that_cannot_be_done(tmp_path):
     for wrong in ({"weight": 0.0}, {"weight": math.nan}, {"resolution": 0.0}):
-        with pytest.raises(InputError, match="needs a weight above 0"):
-            experiment.Plan(**wrong)
+        refuses(InputError, "needs a weight above 0", experiment.Plan, **wrong)
     assert [experiment.Plan(resolution=r).resolution for r in (0.3, 10.0)] == [
         0.3,
         10.0,
@@ -247,12 +244,10 @@ def test_what_stands_in_the_way_is_told_before_the_work(tmp_path, monkeypatch):
         folder = tmp_path / name
         folder.mkdir()
         (folder / name).touch()
-        with pytest.raises(FileError, match=f"{name} is not a folder"):
-            experiment.run(folder)
+        refuses(FileError, f"{name} is not a folder", experiment.run, folder)
     folder = tmp_path / "report"
     (folder / "report.html").mkdir(parents=True)
-    with pytest.raises(FileError, match=r"report\.html: it is a folder"):
-        experiment.run(folder)
+    refuses(FileError, r"report\.html: it is a folder", experiment.run, folder)
     torso = tmp_path / "torso.ply"
     torso.touch()
     for patient in ("nobody", "average"):

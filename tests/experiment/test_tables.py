@@ -122,11 +122,11 @@ def test_chosen_weights_are_told_with_the_reason_where_there_are_none():
     assert first[1:] == ["eq10", "force 0.095, torque 0.17", "marginal likelihood"]
     assert second == ["lean, default", "depth_map", "force 0.01", "one press"]
     who.fits = {"eq10": fits["eq10"]}
-    assert tables.weights_table(SimpleNamespace(patients=[who])) is None
+    assert not tables.weights_table(SimpleNamespace(patients=[who]))
 
 
 def test_rivals_have_no_table_where_none_was_asked_for():
-    assert tables.rivals_table(result([]), "eq10") is None
+    assert not tables.rivals_table(result([]), "eq10")
 
 
 def test_rivals_stand_in_a_table_of_their_own_with_those_that_failed():

@@ -6,6 +6,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
+from tests.refusals import refuses
 from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import PROGRESS, settled_ledger
@@ -119,5 +120,4 @@ def test_without_a_compiler_there_is_no_table(monkeypatch):
     nothing = np.zeros(SCENE.voxmap.grid.shape)
     field = tt.PotentialField(SCENE.voxmap, nothing, "trilinear")
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
-    with pytest.raises(InputError, match="unset NUMBA_DISABLE_JIT"):
-        tt.Renderer(field, SCENE.shell)
+    refuses(InputError, "unset NUMBA_DISABLE_JIT", tt.Renderer, field, SCENE.shell)

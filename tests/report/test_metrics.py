@@ -256,5 +256,4 @@ def test_nothing_is_told_where_no_press_is_complete():
     middle = presses(0.4).select(slice(10, 40))
     assert np.isnan(hysteresis_share(middle, SHELL, 0.5))
     bare = Trajectory(middle.time, middle.position, middle.rotation)
-    with pytest.raises(InputError, match="forces"):
-        hysteresis_share(bare, SHELL, 0.5)
+    refuses(InputError, "forces", hysteresis_share, bare, SHELL, 0.5)

@@ -135,9 +135,16 @@ class CaseSpec:
         Raises:
             InputError: Not in `PERTURBATIONS`, nor "".
         """
-        if not checked_perturbation(how):
+        return self._with(
+            "perturbation", checked_perturbation(how) or self.perturbation
+        )
+
+    def _with(self, name: str, value: str, **others: Any) -> CaseSpec:
+        """The same with another value, in its name, and others that follow."""
+        if value == getattr(self, name):
             return self
-        return replace(self, name=f"{self.name}-{how}", perturbation=how)
+        changed: Any = {**others, name: value}
+        return replace(self, name=f"{self.name}-{value}", **changed)
 
     def bounded(self, boundary: str) -> CaseSpec:
         """The same with another boundary, and a name that says so.
@@ -145,9 +152,7 @@ class CaseSpec:
         Raises:
             InputError: An unknown boundary.
         """
-        if checked_boundary(boundary) == self.boundary:
-            return self
-        return replace(self, name=f"{self.name}-{boundary}", boundary=boundary)
+        return self._with("boundary", checked_boundary(boundary))
 
     def sampled(self, sampling: str) -> CaseSpec:
         """The same with another sampling, and a name that says so.
@@ -159,10 +164,7 @@ class CaseSpec:
             InputError: An unknown sampling.
         """
         check_sampling(sampling)
-        if sampling == self.sampling:
-            return self
-        name = f"{self.name}-{sampling}"
-        return replace(self, name=name, sampling=sampling, inner="fit", outer=1.0)
+        return self._with("sampling", sampling, inner="fit", outer=1.0)
 
     def _thinned(self) -> Trajectory:
         whole = Trajectory.concatenate([read_trajectory(p) for p in self.trajectories])

@@ -27,8 +27,8 @@ from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.contact_geometry import wrench_of
 from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 
 #: Just noticeable differences, relative, and absolute lower limit for friction [–]
 STIFFNESS_JND, FRICTION_JND, LEAST_FRICTION_JND = 0.10, 0.20, 0.05
@@ -79,8 +79,7 @@ class PerceptualUpdates(PatchModel):
         self, *, stiffness_jnd: float = STIFFNESS_JND, **given: Unpack[Given]
     ) -> None:
         super().__init__(**given)
-        if not (math.isfinite(stiffness_jnd) and stiffness_jnd >= 0.0):
-            raise InputError(f"stiffness_jnd must not be negative, got {stiffness_jnd}")
+        expect_not_negative(stiffness_jnd, "stiffness_jnd")
         self.stiffness_jnd = stiffness_jnd
         self.updates: list[Update] = []
         self.samples_seen = 0

@@ -18,7 +18,6 @@ force has no steps. By default the tip is the mean contact point of the recordin
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Unpack
 
@@ -27,6 +26,7 @@ from scipy.spatial import cKDTree
 
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
@@ -66,8 +66,7 @@ class ProxyCloud(OneStiffness):
             raise InputError(f"tip must be a point (3,) [m], got {self.tip.shape}")
         self._tree = cKDTree(self.cloud)
         self.radius = _radius(self._tree) if radius is None else float(radius)
-        if not (math.isfinite(self.radius) and self.radius > 0.0):
-            raise InputError(f"radius must be positive [m], got {radius}")
+        expect_positive(self.radius, "radius", "m")
 
     def _fit(self, recording: Trajectory, force: Array) -> None:
         if self.tip is None:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import wrench_of
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan.surface import Surface
@@ -54,8 +55,7 @@ class VoxmapPointShell(OneStiffness):
 
     def __init__(self, *, edge: float = EDGE, **given: Unpack[Given]) -> None:
         super().__init__(**given)
-        if not (math.isfinite(edge) and edge > 0.0):
-            raise InputError(f"the edge of a voxel must be positive [m], got {edge}")
+        expect_positive(edge, "the edge of a voxel", "m")
         self.edge = edge
         self.corner, self.voxels = _voxelised(self.surface, edge)
         self._plane = _nearest_surface_voxel(self.voxels)

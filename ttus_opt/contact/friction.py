@@ -27,7 +27,6 @@ See docs/method/contact.md, Friction.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -37,6 +36,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.contact.contact_size import Patches, patches_of
 from ttus_opt.contact.rows import ContactRows, by_pose, checked_poses
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
@@ -138,8 +138,7 @@ class Sliding:
         Raises:
             InputError: The deadband is not positive.
         """
-        if not (math.isfinite(deadband) and deadband > 0.0):
-            raise InputError(f"deadband must be positive [m/s], got {deadband}")
+        expect_positive(deadband, "deadband", "m/s")
         if self.bristle is not None:
             return self.bristle
         speed = np.linalg.norm(self.velocity, axis=1, keepdims=True)

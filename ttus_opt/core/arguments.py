@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ttus_opt.core.errors import InputError
@@ -23,6 +25,27 @@ def expect(value: object, kind: type, name: str) -> None:
     given = type(value)
     hint = ": pass its .field" if hasattr(given, "field") else ""
     raise InputError(f"{name} must be a {kind.__name__}, got a {given.__name__}{hint}")
+
+
+def expect_positive(value: float, name: str, unit: str = "") -> None:
+    """Refuse a number that is not positive and finite.
+
+    >>> expect_positive(0.0, "depth", "m")
+    Traceback (most recent call last):
+    ttus_opt.core.errors.InputError: depth must be positive [m], got 0.0
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} must be positive{_of(unit)}, got {value}")
+
+
+def expect_not_negative(value: float, name: str, unit: str = "") -> None:
+    """Refuse a number that is negative or not finite; arguments as above."""
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{name} must not be negative{_of(unit)}, got {value}")
+
+
+def _of(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
 
 
 def expect_numbers(value: object, name: str, hint: str = "") -> None:

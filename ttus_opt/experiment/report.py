@@ -96,10 +96,13 @@ def summary(result: ExperimentResult) -> list[Block]:
         blocks += [Text(told), tables.comparison_table(result, against)]
     for told, reading, form in _WINNERS:
         blocks += [Text(told), tables.winners_table(result, reading, form)]
-    rivals = tables.rivals_table(result, best)
-    if rivals is not None:
-        blocks += [Heading("Other ways, same data"), _about_rivals(result), rivals]
-    blocks += [*_chosen_weights(result), *_uncertainties(result)]
+    beside, weights = tables.rivals_table(result, best), tables.weights_table(result)
+    for heading, about, table in (
+        ("Other ways, same data", _about_rivals(result), beside),
+        ("Weights chosen from the recordings", _ABOUT_WEIGHTS, weights),
+        ("How sure the model is", _UNCERTAINTY, tables.uncertainty_table(result)),
+    ):
+        blocks += [Heading(heading), about, table] if table else []
     return [*blocks, *_aims(result, best)]
 
 
@@ -194,28 +197,12 @@ _ABOUT_AIMS = Text(
 )
 
 
-def _chosen_weights(result: ExperimentResult) -> list[Block]:
-    """Weights chosen from the recordings; nothing where none were to be chosen."""
-    table = tables.weights_table(result)
-    if table is None:
-        return []
-    return [Heading("Weights chosen from the recordings"), _ABOUT_WEIGHTS, table]
-
-
 _ABOUT_WEIGHTS = Text(
     "As `ttus-opt fit` chooses them when no weight is given: of a depth map by "
     "marginal likelihood, of others by how well places left out are predicted; the "
     "formulation's own where the recordings bear no choice. Both recordings that are "
     "fitted are used, those of new trajectories are not."
 )
-
-
-def _uncertainties(result: ExperimentResult) -> list[Block]:
-    """How well stated uncertainty agrees with errors; nothing where not asked for."""
-    table = tables.uncertainty_table(result)
-    return (
-        [] if table is None else [Heading("How sure the model is"), _UNCERTAINTY, table]
-    )
 
 
 _UNCERTAINTY = Text(

@@ -167,8 +167,8 @@ def torque_table(result: ExperimentResult) -> Table:
     return Table(["", *(name for name, _, _ in columns)], lines)
 
 
-def uncertainty_table(result: ExperimentResult) -> Table | None:
-    """Stated uncertainty against errors on new trajectories; None without any."""
+def uncertainty_table(result: ExperimentResult) -> Table:
+    """Stated uncertainty against errors on new trajectories; empty without any."""
     lines = []
     for each in result.patients:
         for stated in each.uncertainties:
@@ -189,7 +189,7 @@ def uncertainty_table(result: ExperimentResult) -> Table | None:
                     ]
                 )
     header = ["", "force [N]", "covered [%]", "torque [mN·m]", "covered [%]"]
-    return Table([*header, "rank", "between places"], lines) if lines else None
+    return Table([*header, "rank", "between places"], lines)
 
 
 def boundary_table(result: ExperimentResult) -> Table:
@@ -280,7 +280,7 @@ def _missed(score: Score) -> str:
     return "all" if len(missed) == len(met) else ", ".join(missed) or "✓"
 
 
-def weights_table(result: ExperimentResult) -> Table | None:
+def weights_table(result: ExperimentResult) -> Table:
     """Weights chosen from the recordings, or why none were."""
     lines = []
     for each in result.patients:
@@ -293,15 +293,15 @@ def weights_table(result: ExperimentResult) -> Table | None:
             row = [f"{each.patient.name}, {title(name)}", fit.facts["formulation"]]
             lines.append([*row, weights or "–", why])
     header = ["", "formulation", "weights", "chosen by, or why not"]
-    return Table(header, lines) if lines else None
+    return Table(header, lines)
 
 
-def rivals_table(result: ExperimentResult, best: str) -> Table | None:
-    """Comparators and the best field: errors, time of a frame, ripple; None without."""
+def rivals_table(result: ExperimentResult, best: str) -> Table:
+    """Comparators, if any, and the best field: errors, time of a frame, ripple."""
     examined = [each for each in result.patients if each.rivals]
     names = list(dict.fromkeys(r.name for each in examined for r in each.rivals))
     if not names:
-        return None
+        return Table([], [])
     whose = {each.patient.name for each in examined}
     rows = select(result.rows, seen=False, against="true")
     rows = [row for row in rows if row.patient in whose]

@@ -35,9 +35,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.contact.rows import rotated
+from ttus_opt.core.arguments import expect_not_negative, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import STILL, Way, set_pose, way_from
@@ -78,13 +78,9 @@ class BlendLaw:
     def __post_init__(self) -> None:
         """Refuse a rate or time that is not positive, and an energy below zero."""
         for name in ("force_rate", "frame_seconds"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} must be positive, got {value}")
+            expect_positive(getattr(self, name), name)
         for name in ("reserve", "capacity"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} must not be negative [J], got {value}")
+            expect_not_negative(getattr(self, name), name, "J")
 
     def kernel_limits(self, length: float) -> Array:
         """Largest force [N] and torque [N·m] step, tank and refill [J], for ℓ [m]."""

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.contact import friction
 from ttus_opt.contact.rows import rotated, shell_arrays
+from ttus_opt.core.arguments import expect_not_negative, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import InputError
@@ -115,11 +116,7 @@ class DragLaw:
             numbers[ACTIVE] = BY_PATCH
         elif numbers[FRICTION] > 0.0:
             numbers[ACTIVE] = 1.0
-        if not (math.isfinite(numbers[DEADBAND]) and numbers[DEADBAND] > 0.0):
-            raise InputError(
-                f"{friction.DRAG_DEADBAND} must be positive [m/s], got "
-                f"{numbers[DEADBAND]}"
-            )
+        expect_positive(float(numbers[DEADBAND]), friction.DRAG_DEADBAND, "m/s")
         if as_tool:
             numbers[AXIS : AXIS + 3] = _axis(parameters)
         return cls(np.concatenate([numbers, viscosity]))
@@ -127,8 +124,7 @@ class DragLaw:
 
 def _coefficient(parameters: Mapping[str, float], name: str, other: float) -> float:
     value = float(parameters.get(name, other))
-    if not (math.isfinite(value) and value >= 0.0):
-        raise InputError(f"{name} of a field must not be negative, got {value}")
+    expect_not_negative(value, f"{name} of a field")
     return value
 
 

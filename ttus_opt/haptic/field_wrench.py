@@ -31,6 +31,7 @@ from ttus_opt.contact.contact_size import Patches
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import (
     ACTS_AT,
     AT_POINTS,
@@ -113,6 +114,16 @@ class FieldWrenches:
     torque: Array = field(repr=False)
     in_grid: NDArray[np.bool_] = field(repr=False)
     beyond_inner: NDArray[np.int64] = field(repr=False)
+
+
+def checked_limits(force: float, torque: float) -> None:
+    """`InputError` where a renderer's limit [N], [N·m] is not a positive number."""
+    for limit, name, unit in ((force, "force", "N"), (torque, "torque", "N m")):
+        if not (isinstance(limit, int | float) and limit > 0.0):
+            raise InputError(
+                f"{name}_limit must be positive [{unit}], math.inf for none, got "
+                f"{limit}"
+            )
 
 
 def over_limits(force: Array, torque: Array) -> NDArray[np.bool_]:

@@ -30,7 +30,7 @@ import numpy as np
 from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import DragLaw
-from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT
+from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, checked_limits
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
@@ -64,9 +64,7 @@ def write_flat(
             "the field has friction, which depends on motion and which the flat file "
             "does not hold: render it by Renderer.c_function, or fit without friction"
         )
-    for name, limit in (("force_limit", force_limit), ("torque_limit", torque_limit)):
-        if not limit > 0.0:
-            raise InputError(f"{name} must be positive, got {limit}")
+    checked_limits(force_limit, torque_limit)
     data = FrameData.of(field.voxmap, shell, field.sampling)
     counts = [data.points.shape[1], *data.shape, *data.nodes, data.trilinear]
     numbers = (

@@ -32,9 +32,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.rows import rotated
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -83,9 +83,7 @@ class MotionFilter:
     def __post_init__(self) -> None:
         """Refuse a value that is not positive and finite."""
         for name in ("play", "seconds", "gap"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} must be positive, got {value}")
+            expect_positive(getattr(self, name), name)
 
     def kernel_numbers(self, length: float) -> Array:
         """Radius [m], angle [rad], time constant and gap [s], for ℓ [m]."""

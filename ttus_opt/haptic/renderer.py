@@ -36,7 +36,13 @@ from ttus_opt.haptic.field_swap import (
     require_alike,
     swapped,
 )
-from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, DragSource, Limit
+from ttus_opt.haptic.field_wrench import (
+    FORCE_LIMIT,
+    TORQUE_LIMIT,
+    DragSource,
+    Limit,
+    checked_limits,
+)
 from ttus_opt.haptic.field_wrench import Wrench as Wrench
 from ttus_opt.haptic.force_uncertainty import ForceUncertainty
 from ttus_opt.haptic.kernel_data import FrameData
@@ -113,8 +119,7 @@ class Renderer:
         expect(field, PotentialField, "the field")
         expect(shell, PointShell, "the probe")
         self._uncertainty = ForceUncertainty.of(uncertainty, field)
-        _require_positive("force_limit", force_limit, "N")
-        _require_positive("torque_limit", torque_limit, "N m")
+        checked_limits(force_limit, torque_limit)
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = self._newest = field
         self._shell = shell
@@ -407,11 +412,3 @@ class Renderer:
     def blend(self) -> BlendState:
         """State of the last update's swap."""
         return BlendState.of(self._fields.pair.ledger)
-
-
-def _require_positive(name: str, limit: float, unit: str) -> None:
-    """`InputError` where a limit is not a positive number."""
-    if not (isinstance(limit, int | float) and limit > 0.0):
-        raise InputError(
-            f"{name} must be positive [{unit}], math.inf for none, got {limit}"
-        )

@@ -400,8 +400,7 @@ def test_measurements_are_checked(argument, value, message):
     ("factor", "window"), [(None, None), (0.5, 3), (0.0, None), (1.5, None), (None, -1)]
 )
 def test_forget_wants_one_sound_value(factor, window):
-    with pytest.raises(InputError, match=r"factor|window"):
-        held().forget(factor, window=window)
+    refuses(InputError, r"factor|window", held().forget, factor, window=window)
 
 
 def test_forgetting_nothing_and_everything():

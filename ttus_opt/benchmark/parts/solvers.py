@@ -34,6 +34,7 @@ from ttus_opt.benchmark.solver_run import (
 )
 from ttus_opt.benchmark.summary import row_table
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.program import Program
@@ -191,8 +192,7 @@ def check(settings: Settings) -> None:
     Request(settings.tolerance, settings.time_limit)  # validates both
     if settings.repeat < 1:
         raise InputError(f"repeat must be at least 1, got {settings.repeat}")
-    if not 0.0 < settings.weight < math.inf:
-        raise InputError(f"weight must be positive, got {settings.weight}")
+    expect_positive(settings.weight, "weight")
 
 
 def _formulations(settings: Settings) -> list[str]:

@@ -20,8 +20,8 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
 from ttus_opt.contact.standing import skin_points
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.matern import matern
 from ttus_opt.probe.cylindrical import TURN, lattice_shares
 from ttus_opt.problem.terms.depth_profile import voxel_depths
@@ -76,9 +76,8 @@ class DepthLattice:
         Raises:
             InputError: A length that is not positive.
         """
-        for name, length in (("surface", surface_length), ("depth", depth_length)):
-            if not (math.isfinite(length) and length > 0.0):
-                raise InputError(f"{name}_length must be positive [m], got {length}")
+        expect_positive(surface_length, "surface_length", "m")
+        expect_positive(depth_length, "depth_length", "m")
         grid, step = voxmap.grid, SPACING * surface_length
         around = TURN * float(voxmap.surface.radius.mean())
         fine = (

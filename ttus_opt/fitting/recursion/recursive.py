@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from ttus_opt.contact.rows import ContactRows, checked_poses, contact_rows
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect_not_negative, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.dual_recursion import DualRecursion
@@ -290,8 +291,7 @@ class RecursiveFit:
             self._system.fade(factor)
             return
         assert window is not None
-        if window < 0:
-            raise InputError(f"window must not be negative, got {window}")
+        expect_not_negative(window, "window")
         held = sorted([*self._slots, *self._silent])
         gone = set(held[: max(0, len(held) - window)])
         # slots are in the order of time
@@ -370,15 +370,13 @@ def _checked(values: Array, shape: tuple[int, ...], what: str) -> Array:
 
 
 def _check_weights(force_weight: float, torque_weight: float, length: float) -> None:
-    for name, weight in (("force", force_weight), ("torque", torque_weight)):
-        if not (math.isfinite(weight) and weight >= 0.0):
-            raise InputError(f"{name}_weight must not be negative, got {weight}")
+    expect_not_negative(force_weight, "force_weight")
+    expect_not_negative(torque_weight, "torque_weight")
     if force_weight == 0.0 and torque_weight == 0.0:
         raise InputError(
             "both weights are 0: give force_weight or torque_weight a positive value"
         )
-    if not (math.isfinite(length) and length > 0.0):
-        raise InputError(f"torque_length must be positive [m], got {length}")
+    expect_positive(length, "torque_length", "m")
 
 
 def _check_options(
@@ -391,5 +389,5 @@ def _check_options(
             f"outlier_level is a probability between 0 and 1, got {outlier_level}: "
             "None accepts every measurement"
         )
-    if noise_std is not None and not (math.isfinite(noise_std) and noise_std > 0.0):
-        raise InputError(f"noise_std must be positive [N], got {noise_std}")
+    if noise_std is not None:
+        expect_positive(noise_std, "noise_std", "N")

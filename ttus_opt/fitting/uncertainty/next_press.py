@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.contact.standing import skin_frames, skin_points
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
@@ -152,8 +153,7 @@ def next_press(
     """
     scene = uncertainty.scene
     depth = usual_depth(scene) if depth is None else depth
-    if not depth > 0.0:
-        raise InputError(f"depth must be positive [m], got {depth}")
+    expect_positive(depth, "depth", "m")
     theta, z = (
         a.ravel()
         for a in np.meshgrid(*skin_nodes(scene.voxmap.surface, spacing), indexing="ij")

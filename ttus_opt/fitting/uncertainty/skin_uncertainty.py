@@ -11,6 +11,7 @@ import numpy as np
 
 from ttus_opt.contact.scene import Scene
 from ttus_opt.contact.standing import depth_of, standing, usual_hold
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
@@ -48,8 +49,7 @@ def uncertainty_map(
             uncertainty of another field.
     """
     require_own(uncertainty, field)
-    if not depth > 0.0:
-        raise InputError(f"depth must be positive [m], got {depth}")
+    expect_positive(depth, "depth", "m")
     theta, z = skin_nodes(uncertainty.scene.voxmap.surface, spacing)
     n = len(theta)
     angle, height = (a.ravel() for a in np.meshgrid(theta, z, indexing="ij"))
@@ -88,8 +88,7 @@ def skin_nodes(surface: Surface, spacing: float) -> tuple[Array, Array]:
     Raises:
         InputError: A spacing that is not positive, or a body too short for it.
     """
-    if not spacing > 0.0:
-        raise InputError(f"spacing must be positive [m], got {spacing}")
+    expect_positive(spacing, "spacing", "m")
     n = max(round(2.0 * np.pi * float(surface.radius.mean()) / spacing), 8)
     low, high = float(surface.z[0]) + END, float(surface.z[-1]) - END
     if high - low < spacing:
