@@ -204,12 +204,7 @@ class Scene:
         place = np.where(self.touching, self.places, -1)
         known = identified_scale(self.laplace, self.N, place, self.f, ratio, asked)
         inner = known.parameters[BOUNDARY_SCALE]
-        return replace(
-            self.with_boundary(inner, inner * ratio),
-            parameters=known.parameters,
-            standard_errors=known.standard_errors,
-            not_identified=known.not_identified,
-        )
+        return replace(self.with_boundary(inner, inner * ratio), **known._asdict())
 
     def resampled(self, sampling: str) -> Scene:
         """The same contacts in another sampling; a fitted scale is fitted again.

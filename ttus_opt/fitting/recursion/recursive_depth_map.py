@@ -30,6 +30,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -176,7 +177,7 @@ class RecursiveDepthMap:
         self._depth = signed_depth(lattice.voxmap)
         self._phi = self.profile(self._depth)
         self._log_depth = np.log(np.abs(self._depth) / REFERENCE_DEPTH)
-        self.__dict__.pop("_everywhere", None)
+        vars(self).pop("_from_touched", None)
 
     def _begin(self, start: DepthMapState) -> None:
         """Take an earlier map as the prior's mean."""
@@ -384,7 +385,7 @@ class RecursiveDepthMap:
         self._mean = np.concatenate([self._mean, full @ self._mean])
         self._covariance = np.block([[self._covariance, cross.T], [cross, own]])
         self._places = np.concatenate([self._places, places])
-        self.__dict__.pop("_everywhere", None)
+        vars(self).pop("_from_touched", None)
 
     def _predictor(self, places: IntArray) -> Array:
         """G at some places from g at those in the state, shape (n, touched)."""
@@ -395,12 +396,10 @@ class RecursiveDepthMap:
         solved = scipy.linalg.solve(among, skin[np.ix_(held, places)], assume_a="pos")
         return np.asarray(solved.T)
 
-    @property
+    @cached_property
     def _from_touched(self) -> Array:
         """G at all places from g at those in the state, computed once per set."""
-        if "_everywhere" not in self.__dict__:
-            self._everywhere = self._predictor(np.arange(self.lattice.n_places))
-        return self._everywhere
+        return self._predictor(np.arange(self.lattice.n_places))
 
     def _drag_rows(
         self, R: Array, at: Array, twist: Array | None

@@ -26,7 +26,7 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
-from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
 #: Rows whose covariance with all measured voxels is formed at once
@@ -71,17 +71,14 @@ class CovariancePosterior(Posterior):
         """
         tag = known_covariance(prior.tags)
         assert tag is not None
-        roots = [np.sqrt(t.weight / prior.weight) for t in terms]
-        scaled = [t.matrix * r for t, r in zip(terms, roots, strict=True)]
-        rows = sp.csr_array(sp.vstack(scaled, format="csr"))
-        told = np.diff(rows.indptr) > 0
-        rows = rows[told]
-        targets = [t.target * r for t, r in zip(terms, roots, strict=True)]
+        stacked = StackedTerms.of(terms, len(values), prior.weight)
+        told = np.diff(stacked.matrix.indptr) > 0
+        rows, target = stacked.weighted[told], stacked.root * stacked.target
         mean = tag.covariance.times(prior.matrix.T @ prior.target)
         columns = tag.covariance.columns(np.unique(rows.indices).astype(np.int64))
         touching = sp.csr_array(rows.tocsc()[:, columns.voxels])
         images = np.ascontiguousarray((touching @ square_root(columns.among)).T)
-        measured = conditioned(images, np.concatenate(targets)[told] - rows @ mean)
+        measured = conditioned(images, target[told] - rows @ mean)
         base = tag.covariance, told, rows, images, measured, columns, touching
         if tag.mean is None:
             none, ones = np.zeros((rows.shape[1], 0)), np.ones(len(values))
@@ -89,9 +86,7 @@ class CovariancePosterior(Posterior):
         factor, share = np.clip(values / mean, *FACTORS), abs(rows) * abs(mean)
         row_factor = share @ factor / share.sum(axis=1)
         slopes = tag.mean.size_deviation * np.repeat(tag.mean.size_slopes, 3)
-        sized = np.concatenate(
-            [r * times(t, mean, slopes) for t, r in zip(terms, roots, strict=True)]
-        )
+        sized = stacked.root * np.concatenate([times(t, mean, slopes) for t in terms])
         seen = np.column_stack([rows @ tag.mean.drift, sized[told]])
         inner = seen.T @ measured.solve(seen)
         inner[np.diag_indices_from(inner)] += 1.0
