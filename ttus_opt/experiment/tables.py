@@ -56,6 +56,15 @@ def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
     return [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
 
 
+def _by_place(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of each patient and recording, by both names."""
+    places: dict[str, list[Row]] = {}
+    for row in rows:
+        name = f"{row.patient}, {row.recording.split('_')[0]}"
+        places.setdefault(name, []).append(row)
+    return places
+
+
 def mean(rows: Sequence[Row], reading: Reading) -> float:
     """Mean over rows; NaN without any."""
     values = [reading(row.score) for row in rows]
@@ -94,14 +103,12 @@ def _errors(
 ) -> Table:
     """A row per patient and recording, the mean, and the paper's values."""
     rows = select(result.rows, seen=seen, against="measured")
-    places = dict.fromkeys((r.patient, r.recording) for r in rows)
     lines = []
-    for patient, recording in places:
-        there = select(rows, patient=patient, recording=recording)
+    for place, there in _by_place(rows).items():
         cells = [
             number(mean(select(there, setting=name), reading), form) for name in columns
         ]
-        lines.append([f"{patient}, {recording.split('_')[0]}", *cells])
+        lines.append([place, *cells])
     means = [mean(select(rows, setting=name), reading) for name in columns]
     lines.append(["**mean**", *(f"**{number(value, form)}**" for value in means)])
     lines.append([*paper_row, *[""] * (len(columns) - 2)])
@@ -249,29 +256,26 @@ def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Tabl
     rows = _unseen(result, "true")
     names = list(dict.fromkeys(r.setting for r in rows))
     lines = []
-    for patient, recording in dict.fromkeys((r.patient, r.recording) for r in rows):
-        there = select(rows, patient=patient, recording=recording)
+    for place, there in _by_place(rows).items():
         values = [mean(select(there, setting=name), reading) for name in names]
         least = np.nanmin(values)
         cells = [
             f"**{number(v, form)}**" if v == least else number(v, form) for v in values
         ]
-        lines.append([f"{patient}, {recording.split('_')[0]}", *cells])
+        lines.append([place, *cells])
     return Table(["", *map(title, names)], lines)
 
 
 def aims_table(result: ExperimentResult) -> Table:
     """The aims that every setting misses on every unseen recording."""
     rows = _unseen(result, "true")
-    places = list(dict.fromkeys((r.patient, r.recording) for r in rows))
+    places = _by_place(rows)
     lines = []
     for name in dict.fromkeys(r.setting for r in rows):
-        cells = []
-        for patient, recording in places:
-            there = select(rows, setting=name, patient=patient, recording=recording)
-            cells.append(_missed(there[0].score) if there else "–")
+        own = (select(there, setting=name) for there in places.values())
+        cells = (_missed(there[0].score) if there else "–" for there in own)
         lines.append([title(name), *cells])
-    return Table(["", *(f"{p}, {r.split('_')[0]}" for p, r in places)], lines)
+    return Table(["", *places], lines)
 
 
 def _missed(score: Score) -> str:
