@@ -11,6 +11,7 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
@@ -25,6 +26,12 @@ MEASURED, BEFORE, AFTER = "0.72", "0.25", "#0b4f9c"
 
 #: Perceptually uniform colours, whose grey rises from the lowest value to the highest
 COLOURS = "viridis"
+
+#: The same for what must not look like a potential
+SHADES = "cividis"
+
+#: Dash patterns that tell recordings apart in greyscale
+DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 _LOOK = {
     "svg.hashsalt": "ttus_opt",
@@ -80,6 +87,18 @@ def add_axes(
     left, bottom, wide, high = box
     share = (left / width, bottom / height, wide / width, high / height)
     return figure.add_axes(share, projection=projection)
+
+
+def unroll(axes: Any) -> None:
+    """Make axes those of the unrolled skin, θ [°] to the right."""
+    axes.set(xlim=(0.0, 360.0), xlabel="θ [°]", xticks=range(0, 361, 60))
+
+
+def few_log_ticks(axis: Any) -> None:
+    """Ticks at 1, 2 and 5 of every decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def look() -> Any:

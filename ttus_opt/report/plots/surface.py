@@ -9,11 +9,9 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.report.plots.canvas import add_axes, look, new_figure
+from ttus_opt.report.plots.canvas import SHADES, add_axes, look, new_figure, unroll
 from ttus_opt.report.plots.potential import draw_outline
 from ttus_opt.scan.surface import Surface
-
-_SHADES = "cividis"  # uniform in greyscale too
 
 
 def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
@@ -87,7 +85,7 @@ def _draw_unrolled(axes: Any, bar: Any, surface: Surface) -> None:
     half = (z[1] - z[0]) / 2
     z_edges = np.append(z - half, z[-1] + half)
     mesh = axes.pcolormesh(
-        edges, z_edges, 100.0 * surface.radius.T, cmap=_SHADES, rasterized=True
+        edges, z_edges, 100.0 * surface.radius.T, cmap=SHADES, rasterized=True
     )
     unseen = (~surface.observed.T).astype(float)
     if unseen.any():
@@ -102,10 +100,8 @@ def _draw_unrolled(axes: Any, bar: Any, surface: Surface) -> None:
     axes.figure.colorbar(mesh, cax=bar, label="radius R [cm]")
     share = 100.0 * surface.observed.mean()
     axes.set_title(f"unrolled: {share:.0f} % observed, hatched = filled")
-    axes.set_xlabel("θ [°]")
+    unroll(axes)
     axes.set_ylabel("z [cm]")
-    axes.set_xticks(np.arange(0, 361, 60))
-    axes.set_xlim(0, 360)
 
 
 def _draw_in_space(axes: Any, surface: Surface) -> None:

@@ -7,21 +7,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.calibration_curve import CalibrationCurve
-from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+from ttus_opt.report.plots.canvas import (
+    AFTER,
+    BEFORE,
+    DASHES,
+    SHADES,
+    few_log_ticks,
+    look,
+    new_figure,
+    unroll,
+)
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.uncertainty.next_press import NextPresses
-
-
-_SHADES = "cividis"  # uniform in greyscale too
 
 
 def uncertainty_picture(
@@ -43,16 +48,14 @@ def uncertainty_picture(
         closed = np.concatenate([chart.relative, chart.relative[:1]])
         angles = np.degrees(np.append(chart.theta, 2.0 * np.pi))
         shown = axes.pcolormesh(
-            angles, 100.0 * chart.z, 100.0 * closed.T, cmap=_SHADES, shading="gouraud"
+            angles, 100.0 * chart.z, 100.0 * closed.T, cmap=SHADES, shading="gouraud"
         )
         figure.colorbar(shown, ax=axes, label="standard deviation of a press [%]")
         if measured is not None:
-            x, y, z = measured.position.T
-            around = np.degrees(np.arctan2(y, x)) % 360.0
-            axes.plot(around, 100.0 * z, ".", ms=2, color="white")
+            _draw_recorded(axes, measured)
             axes.set_title("white: recorded")
-        axes.set(xlim=(0.0, 360.0), xlabel="θ [°]", ylabel="z [cm]")
-        axes.set_xticks(np.arange(0, 361, 60))
+        unroll(axes)
+        axes.set_ylabel("z [cm]")
         axes.set_ylim(100.0 * chart.z[0], 100.0 * chart.z[-1])
     return figure
 
@@ -60,9 +63,8 @@ def uncertainty_picture(
 #: Coverage that the 95 % interval is asked to have [–]
 ASKED = (0.90, 0.98)
 
-#: Shades and dash patterns that tell recordings apart in greyscale
+#: Shades that tell recordings apart in greyscale, beside their dashes
 _GREYS = (AFTER, BEFORE, "#b5651d", "0.55")
-_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 
 def calibration_picture(curves: Mapping[str, CalibrationCurve]) -> Figure:
@@ -95,7 +97,7 @@ def calibration_picture(curves: Mapping[str, CalibrationCurve]) -> Figure:
         for k, (name, curve) in enumerate(curves.items()):
             style = {
                 "color": _GREYS[k % len(_GREYS)],
-                "linestyle": _DASHES[(k // len(_GREYS)) % len(_DASHES)],
+                "linestyle": DASHES[(k // len(_GREYS)) % len(DASHES)],
             }
             label = f"{name}: {100.0 * curve.coverage:.0f} %"
             left.plot(100.0 * curve.level, 100.0 * curve.force, label=label, **style)
@@ -104,9 +106,7 @@ def calibration_picture(curves: Mapping[str, CalibrationCurve]) -> Figure:
         left.set(xlabel="stated share of force components [%]", ylabel="found [%]")
         right.set(xscale="log", yscale="log")
         for axis in (right.xaxis, right.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-            axis.set_minor_formatter(NullFormatter())
+            few_log_ticks(axis)
         right.set(xlabel="stated standard deviation of force [N]", ylabel="error [N]")
         # both panels have the diagonal and the recordings
         drawn = left.get_legend_handles_labels()
@@ -153,15 +153,13 @@ def next_press_picture(
             shades[line, column] = std
             pale[line, column] = np.where(presses.in_region, 1.0, 0.35)
             shown = axes.pcolormesh(
-                columns, lines, shades, cmap=_SHADES, vmin=0.0, vmax=top, alpha=pale
+                columns, lines, shades, cmap=SHADES, vmin=0.0, vmax=top, alpha=pale
             )
-            axes.set(title=title, xlabel="θ [°]", xticks=np.arange(0, 361, 60))
-            axes.set_xlim(0.0, 360.0)
+            unroll(axes)
+            axes.set_title(title)
         both[0].set_ylabel("z [cm]")
         if measured is not None:
-            x, y, z = measured.position.T
-            around = np.degrees(np.arctan2(y, x)) % 360.0
-            both[0].plot(around, 100.0 * z, ".", ms=2, color="white")
+            _draw_recorded(both[0], measured)
             both[0].set_title("before the presses; white: recorded")
         for k, i in enumerate(presses.node.tolist()):
             for axes in both:
@@ -170,6 +168,12 @@ def next_press_picture(
                 axes.annotate(str(k + 1), at, ha="center", va="center", fontsize=8)
         figure.colorbar(shown, ax=both, label="standard deviation of a press [N]")
     return figure
+
+
+def _draw_recorded(axes: Any, measured: Trajectory) -> None:
+    x, y, z = measured.position.T
+    around = np.degrees(np.arctan2(y, x)) % 360.0
+    axes.plot(around, 100.0 * z, ".", ms=2, color="white")
 
 
 def _regular(values: Array) -> tuple[Array, NDArray[np.int64]]:

@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from ttus_opt.core.errors import InputError
-from ttus_opt.report.plots.canvas import AFTER, BEFORE, COLOURS, look, new_figure
+from ttus_opt.report.plots.canvas import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    DASHES,
+    few_log_ticks,
+    look,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
-
-#: Dash patterns that distinguish recordings in greyscale
-_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 #: Units of the objective, as they are written
 _SQUARES = {"N2": " [N²]", "N2 cm-4": " [(N/cm²)²]"}
@@ -102,13 +108,10 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
 
 def _few_ticks(axis: Any, values: Any) -> None:
     """Ticks that do not overprint: over less than two decades 1, 2 and 5 of each."""
-    from matplotlib import ticker
-
     known = values[np.isfinite(values) & (values > 0.0)]
-    axis.set_minor_formatter(ticker.NullFormatter())
+    axis.set_minor_formatter(NullFormatter())
     if known.size and known.max() < 100.0 * known.min():
-        axis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
+        few_log_ticks(axis)
 
 
 def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
@@ -130,11 +133,17 @@ def _short(weight: Any) -> str:
     return f"{float(f'{float(weight):.2g}'):g}"
 
 
+def _judged(path: xr.Dataset) -> tuple[bool, str, str, str]:
+    """Whether recordings were held out; error to draw, its dimension, and a label."""
+    if _HELD_OUT[0] in path:
+        return True, _HELD_OUT[0], "held_out", "held-out force error [N]"
+    return False, "force_residual", "recording", "force residual, rms [N]"
+
+
 def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
     """Draw the force error [N] on the left scale and the angle [°] on the right."""
     weights = path[dim].to_numpy()
-    held = _HELD_OUT[0] in path
-    name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
+    held, name, over, title = _judged(path)
     axes.set_xscale("log")
     axes.set_xlabel("weight [–]")
     if name not in path:
@@ -143,20 +152,20 @@ def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
         )
         return
     for k, one in enumerate(path[over].values):
-        dashes = _DASHES[k % len(_DASHES)]
+        dashes = DASHES[k % len(DASHES)]
         values = path[name].isel({over: k}).to_numpy()
         label = f"{one}, force" if held else f"{one}"
         axes.plot(weights, values, color=AFTER, linestyle=dashes, label=label)
         if held:
             _mark_least(axes, weights, values, first=k == 0)
-    axes.set_ylabel("held-out force error [N]" if held else "force residual, rms [N]")
+    axes.set_ylabel(title)
     axes.set_ylim(bottom=0.0)
     lines = axes.get_lines()
     if held:
         second = axes.twinx()
         for k, one in enumerate(path[over].values):
             angle = path[_HELD_OUT[1]].isel({over: k}).to_numpy()
-            dashes = _DASHES[k % len(_DASHES)]
+            dashes = DASHES[k % len(DASHES)]
             lines += second.plot(
                 *(weights, angle), color="0.6", linestyle=dashes, label=f"{one}, angle"
             )
@@ -182,14 +191,11 @@ def _mark_least(axes: Any, weights: Any, values: Any, *, first: bool) -> None:
 
 def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
     """Draw errors over two weights, averaged over all recordings."""
-    held = _HELD_OUT[0] in path
-    name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
+    _, name, over, label = _judged(path)
     values = path[name].mean(over).transpose(*dims).to_numpy()
     x, y = (np.log10(path[dim].to_numpy()) for dim in dims)
     mesh = axes.pcolormesh(x, y, values.T, cmap=COLOURS, shading="nearest")
-    figure.colorbar(mesh, ax=axes).set_label(
-        "held-out force error [N]" if held else "force residual, rms [N]"
-    )
+    figure.colorbar(mesh, ax=axes).set_label(label)
     if np.isfinite(values).any():
         i, j = np.unravel_index(np.nanargmin(values), values.shape)
         axes.plot(x[i], y[j], "o", color="white", mec="black", ms=5.0, label="least")
