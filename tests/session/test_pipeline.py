@@ -18,6 +18,7 @@ from tests.session.recordings import (
     copied,
     described,
     made,
+    perfect,
 )
 from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.phantom.example_data import frame
@@ -31,7 +32,7 @@ from ttus_opt.session import pipeline
 from ttus_opt.session.model import fit_model, judge
 from ttus_opt.session.pipeline import run_session
 from ttus_opt.session.results import STEPS, complete_steps
-from ttus_opt.session.synthetic import Truth, perfect, write_recording
+from ttus_opt.session.synthetic import Truth, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
