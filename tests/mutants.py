@@ -103,7 +103,7 @@ CORE = {
     "skin_uncertainty wrench_noise",
     "fitting/weights": "place_left_out tuning_rows",
     "gaussian": "matern",
-    "haptic": "blend force_uncertainty kernel_data motion point_drag renderer tables",
+    "haptic": "blend kernel_data motion point_drag renderer tables",
     "laplace": "stencil system",
     "probe": "conventions orientation point_shell text_table tracker_noise",
     "problem/terms": "depth_map depth_map_estimate depth_profile distinct_drag "

@@ -26,11 +26,6 @@ def made() -> Path:
     return folder
 
 
-def perfect(seconds: float) -> dict[str, Trajectory]:
-    """The example's recordings without errors, frame of its surface."""
-    return {name: synthetic.recording(name, seconds) for name in synthetic.RECORDINGS}
-
-
 def copied(folder: Path) -> Path:
     """A copy of one's own."""
     return Path(shutil.copytree(made(), folder / "recording"))

@@ -18,7 +18,6 @@ from tests.session.recordings import (
     copied,
     described,
     made,
-    perfect,
 )
 from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.phantom.example_data import frame
@@ -32,7 +31,7 @@ from ttus_opt.session import pipeline
 from ttus_opt.session.model import fit_model, judge
 from ttus_opt.session.pipeline import run_session
 from ttus_opt.session.results import STEPS, complete_steps
-from ttus_opt.session.synthetic import Truth, write_recording
+from ttus_opt.session.synthetic import Truth, perfect, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
@@ -205,7 +204,8 @@ def test_gaps_are_bridged_by_nothing(tmp_path, monkeypatch, stream, gap):
     recording = copied(tmp_path)
     start = begins(recording) + 0.4
     without(recording, stream, lambda time: (time >= start) & (time < start + gap))
-    refuses(InputError, "far enough", run_session, recording, tmp_path / "out")
+    with pytest.raises(InputError, match="far enough"):
+        run_session(recording, tmp_path / "out")
     assert len(np.unique(fitted[0].segment)) == 1 + (gap > 0.1)
 
 

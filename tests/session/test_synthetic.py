@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.session.recordings import perfect
 from ttus_opt.phantom.example_data import frame
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.session import synthetic
@@ -18,6 +17,7 @@ from ttus_opt.session.synthetic import (
     TAG_POSES,
     TORQUE_NOISE,
     Truth,
+    perfect,
 )
 
 G = 9.80665

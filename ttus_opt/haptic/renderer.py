@@ -44,7 +44,6 @@ from ttus_opt.haptic.field_wrench import (
     checked_limits,
 )
 from ttus_opt.haptic.field_wrench import Wrench as Wrench
-from ttus_opt.haptic.force_uncertainty import ForceUncertainty
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.tables import frame_table, render_tables, table_of
@@ -118,7 +117,7 @@ class Renderer:
     ) -> None:
         expect(field, PotentialField, "the field")
         expect(shell, PointShell, "the probe")
-        self._uncertainty = ForceUncertainty.of(uncertainty, field)
+        self._uncertainty = _map_of(uncertainty, field)
         checked_limits(force_limit, torque_limit)
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = self._newest = field
@@ -157,8 +156,8 @@ class Renderer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process: built anew with the newest field, at rest."""
-        known = self._uncertainty.relative
-        again = functools.partial(Renderer, **self._options, uncertainty=known)
+        known = {**self._options, "uncertainty": self._uncertainty}
+        again = functools.partial(Renderer, **known)
         return again, (self._newest, self._shell)
 
     def warm_up(self) -> None:
@@ -212,7 +211,7 @@ class Renderer:
         try:
             counts, drag = self._render(rotation, position, twist, time, order)
             wrench = self._buffers.rows[WRENCH].copy()
-            std = self._uncertainty.std(wrench, self._buffers.at)
+            std = self._force_std(wrench)
         finally:
             self._turn.release()
         points, in_grid, beyond, limit = counts
@@ -260,6 +259,14 @@ class Renderer:
         finally:
             self._turn.release()
         return contact_points if in_grid else -1
+
+    def _force_std(self, wrench: Array) -> float:
+        """Standard deviation of the frame's force; NaN if unknown [N]."""
+        if self._uncertainty is None:
+            return math.nan
+        size = math.hypot(*wrench[:3].tolist())
+        at = self._buffers.at.tolist()
+        return self._uncertainty.at(*at) * size if size else 0.0
 
     def _take_turn(self) -> None:
         """Lock the buffers; `InputError` if another thread has them."""
@@ -412,3 +419,31 @@ class Renderer:
     def blend(self) -> BlendState:
         """State of the last update's swap."""
         return BlendState.of(self._fields.pair.ledger)
+
+
+def _map_of(
+    given: UncertaintyMap | bool | None, field: PotentialField
+) -> UncertaintyMap | None:
+    """The map of uncertainty to use: the one given, or with True the field's own.
+
+    Raises:
+        InputError: The map is missing, or of another body.
+    """
+    if given is None or given is False:
+        return None
+    if given is True and field.uncertainty is not None:
+        return field.uncertainty
+    if not isinstance(given, UncertaintyMap):
+        raise InputError(
+            "uncertainty=True needs a field with an uncertainty map: fit with "
+            "ttus-opt fit --uncertainty, or give the map of "
+            "fitting.uncertainty.skin_uncertainty.uncertainty_map"
+        )
+    surface = field.voxmap.surface
+    if given.z[0] < surface.z[0] or given.z[-1] > surface.z[-1]:
+        raise InputError(
+            f"the uncertainty map has heights from {given.z[0]:g} to "
+            f"{given.z[-1]:g} m, the field's body from {surface.z[0]:g} to "
+            f"{surface.z[-1]:g} m: give the map of this field"
+        )
+    return given

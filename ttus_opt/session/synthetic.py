@@ -155,6 +155,11 @@ def write_recording(
     return truth
 
 
+def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+    """All recordings without errors, frame of the example's surface."""
+    return {name: recording(name, seconds) for name in RECORDINGS}
+
+
 def recording(name: str, seconds: float) -> Trajectory:
     """One of `RECORDINGS` without errors, frame of the example's surface."""
     whole = read_trajectory(example.path(f"{name}.csv"))
