@@ -140,6 +140,7 @@ FURTHER = {
     ),
     "fitting/verdict.py": ("fitting/test_batch.py",),
     "haptic/blend.py": ("haptic/test_surface_swap.py",),
+    "haptic/motion.py": ("haptic/test_blend.py",),
     "haptic/kernel_data.py": ("haptic/test_frame.py", "haptic/test_wrench.py"),
     "haptic/point_drag.py": ("haptic/test_drag.py", "haptic/test_wrench.py"),
     "laplace/stencil.py": ("laplace/test_system.py",),
