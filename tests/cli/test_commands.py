@@ -141,7 +141,8 @@ def test_options_reach_the_formulation(run, files, tmp_path):
         fit_words(
             files,
             tmp_path / "a.nc",
-            f"--formulation {own} --option strength=0.5 --option label=soft --json",
+            f"--formulation {own} --option strength=0.5 --option label=soft "
+            "--weights own --json",
         )
     )
     b = run(
