@@ -9,6 +9,7 @@ the child a moment to clean up, and then ends it; likewise when its time is over
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import os
 import signal
@@ -85,20 +86,25 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     """
     stopped: list[int] = []
     late: list[float] = []
+    over = math.inf  # when what it is given to clean up is over
 
     def look(*_: object) -> None:
         (end,) = struct.unpack_from("d", _END)
-        if stopped or 0.0 < end < time.monotonic() - grace:
+        now = time.monotonic()
+        # a tick may come with the interrupt itself, and is then handled after it
+        if now >= over or (not stopped and 0.0 < end < now - grace):
             late.append(end)
             os.kill(child, signal.SIGKILL)
 
     def stop(number: int, _frame: FrameType | None) -> None:
+        nonlocal over
         if stopped:
             os.kill(child, signal.SIGKILL)
             return
         stopped.append(INTERRUPTED if number == signal.SIGINT else TERMINATED)
         os.kill(child, INTERRUPT if number == signal.SIGINT else signal.SIGTERM)
-        signal.setitimer(signal.ITIMER_REAL, grace)
+        over = time.monotonic() + grace
+        signal.setitimer(signal.ITIMER_REAL, grace, TICK)
 
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, stop)
