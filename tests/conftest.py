@@ -1,23 +1,10 @@
-"""Scenes shared by many tests: a small bumpy torso, a probe and random presses."""
+"""Fixtures of all tests, and how they are collected and shared out."""
 
-import functools
 import gc
-from collections.abc import Iterable
-from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.voxmap import Voxmap
-
-SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+from tests.kit import shared_data, small_scene
 
 
 def pytest_collection_finish():
@@ -44,104 +31,10 @@ def pytest_xdist_make_scheduler(config, log):
     return WorkStealingScheduling(config, log)
 
 
-def shared_data(name: str = "") -> Path:
-    """A file or folder of the real and independent data, or a skip."""
-    path = SHARED / name
-    if not path.exists():
-        pytest.skip(f"real data not here: {path}")
-    return path
-
-
 @pytest.fixture(scope="session")
 def shared():
     """Folder of the real and independent data, or a skip."""
     return shared_data()
-
-
-def some(values: Iterable[object], quick: int) -> list[object]:
-    """Values for a test: all of them, slow but for the first few."""
-    return [
-        pytest.param(value, marks=pytest.mark.slow if i >= quick else ())
-        for i, value in enumerate(values)
-    ]
-
-
-@functools.cache
-def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
-    """An elliptical torso of 0.12 × 0.09 m half axes, waisted, 0.2 m long."""
-    theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
-    z = np.linspace(0.0, 0.2, n_z)
-    waist = 1.0 - 0.08 * np.sin(np.pi * z / 0.2)
-    radius = waist / np.sqrt((np.cos(theta) / 0.12) ** 2 + (np.sin(theta) / 0.09) ** 2)
-    return Surface.from_radius(radius, z)
-
-
-@functools.cache
-def ellipsoid(
-    n_points: int = 300, semi_axes: tuple[float, float, float] = (0.02, 0.015, 0.015)
-) -> PointShell:
-    """A probe; the same one for whoever asks for the same."""
-    return PointShell.ellipsoid(semi_axes=semi_axes, n_points=n_points)
-
-
-def presses(
-    surface: Surface, n_poses: int, rng: np.random.Generator, depth: float = 0.008
-) -> Trajectory:
-    """Random presses around the front of a surface, with made-up wrenches."""
-    angle = rng.uniform(0.3, 2.8, n_poses)
-    z = rng.uniform(0.06, 0.14, n_poses)
-    r = surface.radius_at(angle, z) + 0.012 - rng.uniform(0.0, depth, n_poses)
-    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-    rotation = Rotation.from_rotvec(rng.normal(0.0, 0.4, (n_poses, 3))).as_matrix()
-    outward = position / np.linalg.norm(position, axis=1, keepdims=True)
-    force = outward * rng.uniform(0.5, 6.0, (n_poses, 1))
-    return Trajectory(
-        np.arange(n_poses) * 0.05,
-        position,
-        rotation,
-        force + rng.normal(0.0, 0.3, force.shape),
-        rng.normal(0.0, 0.02, force.shape),
-    )
-
-
-def with_wrenches(scene: Scene, force: Array, torque: Array | None = None) -> Scene:
-    """The scene with other forces [N] and torques [N·m], of frames or in one row."""
-    given = scene.trajectory
-    other = given.torque if torque is None else torque.reshape(-1, 3)
-    measured = replace(given, force=force.reshape(-1, 3), torque=other)
-    return replace(scene, trajectory=measured)
-
-
-@functools.cache
-def three_presses() -> Scene:
-    """Frames in contact with one in the air after every four."""
-    scene = small_scene("trilinear", n_poses=15)
-    position = scene.trajectory.position.copy()
-    position[4::5, :2] *= 1.2
-    trajectory = replace(scene.trajectory, position=position)
-    return Scene.assemble(
-        scene.voxmap, scene.shell, trajectory, inner=2.0, sampling="trilinear"
-    )
-
-
-@functools.cache
-def small_scene(
-    sampling: str = "voxel-mean",
-    shape: tuple[int, int, int] = (9, 20, 10),
-    n_poses: int = 12,
-    seed: int = 0,
-) -> Scene:
-    """A scene of a couple of thousand voxels, for brute force."""
-    rng = np.random.default_rng(seed)
-    surface = torso()
-    return Scene.assemble(
-        Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
-        ellipsoid(),
-        presses(surface, n_poses, rng),
-        inner=2.0,
-        outer=1.5,
-        sampling=sampling,
-    )
 
 
 @pytest.fixture(scope="session", params=["voxel-mean", "trilinear"])

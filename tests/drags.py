@@ -5,13 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.conftest import ellipsoid, torso
+import ttus_opt as tt
+from tests.kit import ellipsoid, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 
@@ -22,7 +19,7 @@ def end_share(grid, z):
     return np.clip(voxels, 0.0, 1.0)
 
 
-VOXMAP = Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)
+VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)
 
 # the reference stands off the frame's origin, as a tool's does
 _ELLIPSOID = ellipsoid(400, (0.02, 0.015, 0.012))
@@ -68,21 +65,21 @@ LAWS: dict[str, dict[str, float]] = {
 }
 
 
-def pushing(sampling: str, parameters: dict[str, float]) -> PotentialField:
+def pushing(sampling: str, parameters: dict[str, float]) -> tt.PotentialField:
     """A field positive inside that grows with depth, different everywhere."""
     grid = VOXMAP.grid
     theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
     depth = SURFACE.radius_at(theta, z)[None] - grid.r[:, None, None]
     bumps = 1.0 + 0.4 * np.sin(3 * theta) * np.cos(40 * z)
-    return PotentialField(VOXMAP, 100 * depth * bumps, sampling, parameters)
+    return tt.PotentialField(VOXMAP, 100 * depth * bumps, sampling, parameters)
 
 
 def normal_forces(
-    field: PotentialField, shell: PointShell, places: np.ndarray
+    field: tt.PotentialField, shell: tt.PointShell, places: np.ndarray
 ) -> np.ndarray:
     """Of every point at its place: what a probe of that point alone would feel."""
     n = len(places)
-    dot = PointShell(
+    dot = tt.PointShell(
         np.zeros((4, 3)),
         np.tile([1.0, 0.0, 0.0], (4, 1)),
         np.full(4, 2.5e-5),  # 1 cm² in all
@@ -105,8 +102,8 @@ def normal_forces(
 
 
 def drag_by_points(
-    field: PotentialField,
-    shell: PointShell,
+    field: tt.PotentialField,
+    shell: tt.PointShell,
     R: np.ndarray,
     at: np.ndarray,
     twist: np.ndarray,
@@ -126,8 +123,8 @@ def drag_by_points(
 
 
 def drag_by_hand(
-    field: PotentialField,
-    shell: PointShell,
+    field: tt.PotentialField,
+    shell: tt.PointShell,
     R: np.ndarray,
     at: np.ndarray,
     twist: np.ndarray,
@@ -170,6 +167,6 @@ def drag_by_hand(
     return by_points + np.concatenate([force, np.cross(acts - reference, force)])
 
 
-def unlimited(field: PotentialField) -> Renderer:
+def unlimited(field: tt.PotentialField) -> tt.Renderer:
     """A renderer of whatever forces."""
-    return Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)
+    return tt.Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)

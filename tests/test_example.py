@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from ttus_opt import example
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import skin_compliance, torso_body
@@ -16,9 +17,6 @@ from ttus_opt.phantom.example_data import (
     recording,
     true_surface,
 )
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.surface import Surface
 
 
 def test_every_named_file_is_there_and_nothing_else():
@@ -44,17 +42,17 @@ def test_probe_and_drag_are_those_of_the_physics():
 
 @pytest.mark.slow
 def test_surface_and_scan_are_what_the_phantom_makes():
-    stored, made = Surface.load(example.path("surface.nc")), true_surface()
+    stored, made = tt.Surface.load(example.path("surface.nc")), true_surface()
     assert stored.radius == pytest.approx(made.radius, rel=1e-9)
     assert stored.axis.origin == pytest.approx(made.axis.origin)
     assert stored.axis.rotation == pytest.approx(made.axis.rotation)
-    points = read_cloud(example.path("scan.ply"), unit="m")
+    points = tt.read_cloud(example.path("scan.ply"), unit="m")
     assert points == pytest.approx(cloud(), abs=1e-6)
 
 
 def test_scan_lies_on_the_surface_through_its_axis():
-    surface = Surface.load(example.path("surface.nc"))
-    points = surface.axis.to_patient(read_cloud(example.path("scan.ply"), unit="m"))
+    surface = tt.Surface.load(example.path("surface.nc"))
+    points = surface.axis.to_patient(tt.read_cloud(example.path("scan.ply"), unit="m"))
     inside = (points[:, 2] > 0.0) & (points[:, 2] < TORSO.length)
     body = points[inside & (points[:, 1] > -0.10)]
     radius = surface.radius_at(np.arctan2(body[:, 1], body[:, 0]), body[:, 2])
@@ -63,7 +61,7 @@ def test_scan_lies_on_the_surface_through_its_axis():
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recordings_are_rich(name):
-    recorded = read_trajectory(example.path(f"{name}.csv"))
+    recorded = tt.read_trajectory(example.path(f"{name}.csv"))
     assert len(recorded) == 400
     assert np.diff(recorded.time) == pytest.approx(0.05)
     assert recorded.position == pytest.approx(poses(name).position, abs=1e-7)
@@ -77,7 +75,7 @@ def test_recordings_are_rich(name):
 
 
 def test_no_two_recordings_are_the_same():
-    forces = [read_trajectory(example.path(f"{n}.csv")).force for n in RECORDINGS]
+    forces = [tt.read_trajectory(example.path(f"{n}.csv")).force for n in RECORDINGS]
     for a, b in itertools.combinations(forces, 2):
         assert np.abs(a - b).mean() > 0.05
 
@@ -87,7 +85,7 @@ def test_no_two_recordings_are_the_same():
 def test_bundled_recordings_can_be_made_again():
     patch = skin_compliance(torso_body(TORSO))
     for name in RECORDINGS:
-        stored = read_trajectory(example.path(f"{name}.csv"))
+        stored = tt.read_trajectory(example.path(f"{name}.csv"))
         made = recording(name, patch, n_frames=60)
         # The last velocity is one-sided when only a part is made.
         for wanted, found in ((stored.force, made.force), (stored.torque, made.torque)):

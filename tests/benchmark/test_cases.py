@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, refuses
 from ttus_opt import example
 from ttus_opt.benchmark.cases import (
     PERTURBATIONS,
@@ -19,7 +19,6 @@ from ttus_opt.benchmark.cases import (
     reference_cases,
     with_new_values,
 )
-from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import read_trajectory
 
 

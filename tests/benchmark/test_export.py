@@ -5,10 +5,8 @@ import pytest
 import scipy.io
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.benchmark.export import export_program
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Request

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.benchmark.tiny import TINY, trapped
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.parts.base import parts

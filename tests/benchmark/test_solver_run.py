@@ -9,8 +9,8 @@ import pytest
 
 import ttus_opt as tt
 from tests.benchmark.tiny import TINY, tiny_suite
+from tests.kit import InputError, refuses
 from tests.oracles.dense import minimiser
-from tests.refusals import refuses
 from tests.solvers import taking
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark import solver_run
@@ -18,7 +18,6 @@ from ttus_opt.benchmark.cases import reference_cases, with_new_values
 from ttus_opt.benchmark.progress import KEPT, Progress
 from ttus_opt.benchmark.row import RunSpec
 from ttus_opt.benchmark.solver_run import active_limits, options_of, solver_of
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Prepared

@@ -7,11 +7,10 @@ from typing import get_args
 import pytest
 
 from tests.benchmark.tiny import TINY, tiny_suite
-from tests.refusals import refuses
+from tests.kit import InputError, MissingPackageError, TtusWarning, refuses
 from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.contact.rows import Sampling
-from ttus_opt.core.errors import InputError, MissingPackageError, TtusWarning
 
 
 def never(*arguments):

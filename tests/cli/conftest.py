@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import presses, torso
+from tests.kit import presses, torso
 from ttus_opt.cli import main
 
 #: A bar as the console draws it; what follows may stand on its line

@@ -9,14 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.cli.conftest import PROBE, fit_words, refused
-from tests.conftest import presses, torso
+from tests.kit import presses, torso
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.flat_file import write_flat
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.mark.slow
@@ -29,7 +26,7 @@ def test_surface_writes_what_it_says(run, files, tmp_path):
     )
     assert answer.status == 0, answer.err
     told = json.loads(answer.out)
-    found = Surface.load(output)
+    found = tt.Surface.load(output)
     assert told["n_theta"] == 90 and found.radius.shape == (90, 20)
     np.testing.assert_array_equal(found.axis.rotation, np.eye(3))
     theta, z = np.meshgrid(found.theta, found.z, indexing="ij")
@@ -54,7 +51,7 @@ def test_surface_tells_how_sure_it_is_of_what_it_filled(run, files, tmp_path):
         f"--n-theta 60 --n-z 20 --axis-from {files / 'surface.nc'}"
     )
     told = json.loads(run(words + " --json").out)
-    found = Surface.load(tmp_path / "s.nc")
+    found = tt.Surface.load(tmp_path / "s.nc")
     seen, std = found.observed, found.radius_std
     for name, own in (("observed", std[seen]), ("filled", std[~seen])):
         assert told[f"std_{name}_m"] == pytest.approx(np.median(own))
@@ -76,7 +73,7 @@ def test_fit_json_has_the_stable_keys(run, files, tmp_path):
     assert told["objective"] == pytest.approx(sum(told["costs"].values()))
     assert told["kkt"]["dual_relative"] < 1e-6
     assert told["parameters"]["boundary_scale"] > 0
-    found = PotentialField.load(output)
+    found = tt.PotentialField.load(output)
     assert found.provenance["probe"] == PROBE
     assert found.provenance["trajectories"] == "press.csv"
 
@@ -84,7 +81,7 @@ def test_fit_json_has_the_stable_keys(run, files, tmp_path):
 @pytest.mark.slow
 def test_fit_tells_how_well_parameters_are_known(run, files, tmp_path):
     """Named with its standard error, or with the reason and the neutral value."""
-    sliding, still = read_trajectory(files / "press.csv"), tmp_path / "still.csv"
+    sliding, still = tt.read_trajectory(files / "press.csv"), tmp_path / "still.csv"
     n = len(sliding)
     replace(
         sliding,
@@ -113,7 +110,7 @@ def test_fit_tells_how_well_parameters_are_known(run, files, tmp_path):
     assert sign == "±"
     assert float(spread) == pytest.approx(error, rel=0.05)
     assert float(value) == pytest.approx(scale, abs=error)
-    stored = PotentialField.load(tmp_path / "f.nc").standard_errors
+    stored = tt.PotentialField.load(tmp_path / "f.nc").standard_errors
     assert stored == {"boundary_scale": error}
 
 
@@ -197,7 +194,7 @@ def test_evaluate_tells_errors_by_recording_distance_and_depth(
 
 
 def test_evaluate_says_when_the_fitted_places_are_unknown(run, files, field, tmp_path):
-    older = PotentialField.load(field)
+    older = tt.PotentialField.load(field)
     kept = {k: v for k, v in older.provenance.items() if k != "contacts"}
     replace(older, provenance=kept).save(tmp_path / "older.nc")
     replace(older, provenance={**kept, "contacts": "{}"}).save(tmp_path / "damaged.nc")
@@ -272,15 +269,15 @@ def test_render_writes_the_flat_file_too(run, files, field, tmp_path):
         f"{files / 'press.csv'} -o {tmp_path / 'r.csv'} --flat {flat} --force-limit 15"
     )
     assert answer.status == 0 and f"{flat}: field and probe" in answer.out
-    shell = PointShell.from_spec(PROBE, n_points=300)
+    shell = tt.PointShell.from_spec(PROBE, n_points=300)
     expected = tmp_path / "expected.flat"
-    write_flat(expected, PotentialField.load(field), shell, force_limit=15.0)
+    write_flat(expected, tt.PotentialField.load(field), shell, force_limit=15.0)
     assert flat.read_bytes() == expected.read_bytes()
 
 
 def test_render_takes_another_presliding_length(run, files, field, tmp_path):
     held, output = tmp_path / "held.nc", tmp_path / "rendered.csv"
-    potential = PotentialField.load(field)
+    potential = tt.PotentialField.load(field)
     law = {"friction_coefficient": 0.3, "presliding_length": 1e-2}
     replace(potential, parameters=law).save(held)
     answer = run(
@@ -289,9 +286,9 @@ def test_render_takes_another_presliding_length(run, files, field, tmp_path):
     )
     assert answer.status == 0, answer.err
     own = replace(potential, parameters={**law, "presliding_length": 1e-3})
-    shell = PointShell.from_spec(PROBE, n_points=300)
-    expected = wrenches_along(own, shell, read_trajectory(files / "press.csv"))
-    found = read_trajectory(output)
+    shell = tt.PointShell.from_spec(PROBE, n_points=300)
+    expected = wrenches_along(own, shell, tt.read_trajectory(files / "press.csv"))
+    found = tt.read_trajectory(output)
     np.testing.assert_allclose(found.force, expected.force, atol=1e-6)
 
 
@@ -304,7 +301,7 @@ def test_render_outside_the_grid_gives_zero_and_says_so(run, field, tmp_path):
     )
     assert answer.status == 0
     assert answer.errors[0].startswith("warning: 1 of 1 poses lie outside")
-    force = read_trajectory(tmp_path / "out.csv").force
+    force = tt.read_trajectory(tmp_path / "out.csv").force
     assert force is not None and not force.any()
 
 

@@ -1,7 +1,5 @@
 """``ttus-opt doctor``: whatever a file is, what it holds is said."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,13 +8,12 @@ import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import Run
-from tests.conftest import small_scene, torso
+from tests.kit import small_scene, torso
 from tests.probe.test_repair import broken, written
 from tests.scan.test_room import person, room
 from tests.sensors.test_stream_formats import SAMPLES
 from tests.session.recordings import copied
 from ttus_opt import example
-from ttus_opt.fitting.path.path_dataset import write_solution_path
 
 
 @pytest.mark.slow
@@ -70,7 +67,7 @@ def test_all_else_that_commands_read(run: Run, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((40, 50, 3), 8, np.uint8))
     cv2.imwrite(str(tmp_path / "photo.jpg"), np.full((40, 50, 3), 8, np.uint8))
     found = tt.solution_path("eq10", small_scene(), weights={"force": [0.1, 1.0]})
-    write_solution_path(found, tmp_path / "path.nc")
+    tt.write_solution_path(found, tmp_path / "path.nc")
     names = "base.txt base.json base.npy pairs.json photo.png photo.jpg path.nc"
     answer = run("doctor " + " ".join(f"{tmp_path / n}" for n in names.split()))
     assert answer.status == 0

@@ -6,14 +6,10 @@ import json
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.cli.conftest import refused
-from tests.refusals import refuses
+from tests.kit import FileError, refuses
 from ttus_opt import example
-from ttus_opt.core.errors import FileError
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.stream_files import read_poses
 from ttus_opt.session.example_folder import FILES, FORCE_OFFSET, write_folder
 
@@ -66,15 +62,15 @@ def test_the_command_lists_the_files(run, tmp_path, monkeypatch):
 
 def test_recordings_lie_on_the_skin_that_the_scan_shows(folder):
     """By the bundled true surface, which the scan's own frame knows nothing of."""
-    frame = Axis.from_cloud(read_cloud(folder / "scan.ply", unit="mm"))
-    truth = Surface.load(example.path("surface.nc"))
+    frame = tt.Axis.from_cloud(tt.read_cloud(folder / "scan.ply", unit="mm"))
+    truth = tt.Surface.load(example.path("surface.nc"))
     stated = np.loadtxt(folder / "base_to_scan.txt")
     to_scan = np.linalg.inv(frame.scan_to_patient)
-    known = read_trajectory(example.path("press_fit.csv"))
-    in_patient = read_trajectory(folder / "press.csv").transformed(
+    known = tt.read_trajectory(example.path("press_fit.csv"))
+    in_patient = tt.read_trajectory(folder / "press.csv").transformed(
         to_scan, truth.axis.scan_to_patient
     )
-    robot = read_trajectory(folder / "robot.csv")
+    robot = tt.read_trajectory(folder / "robot.csv")
     in_base = robot.transformed(stated, truth.axis.scan_to_patient)
     for found in (in_patient, in_base):
         assert found.position == pytest.approx(known.position, abs=1e-6)
@@ -86,7 +82,7 @@ def test_recordings_lie_on_the_skin_that_the_scan_shows(folder):
 
 
 def test_the_other_clock_is_behind(folder):
-    pushes = read_trajectory(folder / "press.csv")
+    pushes = tt.read_trajectory(folder / "press.csv")
     rows = np.loadtxt(folder / "force.csv", delimiter=",", skiprows=1)
     at = np.interp(
         rows[:, 0] + FORCE_OFFSET, pushes.time, np.linalg.norm(pushes.force, axis=1)

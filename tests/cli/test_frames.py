@@ -8,22 +8,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.cli.conftest import refused
 from ttus_opt import example
 from ttus_opt.probe.rigid_motion import inverse
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
 
 SURFACE = example.path("surface.nc")
-PLACE = Surface.load(SURFACE).axis.scan_to_patient
+PLACE = tt.Surface.load(SURFACE).axis.scan_to_patient
 BASE_TO_SCAN = np.eye(4)
 BASE_TO_SCAN[:3, :3] = Rotation.from_rotvec([0.4, -2.0, 1.0]).as_matrix()
 BASE_TO_SCAN[:3, 3] = 0.6, -0.3, 0.2
 
 
 def recording(name="press_fit"):
-    return read_trajectory(example.path(f"{name}.csv")).select(slice(0, 400, 20))
+    return tt.read_trajectory(example.path(f"{name}.csv")).select(slice(0, 400, 20))
 
 
 def fit_words(recording, output, more=""):
@@ -61,7 +59,7 @@ def test_every_frame_gives_the_same_field(run, tmp_path):
         assert (
             f"poses in the {name}'s frame, wrenches in the {name}'s axes" in answer.out
         )
-        fields[name] = PotentialField.load(tmp_path / f"{name}.nc").values
+        fields[name] = tt.PotentialField.load(tmp_path / f"{name}.nc").values
     np.testing.assert_allclose(fields["scan"], fields["patient"], atol=1e-6)
     np.testing.assert_allclose(fields["base"], fields["patient"], atol=1e-6)
     # what is rendered beside poses of a frame is compared in that frame
@@ -74,7 +72,7 @@ def test_every_frame_gives_the_same_field(run, tmp_path):
     assert errors["force_magnitude_error_N"] < 1e-9
     assert errors["torque_magnitude_error_Nm"] < 1e-9
     np.testing.assert_allclose(
-        read_trajectory(rendered).position, base.position, atol=1e-9
+        tt.read_trajectory(rendered).position, base.position, atol=1e-9
     )
 
 
@@ -132,7 +130,7 @@ def test_a_field_knows_where_it_came_from(run, tmp_path):
     assert (
         run(fit_words(tmp_path / "seen.csv", field, "--force-weight 0.5")).status == 0
     )
-    kept = PotentialField.load(field).provenance
+    kept = tt.PotentialField.load(field).provenance
     assert kept["trajectories"] == "seen.csv"
     assert kept["surface"] == "surface.nc"
     assert json.loads(kept["options"])["force_weight"] == 0.5
@@ -160,7 +158,7 @@ def test_head_and_box(run, tmp_path):
     found = run(words)
     assert "the head lies towards (-0.96, -0.22, -0.17)" in found.out
     assert "if not, add --flip-axis" in found.out
-    z = Surface.load(tmp_path / "s.nc").axis.rotation[:, 2]
+    z = tt.Surface.load(tmp_path / "s.nc").axis.rotation[:, 2]
     told = run(f"{words} --head 1,0,0 --box -2,2,-2,2,-2,2 --json")
     given = json.loads(told.out)
     np.testing.assert_allclose(np.array(given["axis_rotation"])[:, 2], -z, atol=1e-12)

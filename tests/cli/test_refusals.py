@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import PROBE, empty, fit_words, refused, scene_words
-from tests.conftest import presses, torso
+from tests.kit import presses, torso
 from ttus_opt.cli import fit_command
 from ttus_opt.probe.trajectory import Trajectory
 

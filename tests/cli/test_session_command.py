@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import empty, refused
-from tests.conftest import some
+from tests.kit import some
 from tests.session.recordings import changed, copied, jumped
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_wrenches

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.cli.conftest import empty, refused
-from tests.conftest import torso
+from tests.kit import torso
 from tests.sensors.test_clock import wander
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 

@@ -14,10 +14,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.cli.conftest import PROBE
 from ttus_opt.core.interrupts import INTERRUPTED
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 
@@ -126,11 +125,11 @@ def test_what_is_wrong_is_said_in_a_line(run, field, files, tmp_path, words, why
 
 
 def test_a_field_of_another_patient_is_refused(run, field, tmp_path, served):
-    one, other = PotentialField.load(field), tmp_path / "other.nc"
+    one, other = tt.PotentialField.load(field), tmp_path / "other.nc"
     surface = one.voxmap.surface
     larger = replace(surface, radius=1.02 * surface.radius)
-    voxmap = Voxmap.from_surface(larger, shape=one.voxmap.grid.shape, r_inner=0.03)
-    PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear").save(other)
+    voxmap = tt.Voxmap.from_surface(larger, shape=one.voxmap.grid.shape, r_inner=0.03)
+    tt.PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear").save(other)
     answer = run(f"view {field} --compare {other} --port 0 --no-browser")
     assert answer.status == 2
     assert len(answer.errors) == 1

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import Patch
 from ttus_opt.comparators.patch_law import PatchLaw, RecursiveLeastSquares

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.comparators import create
 from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import ContactGeometry

@@ -8,10 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing, recordings
-from tests.conftest import ellipsoid, torso
-from tests.refusals import refuses
+from tests.kit import InputError, ellipsoid, refuses, torso
 from ttus_opt.comparators.base import LEAST_FORCE, OneStiffness, positive_scale
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
 

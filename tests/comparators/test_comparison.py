@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.comparators.recordings import fitted, recordings
-from tests.conftest import ellipsoid, torso
+from tests.kit import InputError, ellipsoid, torso
 from ttus_opt.comparators import available, compare, markdown
 from ttus_opt.comparators.comparison import (
     SLIDE,
@@ -19,7 +19,6 @@ from ttus_opt.comparators.comparison import (
     slow_slide,
     timed_wrenches,
 )
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import angles
 

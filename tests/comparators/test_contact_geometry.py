@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing
 from tests.comparators.walls import BLOCK, block, pressed, wall
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.comparators.contact_geometry import ContactGeometry, SmoothSurface
 from ttus_opt.scan.surface import Surface
 

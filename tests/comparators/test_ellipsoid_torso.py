@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.comparators.contacts import made as on_torso
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.comparators.ellipsoid_torso import EllipsoidTorso, fitted_ellipsoid
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import ttus_opt as tt
 from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import COARSE, recordings
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.comparators.fields import Eq10, LaplaceOnly
 from ttus_opt.contact.scene import ScenePlan
 

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.comparators.recordings import facing, fitted, options, recordings
-from tests.conftest import ellipsoid, torso
-from tests.refusals import refuses
+from tests.kit import InputError, ellipsoid, refuses, torso
 from ttus_opt.comparators import available, create, kind
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
 pytestmark = pytest.mark.filterwarnings(
@@ -114,7 +111,7 @@ def test_turning_the_scene_turns_the_wrench(name):
     n = len(surface.theta)
     if n % 4:
         surface = torso(4 * (n // 4))
-    turned = Surface.from_radius(
+    turned = tt.Surface.from_radius(
         np.roll(surface.radius, len(surface.theta) // 4, 0), surface.z
     )
     motion = np.eye(4)
@@ -158,7 +155,7 @@ def test_bad_input_is_told_in_one_line(name):
     made = create(name, surface=torso(), shell=ellipsoid(), **options(name))
     R, at = facing(torso(), 1.3, 0.1, 0.004)
     press, _ = recordings()
-    bare = Trajectory(press.time, press.position, press.rotation)
+    bare = tt.Trajectory(press.time, press.position, press.rotation)
     still = replace(press, force=0.0 * press.force)
     away = replace(press, position=press.position + np.array([0.0, 2.0, 0.0]))
     for given in ([], bare, still, away, replace(press, force=-press.force)):

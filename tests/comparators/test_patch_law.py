@@ -14,8 +14,7 @@ from tests.comparators.contacts import (
     samples,
 )
 from tests.comparators.recordings import facing, fitted
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, torso
 from ttus_opt.comparators.patch_law import (
     AROUND,
     HEIGHT,
@@ -26,7 +25,6 @@ from ttus_opt.comparators.patch_law import (
     RecursiveLeastSquares,
 )
 from ttus_opt.comparators.patch_model import Contact
-from ttus_opt.core.errors import InputError
 
 
 def test_each_patch_learns_its_own_stiffness():

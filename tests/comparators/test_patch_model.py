@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 from tests.comparators.contacts import made
 from tests.comparators.recordings import facing, recordings
 from tests.comparators.walls import RADIUS, block, pressed, wall
-from tests.conftest import torso
+from tests.kit import InputError, torso
 from ttus_opt.comparators.base import LEAST_FORCE
 from ttus_opt.comparators.patch_law import KelvinVoigt
 from ttus_opt.comparators.patch_model import DEPTH_UNIT, FEWEST_FRAMES, LEAST_DEPTH
-from ttus_opt.core.errors import InputError
 
 
 def test_a_press_on_a_wall_has_a_depth_a_rate_and_a_foot():

@@ -5,12 +5,10 @@ import pytest
 
 from tests.comparators.contacts import NO_PATCH, STILL, made
 from tests.comparators.recordings import facing, fitted, recordings
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, torso
 from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
-from ttus_opt.core.errors import InputError
 
 
 def test_friction_and_stiffness_of_the_recordings_are_sent():

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, torso
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.comparators.proxy_cloud import ProxyCloud, mean_tip
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 
 
 def test_the_proxy_on_a_flat_cloud_is_above_the_tip():
@@ -80,16 +77,16 @@ def test_the_tip_is_the_mean_of_contacts_by_area_and_depth():
     """
     points, turn = ball(0.02, 6000), 0.8
     areas = np.full(len(points), 4.0 * np.pi * 0.02**2 / len(points))
-    shell = PointShell(points, -points / 0.02, areas, np.zeros(3))
+    shell = tt.PointShell(points, -points / 0.02, areas, np.zeros(3))
     R, at = facing(torso(), 1.5, 0.1, 0.001)
     at = at + 0.005 * R @ [0.0, 0.0, -1.0]  # the ball is 20 mm, not 15
     deeper = at + 0.004 * R @ [0.0, 0.0, 1.0]
     turned = R @ Rotation.from_rotvec([turn, 0.0, 0.0]).as_matrix()
-    press = Trajectory(np.arange(2.0), np.stack([at, deeper]), np.stack([R, turned]))
+    press = tt.Trajectory(np.arange(2.0), np.stack([at, deeper]), np.stack([R, turned]))
     tip = mean_tip(ContactGeometry(torso(), shell), press)
     assert np.linalg.norm(tip) == pytest.approx(0.02, rel=1e-3)
     assert np.arctan2(tip[1], tip[2]) == pytest.approx(turn * 25.0 / 26.0, abs=0.05)
-    away = Trajectory(press.time, 2.0 * press.position, press.rotation)
+    away = tt.Trajectory(press.time, 2.0 * press.position, press.rotation)
     refuses(InputError, "in no frame", mean_tip, ContactGeometry(torso(), shell), away)
 
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.comparators.proxy_six_dof import ProxySixDof, least_motion
 
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.comparators.contacts import made as on_torso
 from tests.comparators.recordings import facing, fitted
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.comparators.voxmap_point_shell import (
     FREE,
     INTERIOR,

@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
+from tests.kit import InputError, MistakeWarning, TtusWarning, ellipsoid, presses, torso
 from ttus_opt.contact.boundary_scale import _report_scale
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
-VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
+VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
 SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
 
 def test_inner_fit_is_the_least_squares_scale():
     """The fitted scale equals a brute-force search over p_in."""
-    scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner="fit", outer=0.5)
+    scene = tt.Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner="fit", outer=0.5)
     scale = scene.parameters["boundary_scale"]
     assert scene.inner == scale
     assert scene.outer == 0.5 * scale
@@ -41,7 +38,7 @@ def test_the_scale_comes_with_its_standard_error():
     far = TRAJECTORY.position.copy()
     far[:2] *= [1.3, 1.3, 1.0]
     moved = replace(TRAJECTORY, position=far)
-    scene = Scene.assemble(VOXMAP, SHELL, moved, inner="fit", sampling="trilinear")
+    scene = tt.Scene.assemble(VOXMAP, SHELL, moved, inner="fit", sampling="trilinear")
     unit = scene.with_boundary(1.0, 1.0)
     pressed = unit.N @ unit.laplace.solve(unit.b)
     touching = np.repeat(scene.rows.contact_points > 0, 3)
@@ -66,7 +63,7 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said():
     with pytest.warns(
         TtusWarning, match=r"cannot determine the boundary scale.*1 is used"
     ):
-        scene = Scene.assemble(VOXMAP, SHELL, noise, inner="fit", outer=0.5)
+        scene = tt.Scene.assemble(VOXMAP, SHELL, noise, inner="fit", outer=0.5)
     assert (scene.inner, scene.outer) == (1.0, 0.5)
     assert scene.parameters == {"boundary_scale": 1.0}
     assert "±" in scene.not_identified["boundary_scale"]
@@ -88,19 +85,19 @@ def test_a_probe_that_never_touches_has_no_scale():
     apart = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
     told = pytest.warns(TtusWarning, match="touches the patient in none of 12 poses")
     with told, pytest.raises(InputError, match="the probe never touches"):
-        Scene.assemble(VOXMAP, SHELL, apart, inner="fit")
+        tt.Scene.assemble(VOXMAP, SHELL, apart, inner="fit")
 
 
 def test_pulling_forces_are_refused_by_inner_fit():
     pulled = replace(TRAJECTORY, force=-1e-3 * TRAJECTORY.force)  # slightly, too
     with pytest.raises(InputError, match="force ON the probe"):
-        Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
+        tt.Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
 
 
 def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for():
     """So that the sanity report can tell what is wrong with them."""
     pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
     with pytest.warns(MistakeWarning, match="push into the patient"):
-        scene = Scene.assemble(VOXMAP, SHELL, pulled)
+        scene = tt.Scene.assemble(VOXMAP, SHELL, pulled)
     assert scene.inner == 1.0
     assert "push into" in scene.not_identified["boundary_scale"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, small_scene
+from tests.kit import ellipsoid, small_scene
 from ttus_opt.benchmark.parts.rendering import numpy_frame
 from ttus_opt.contact.contact_size import (
     REFERENCE_LENGTH,
@@ -12,18 +12,17 @@ from ttus_opt.contact.contact_size import (
     patches_of,
 )
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.sampling import LEAST_LENGTH
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: A body so large that it is flat under a probe [m]
 BODY = 2.0
 
 
 def flat(shape=(8, 720, 20)):
-    surface = Surface.from_radius(np.full((720, 21), BODY), np.linspace(0.0, 0.2, 21))
-    return Voxmap.from_surface(surface, shape=shape, r_inner=BODY - 0.02)
+    surface = tt.Surface.from_radius(
+        np.full((720, 21), BODY), np.linspace(0.0, 0.2, 21)
+    )
+    return tt.Voxmap.from_surface(surface, shape=shape, r_inner=BODY - 0.02)
 
 
 def ball_of(n_points):
@@ -87,7 +86,7 @@ def test_force_is_continuous_where_points_come_into_contact():
 def test_frame_rows_and_plain_code_agree():
     scene = small_scene("contact-size")
     values = np.random.default_rng(0).normal(size=scene.voxmap.grid.shape)
-    field = PotentialField(scene.voxmap, values, "contact-size")
+    field = tt.PotentialField(scene.voxmap, values, "contact-size")
     renderer = tt.Renderer(field, scene.shell)
     N, W = ((m @ values.ravel()).reshape(-1, 3) for m in (scene.N, scene.W))
     told = scene.trajectory

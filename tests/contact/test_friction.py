@@ -7,10 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, small_scene, torso
-from tests.dragging import dragged_scene
-from tests.pressing import pressing
-from tests.refusals import refuses
+from tests.kit import (
+    InputError,
+    dragged_scene,
+    ellipsoid,
+    presses,
+    pressing,
+    refuses,
+    small_scene,
+    torso,
+)
 from ttus_opt.contact.contact_size import patch_factors, patches_of
 from ttus_opt.contact.friction import (
     DEADBAND,
@@ -19,19 +25,11 @@ from ttus_opt.contact.friction import (
     pressing_axis,
     viscous_rows,
 )
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.metrics import evaluate
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.sampling import LEAST_LENGTH
-from ttus_opt.voxmap.voxmap import Voxmap
 
-TUBE = Surface.from_radius(np.full((72, 21), 0.09), np.linspace(0.0, 0.2, 21))
-VOXMAP = Voxmap.from_surface(TUBE, shape=(13, 36, 16), r_inner=0.03)
-SHELL = PointShell.sphere(radius=0.015, n_points=800)
+TUBE = tt.Surface.from_radius(np.full((72, 21), 0.09), np.linspace(0.0, 0.2, 21))
+VOXMAP = tt.Voxmap.from_surface(TUBE, shape=(13, 36, 16), r_inner=0.03)
+SHELL = tt.PointShell.sphere(radius=0.015, n_points=800)
 
 
 def slide(velocity, n=9, spin=None, deep=0.005):
@@ -41,7 +39,7 @@ def slide(velocity, n=9, spin=None, deep=0.005):
     position = start + (time - time.mean())[:, None] * velocity
     turn = np.zeros(3) if spin is None else spin
     rotation = Rotation.from_rotvec(time[:, None] * turn).as_matrix()
-    return Trajectory(time, position, rotation)
+    return tt.Trajectory(time, position, rotation)
 
 
 def test_patch_of_a_sphere_is_where_it_touches():
@@ -57,7 +55,7 @@ def test_patches_all_around_a_torso_equal_a_loop_over_points():
     """Leaning probes, and torques about a point beside the probe's centre."""
     surface, shell = torso(), ellipsoid(400, (0.02, 0.015, 0.012))
     shell = replace(shell, reference=np.array([0.004, -0.006, 0.01]))
-    voxmap = Voxmap.from_surface(surface, shape=(9, 30, 15))
+    voxmap = tt.Voxmap.from_surface(surface, shape=(9, 30, 15))
     trajectory = presses(surface, 15, np.random.default_rng(2), depth=0.02)
     sliding, touching = Sliding.of(voxmap, shell, trajectory), 0
     turning = trajectory.angular_velocity()
@@ -133,7 +131,7 @@ def test_a_plunge_along_the_probes_own_axis_is_no_sliding():
 
 
 def test_the_axis_of_a_body_of_revolution_lies_in_its_plane():
-    disc = PointShell.ellipsoid(semi_axes=(0.01, 0.02, 0.02), n_points=1500)
+    disc = tt.PointShell.ellipsoid(semi_axes=(0.01, 0.02, 0.02), n_points=1500)
     normal = np.array([0.3, 0.6, -0.8])
     np.testing.assert_allclose(pressing_axis(disc, normal), [0.0, 0.6, -0.8], atol=5e-3)
     assert not pressing_axis(disc, np.zeros(3)).any()
@@ -205,10 +203,10 @@ def test_coulomb_global_finds_what_was_put_in(acts_at):
     assert solution.parameters["drag_at_reference"] == float(acts_at == "reference")
     assert solution.parameters["drag_at_points"] == float(acts_at == "points")
     assert solution.timings.search is not None
-    errors = evaluate(solution.field, scene.shell, scene.trajectory).errors
+    errors = tt.evaluate(solution.field, scene.shell, scene.trajectory).errors
     assert errors.force_angle_error_deg < 0.2
     without = tt.fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
-    worse = evaluate(without.field, scene.shell, scene.trajectory).errors
+    worse = tt.evaluate(without.field, scene.shell, scene.trajectory).errors
     assert worse.force_angle_error_deg > 8.0
 
 
@@ -218,7 +216,7 @@ def test_the_boundary_scale_is_the_objectives_own():
     made = dragged_scene("contact", shape=(7, 14, 8))
     lump = made.trajectory.position[:, 2:] > 0.11  # stiffer there, as over a rib
     stiffer = made.trajectory.force * np.where(lump, 3.0, 1.0)
-    scene = Scene.assemble(
+    scene = tt.Scene.assemble(
         made.voxmap,
         made.shell,
         replace(made.trajectory, force=stiffer),
@@ -269,7 +267,7 @@ def test_viscous_drag_finds_what_was_put_in():
     # patches never touched have the mean of those that were
     np.testing.assert_allclose(list(regions.values()), 20.0, rtol=0.05)
     for fitted in (solution, each):
-        seen = evaluate(fitted.field, scene.shell, scene.trajectory)
+        seen = tt.evaluate(fitted.field, scene.shell, scene.trajectory)
         np.testing.assert_allclose(
             seen.rendered_force, scene.trajectory.force, atol=2e-2
         )
@@ -285,7 +283,7 @@ def test_rendered_drag_is_that_of_the_fits_rows():
         for name in ("force", "torque")
     )
     own, renderer = scene.trajectory, tt.Renderer(solution.field, scene.shell)
-    seen = evaluate(solution.field, scene.shell, own)
+    seen = tt.evaluate(solution.field, scene.shell, own)
     frames = zip(own.rotation, own.position, own.twist(), strict=True)
     one_by_one = np.concatenate([renderer.render(*frame).force for frame in frames])
     np.testing.assert_allclose(one_by_one, force, rtol=0, atol=1e-11)
@@ -299,13 +297,13 @@ def test_coefficients_go_through_the_fields_file(tmp_path):
     field = pressing(scene, {"boundary_scale": 2.0})
     dragging = replace(field, parameters={"friction_coefficient": 0.4})
     dragging.save(tmp_path / "field.nc")
-    loaded = PotentialField.load(tmp_path / "field.nc")
+    loaded = tt.PotentialField.load(tmp_path / "field.nc")
     first, second = (
-        evaluate(f, scene.shell, scene.trajectory).rendered_force
+        tt.evaluate(f, scene.shell, scene.trajectory).rendered_force
         for f in (dragging, loaded)
     )
     np.testing.assert_array_equal(first, second)
-    plain = evaluate(field, scene.shell, scene.trajectory).rendered_force
+    plain = tt.evaluate(field, scene.shell, scene.trajectory).rendered_force
     np.testing.assert_array_equal(plain.reshape(-1), scene.N @ field.values.reshape(-1))
     assert np.abs(first - plain).max() > 0.01
 
@@ -316,8 +314,8 @@ WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
 def phantom_scene(folder, kind, shape, n_points):
     """The independent torso with a recording of it, boundary scale fitted."""
     surface = tt.Surface.load(folder / "surface.nc")
-    return Scene.assemble(
-        Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
+    return tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
         ellipsoid(n_points, (0.03, 0.0125, 0.018)),
         tt.read_trajectory(folder / f"{kind}_fit.csv"),
         inner="fit",
@@ -327,7 +325,7 @@ def phantom_scene(folder, kind, shape, n_points):
 
 def errors_on(field, shell, path):
     """Errors on a recording."""
-    return evaluate(field, shell, tt.read_trajectory(path)).errors
+    return tt.evaluate(field, shell, tt.read_trajectory(path)).errors
 
 
 @pytest.mark.slow

@@ -7,23 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import small_scene
+import ttus_opt as tt
 from tests.drags import LAWS, SHELL, VOXMAP, drag_by_points, pushing
 from tests.haptic.test_drag import random_pose
-from tests.pressing import pressing
+from tests.kit import InputError, pressing, small_scene
 from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
 from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.slip import Slip
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.phantom.recording import add_pose_noise
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.drag import GlobalCoulomb
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def moving_by(R, at, twist):
@@ -32,7 +27,7 @@ def moving_by(R, at, twist):
     x, y, z = twist[3:] * step
     turn = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
     positions = np.stack([at, at + step * twist[:3]])
-    return Trajectory(np.array([0.0, step]), positions, np.stack([R, turn @ R]))
+    return tt.Trajectory(np.array([0.0, step]), positions, np.stack([R, turn @ R]))
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
@@ -52,14 +47,14 @@ def test_rows_are_the_drag_of_every_point(sampling, seed):
 
 def test_over_a_flat_patch_it_is_the_drag_of_the_patch():
     """A box of 20 mm slides 0.1 mm deep on a tube of 2 m: its sides are 2 %."""
-    tube = Surface.from_radius(np.full((72, 21), 2.0), np.linspace(0.0, 0.2, 21))
-    voxmap = Voxmap.from_surface(tube, shape=(24, 1200, 16), r_inner=1.9)
-    shell = PointShell.box((0.02, 0.02, 0.02), n_points=2000)
+    tube = tt.Surface.from_radius(np.full((72, 21), 2.0), np.linspace(0.0, 0.2, 21))
+    voxmap = tt.Voxmap.from_surface(tube, shape=(24, 1200, 16), r_inner=1.9)
+    shell = tt.PointShell.box((0.02, 0.02, 0.02), n_points=2000)
     n = 5
     time = 0.05 * np.arange(n)
     start = np.array([2.0 + 0.01 - 0.0001, 0.0, 0.1])
     position = start + (time - time[2])[:, None] * np.array([0.0, 0.004, 0.003])
-    trajectory = Trajectory(time, position, np.tile(np.eye(3), (n, 1, 1)))
+    trajectory = tt.Trajectory(time, position, np.tile(np.eye(3), (n, 1, 1)))
     rows = contact_rows(
         voxmap, shell, trajectory.rotation, trajectory.position, sampling="trilinear"
     )
@@ -95,7 +90,7 @@ def test_a_trackers_noise_does_not_turn_the_drag():
     out = np.array([*at[:2], 0.0]) / np.linalg.norm(at[:2])
     away = 0.004 * np.outer(np.cos(2.5 * time), out)
     along = 0.003 * np.outer(np.sin(0.9 * time), np.cross(out, [0.0, 0.0, 1.0]))
-    true = Trajectory(time, at + away + along, np.tile(R, (n, 1, 1)))
+    true = tt.Trajectory(time, at + away + along, np.tile(R, (n, 1, 1)))
     noisy = add_pose_noise(true, rng)
     p = field.values.reshape(-1)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, small_scene
+from tests.kit import ellipsoid, small_scene
 from ttus_opt.contact.row_kernels import (
     REFERENCE_AREA,
     TRILINEAR,

@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, presses, small_scene, torso
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import InputError, ellipsoid, presses, refuses, small_scene, torso
 from ttus_opt.contact.rows import PoseRows, contact_rows
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.tracker_noise import TrackerNoise
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
-VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21))
+VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(24, 40, 21))
 SHELL = ellipsoid(400, (0.02, 0.015, 0.012))
 RNG = np.random.default_rng(3)
 POSES = presses(SURFACE, 8, RNG, depth=0.02)
@@ -97,7 +93,7 @@ def test_rows_equal_brute_force(sampling):
 
 def test_the_reference_point_is_where_torque_is_about():
     reference = np.array([0.01, -0.02, 0.005])
-    moved = PointShell(SHELL.points, SHELL.normals, SHELL.areas, reference)
+    moved = tt.PointShell(SHELL.points, SHELL.normals, SHELL.areas, reference)
     p = FIELD.reshape(-1)
     a = contact_rows(VOXMAP, SHELL, POSES.rotation, POSES.position)
     b = contact_rows(VOXMAP, moved, POSES.rotation, POSES.position)
@@ -120,11 +116,11 @@ def test_force_of_a_constant_field_on_a_submerged_probe_vanishes():
 def test_a_linear_pressure_lifts_like_archimedes():
     """p = x [N/cm²] on a submerged probe: force = -∫ p n_out = -volume·∂p/∂x."""
     grid = VOXMAP.grid
-    fine = Voxmap.from_surface(SURFACE, shape=(60, 200, 21))
+    fine = tt.Voxmap.from_surface(SURFACE, shape=(60, 200, 21))
     grid = fine.grid
     x = grid.r[:, None, None] * np.cos(grid.theta)[None, :, None]
     p = np.broadcast_to(x, grid.shape).reshape(-1) * 1e4  # N/cm² per m → N/m² per m
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=1200)
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=1200)
     rows = contact_rows(
         fine, shell, np.eye(3)[None], np.array([[0.0, 0.06, 0.1]]), sampling="trilinear"
     )
@@ -204,7 +200,7 @@ def test_derivatives_are_those_of_the_force():
     own = scene.trajectory
     rows = PoseRows(scene.voxmap, scene.shell, "trilinear")
     p = scene.laplace.solve(scene.b)
-    noise, fine = TrackerNoise(1e-4, 2e-3), TrackerNoise(1e-6, 2e-5)
+    noise, fine = tt.TrackerNoise(1e-4, 2e-3), tt.TrackerNoise(1e-6, 2e-5)
     found = rows.derivatives(own.rotation, own.position, noise)
     assert len(found) == 6
     for j in range(6):

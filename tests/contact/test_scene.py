@@ -4,18 +4,13 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
-from tests.refusals import refuses
+from tests.kit import InputError, ellipsoid, presses, refuses, torso
 from ttus_opt.contact import scene as scene_module
 from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.frame import Axis
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
-VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
+VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
 SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
@@ -103,7 +98,7 @@ def test_several_recordings_are_joined_first():
 
 
 def test_poses_without_wrench_have_rows_but_no_measurements():
-    bare = Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
+    bare = tt.Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
     scene = Scene.assemble(VOXMAP, SHELL, bare)
     assert scene.N.nnz > 0
     refuses(InputError, "fx, fy, fz", lambda: scene.f)
@@ -121,11 +116,13 @@ def test_a_plan_goes_from_scan_to_scene_step_by_step():
         (9, 20, 10), 0.04, 0.16, inner=3.0, outer=2.0, sampling="trilinear"
     )
     halves = [TRAJECTORY.select(slice(0, 5)), TRAJECTORY.select(slice(5, None))]
-    frame = Axis(np.zeros(3), np.eye(3), support=None)  # no plane to look for
+    frame = tt.Axis(np.zeros(3), np.eye(3), support=None)  # no plane to look for
     found = plan.build(cloud, SHELL, halves, axis=frame)
     surface = tt.extract_surface(cloud, axis=frame)
-    voxmap = Voxmap.from_surface(surface, shape=(9, 20, 10), r_inner=0.04, r_outer=0.16)
-    whole = Trajectory.concatenate(halves)
+    voxmap = tt.Voxmap.from_surface(
+        surface, shape=(9, 20, 10), r_inner=0.04, r_outer=0.16
+    )
+    whole = tt.Trajectory.concatenate(halves)
     expected = Scene.assemble(
         voxmap, SHELL, whole, inner=3.0, outer=2.0, sampling="trilinear"
     )

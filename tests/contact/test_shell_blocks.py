@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import torso
+import ttus_opt as tt
+from tests.kit import torso
 from ttus_opt.contact.shell_blocks import BLOCK, TILES, ShellBlocks, SurfaceCeiling
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 
 @pytest.mark.parametrize("n_points", [4, BLOCK, BLOCK + 1, 333, 1000])
 def test_every_point_lies_in_one_block_and_its_sphere(n_points):
-    shell = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=n_points)
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=n_points)
     blocks = ShellBlocks.of(shell)
     assert sorted(blocks.order) == list(range(n_points))
     assert blocks.start[0] == 0
@@ -26,7 +25,7 @@ def test_every_point_lies_in_one_block_and_its_sphere(n_points):
 
 @pytest.mark.slow
 def test_blocks_are_compact():
-    shell = PointShell.sphere(0.02, n_points=1600)
+    shell = tt.PointShell.sphere(0.02, n_points=1600)
     blocks = ShellBlocks.of(shell)
     # a round patch of 32 of 1600 points: 4πR²/50 = πρ²
     patch = 2 * 0.02 / np.sqrt(50)
@@ -39,7 +38,7 @@ def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(seed, reach):
     rng = np.random.default_rng(seed)
     n_theta, n_z = int(rng.integers(4, 60)), int(rng.integers(2, 30))
     z = np.linspace(-0.05, 0.15, n_z)
-    surface = Surface.from_radius(rng.uniform(0.05, 0.1, (n_theta, n_z)), z)
+    surface = tt.Surface.from_radius(rng.uniform(0.05, 0.1, (n_theta, n_z)), z)
     above = SurfaceCeiling.of(surface, reach)
     assert above.ceiling.shape == TILES
     # a point of a sphere, the sphere's centre at or beyond the floor

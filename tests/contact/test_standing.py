@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, torso
+import ttus_opt as tt
+from tests.kit import ellipsoid, torso
 from ttus_opt.contact.standing import (
     depth_of,
     places_below,
@@ -13,8 +14,6 @@ from ttus_opt.contact.standing import (
     standing,
     usual_hold,
 )
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 THETA, Z = np.array([0.3, 2.0, 4.0]), np.array([0.05, 0.1, 0.15])
 
@@ -22,7 +21,7 @@ THETA, Z = np.array([0.3, 2.0, 4.0]), np.array([0.05, 0.1, 0.15])
 def test_frames_of_the_skin_follow_its_slope():
     theta, z = np.array([0.0, 1.0, 2.5]), np.array([0.1, 0.15, 0.2])
     heights = np.linspace(0.0, 0.3, 31)  # a cone: r = 0.1 + z/4
-    cone = Surface.from_radius(np.tile(0.1 + heights / 4.0, (180, 1)), heights)
+    cone = tt.Surface.from_radius(np.tile(0.1 + heights / 4.0, (180, 1)), heights)
     frames = skin_frames(cone, theta, z)
     outward = np.stack([np.cos(theta), np.sin(theta), np.full(3, -0.25)], axis=1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -45,7 +44,7 @@ def test_all_points_of_the_probe_count_for_its_depth(depth):
 
 
 def test_a_ball_on_a_cylinder_stands_one_radius_off():
-    cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
+    cylinder = tt.Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
     ball = ellipsoid(1200, (0.02, 0.02, 0.02))
     rotation, position = standing(cylinder, ball, np.eye(3), THETA, Z, 0.004)
     off = np.linalg.norm(position[:, :2], axis=1)
@@ -59,7 +58,7 @@ def test_a_ball_on_a_cylinder_stands_one_radius_off():
 def shifted():
     """A probe whose frame's origin lies far from it."""
     one, off = ellipsoid(), np.array([0.05, -0.2, 0.1])
-    return PointShell(one.points + off, one.normals, one.areas, one.reference + off)
+    return tt.PointShell(one.points + off, one.normals, one.areas, one.reference + off)
 
 
 def test_the_usual_hold_is_that_of_the_poses_wherever_the_origin_lies():

@@ -7,16 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, shared_data
+import ttus_opt as tt
+from tests.kit import ellipsoid, shared_data
 from ttus_opt import example
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.contact.scene import Scene
-from ttus_opt.fitting.batch import fit
-from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SAMPLINGS = ["voxel-mean", "trilinear"]
 GRIDS = {
@@ -36,7 +30,7 @@ def shell():
 class Fields:
     """One grid over one surface, with the fields to press on, flat."""
 
-    voxmap: Voxmap
+    voxmap: tt.Voxmap
     sampling: str
     laplace: np.ndarray
     eq10: np.ndarray
@@ -44,10 +38,12 @@ class Fields:
 
 @functools.cache
 def fields(folder, shape, sampling):
-    voxmap = Voxmap.from_surface(Surface.load(folder / "surface.nc"), shape=shape)
-    trajectory = read_trajectory(folder / "press_fit.csv")
-    scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
-    fitted = fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
+    voxmap = tt.Voxmap.from_surface(tt.Surface.load(folder / "surface.nc"), shape=shape)
+    trajectory = tt.read_trajectory(folder / "press_fit.csv")
+    scene = tt.Scene.assemble(
+        voxmap, shell(), trajectory, inner="fit", sampling=sampling
+    )
+    fitted = tt.fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
     laplace = scene.laplace.solve(scene.b)
     return Fields(voxmap, sampling, laplace, fitted.field.values.reshape(-1))
 
@@ -158,10 +154,12 @@ def test_trilinear_presses_are_continuous(grid):
 def test_beyond_the_inner_layer_the_force_keeps_its_direction(r_inner, sampling):
     """It once fell from 62 N to −155 N when the inner layer was passed."""
     folder = surface_folder("example")
-    surface = Surface.load(folder / "surface.nc")
-    voxmap = Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=r_inner)
-    trajectory = read_trajectory(folder / "press_fit.csv")
-    scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
+    surface = tt.Surface.load(folder / "surface.nc")
+    voxmap = tt.Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=r_inner)
+    trajectory = tt.read_trajectory(folder / "press_fit.csv")
+    scene = tt.Scene.assemble(
+        voxmap, shell(), trajectory, inner="fit", sampling=sampling
+    )
     p = scene.laplace.solve(scene.b)
     at = Fields(voxmap, sampling, p, p)
     press = Press.of(surface, [(1.6, 0.5)])
@@ -187,8 +185,8 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(r_inner, sampling)
     np.testing.assert_array_equal(rows.beyond_inner, beyond)
     assert beyond[0] == 0
     assert beyond[-1] > 50
-    field = PotentialField(voxmap, p.reshape(voxmap.grid.shape), sampling)
-    renderer = Renderer(field, shell(), force_limit=np.inf, torque_limit=np.inf)
+    field = tt.PotentialField(voxmap, p.reshape(voxmap.grid.shape), sampling)
+    renderer = tt.Renderer(field, shell(), force_limit=np.inf, torque_limit=np.inf)
     for t in range(0, len(centre), 40):
         wrench = renderer.render(press.rotation[0], centre[t])
         assert wrench.beyond_inner == beyond[t]

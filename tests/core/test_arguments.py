@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.dragging import dragged_scene
-from tests.refusals import refuses
+from tests.kit import InputError, dragged_scene, refuses
 from ttus_opt.core.arguments import expect_numbers
-from ttus_opt.core.errors import InputError
 
 
 def mixed_up():

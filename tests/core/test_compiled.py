@@ -18,7 +18,7 @@ import pytest
 from filelock import FileLock
 from numba.core import event
 
-from tests.conftest import some
+from tests.kit import some
 from ttus_opt.core import compiled as module
 from ttus_opt.core.cache_folder import cache_folder
 from ttus_opt.core.compiled import compiled, content_key, is_cached

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.core.html_card import card, sections_svg, signed_map
 from ttus_opt.fitting.checks.sanity import check_recordings
 from ttus_opt.solvers.registry import solvers
-from ttus_opt.voxmap.field import PotentialField
 
 SCENE = small_scene("trilinear")
-FIELD = PotentialField(
+FIELD = tt.PotentialField(
     SCENE.voxmap,
     SCENE.voxmap.grid.unflatten(SCENE.b),
     "trilinear",
@@ -122,7 +121,7 @@ def test_the_card_of_a_field_is_its_section(wave, high, low):
     """x to the right and y upwards, red where the field is positive."""
     grid = SCENE.voxmap.grid
     values = wave(grid.theta)[None, :, None] * np.ones(grid.shape)
-    html = PotentialField(SCENE.voxmap, values, "trilinear")._repr_html_()
+    html = tt.PotentialField(SCENE.voxmap, values, "trilinear")._repr_html_()
     red, _, blue = np.moveaxis(pixels_of(html), -1, 0)
     n = len(red)
     for (row, column), sign in ((high, 1.0), (low, -1.0)):

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, TtusWarning, refuses
 from ttus_opt import example
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_wrenches

@@ -3,7 +3,7 @@
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, small_scene
+from tests.kit import ellipsoid, small_scene
 from ttus_opt import paper
 
 

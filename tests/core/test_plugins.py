@@ -11,9 +11,8 @@ import pytest
 
 import ttus_opt.problem.constraints
 import ttus_opt.problem.terms
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from ttus_opt.core import plugins
-from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.wrench import ForceTerm
 

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.conftest import presses, torso
-from tests.refusals import refuses
+from tests.kit import presses, refuses, torso
 from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import fits, rivals
 from ttus_opt.experiment import patients as phantoms

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import FileError, InputError, MissingPackageError, refuses
 from ttus_opt import experiment
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.experiment import patients as phantoms
 from ttus_opt.experiment import pipeline
 from ttus_opt.experiment.boundary import FACTORS
@@ -22,10 +22,7 @@ from ttus_opt.experiment.pipeline import ITSELF, _wanted
 from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.experiment.tables import title
-from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.path.task_pool import task_pool
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.report.metrics import evaluate
 
 PLAN = experiment.Plan(
     shape=(16, 48, 24),
@@ -58,12 +55,12 @@ def test_rows_are_there_for_every_setting_and_recording(done):
 def test_drag_of_every_point_is_nearer_to_the_phantoms_than_that_of_the_patch(done):
     """Its skin drags node by node: on a new press, against the true wrenches."""
     examination = done[1].patients[0].examination
-    shell = PointShell.from_spec(PROBE_SPEC)
+    shell = tt.PointShell.from_spec(PROBE_SPEC)
     fitted = [examination.measured[name] for name in FITTED]
     scene = ScenePlan(PLAN.shape, inner="fit").build(examination.surface, shell, fitted)
 
     def score(acts_at):
-        solution = fit(
+        solution = tt.fit(
             scene,
             "coulomb_global",
             force_weight=1.0,
@@ -71,7 +68,7 @@ def test_drag_of_every_point_is_nearer_to_the_phantoms_than_that_of_the_patch(do
             acts_at=acts_at,
         )
         new = examination.true["press_test"]
-        return Score.of(evaluate(solution.field, shell, new))
+        return Score.of(tt.evaluate(solution.field, shell, new))
 
     points, patch = score("auto"), score("contact")
     for name, share in (

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.conftest import presses, torso
+from tests.kit import InputError, TtusError, presses, torso
 from ttus_opt import comparators
-from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.rivals import PREFIX, chosen, rival
 from ttus_opt.probe.trajectory import Trajectory

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.dragging import dragged_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, dragged_scene, refuses, small_scene
 from ttus_opt.fitting import batch
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
 from ttus_opt.fitting.weights import weight_choice
@@ -21,7 +18,6 @@ from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, Search, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
-from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.penalties import Absolute, Penalty
 from ttus_opt.problem.terms.wrench import ForceTerm
@@ -159,7 +155,7 @@ def test_a_term_that_is_no_number_is_refused_by_name(place, value):
                 target[4] = value
             else:
                 matrix.data[0] = value
-            return AffineRows({"p": matrix}, target)
+            return tt.AffineRows({"p": matrix}, target)
 
     declared = Formulation([LaplaceTerm(SCENE), Own(SCENE, 0.1)])
     for solver in ("auto", "structured", "clarabel"):

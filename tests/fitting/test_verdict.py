@@ -7,10 +7,8 @@ import pytest
 import scipy.sparse.linalg
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
+from tests.kit import InputError, NumericalError, refuses, small_scene
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.fitting import verdict
 from ttus_opt.fitting.verdict import (
     CONFLICT_SECONDS,

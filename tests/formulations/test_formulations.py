@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 import formulations
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import available, load
 

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.special import gamma, k1, kv
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.gaussian import matern as matern_module
 from ttus_opt.gaussian.matern import (
     MaternFactor,

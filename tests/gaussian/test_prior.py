@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.gaussian.prior import KnownPrior, LaplacePrior, Multiples, Sum
 

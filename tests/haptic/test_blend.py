@@ -8,9 +8,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, some, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, ellipsoid, refuses, some, torso
 from ttus_opt.haptic.blend import (
     GAP,
     RETREAT_STEP,

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.haptic.test_blend import Walk, field_of, shell, twist
-from ttus_opt.haptic.blend import BlendLaw
-from ttus_opt.haptic.renderer import Renderer
 
 
 def dragging(stiffness, friction, **other):
@@ -27,14 +26,14 @@ def full_twist(walk, k, seconds=1e-3):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_drags_are_swapped_with_their_fields(seed):
     """A convex combination of whole wrenches, within the rate, that takes energy."""
-    law = BlendLaw(force_rate=20.0, reserve=1e-4)
+    law = tt.BlendLaw(force_rate=20.0, reserve=1e-4)
     walk = Walk.make(seed)
     along = twist(walk)
     old = dragging(1.0, 0.4)
     new = dragging(1.6, 0.1, viscous_coefficient=5.0, drag_deadband=0.01)
-    renderer = Renderer(old, shell(), blend=law)
-    whole = [Renderer(f, shell()) for f in (old, new)]
-    bare = [Renderer(replace(f, parameters={}), shell()) for f in (old, new)]
+    renderer = tt.Renderer(old, shell(), blend=law)
+    whole = [tt.Renderer(f, shell()) for f in (old, new)]
+    bare = [tt.Renderer(replace(f, parameters={}), shell()) for f in (old, new)]
     out, both, contact = np.zeros(6), np.zeros((2, 6)), np.zeros((2, 6))
     moved, share, taken = 0, 0.0, 0.0
     for k in range(1, 900):
@@ -67,9 +66,9 @@ def test_drags_are_swapped_with_their_fields(seed):
 
 def test_energy_is_reckoned_without_drag():
     """Ledgers of a swap with and without drag are the same but for the rates' steps."""
-    walk, law = Walk.make(4), BlendLaw(force_rate=1e6)
-    dry = Renderer(field_of(1.0), shell(), blend=law)
-    rubbed = Renderer(dragging(1.0, 0.5), shell(), blend=law)
+    walk, law = Walk.make(4), tt.BlendLaw(force_rate=1e6)
+    dry = tt.Renderer(field_of(1.0), shell(), blend=law)
+    rubbed = tt.Renderer(dragging(1.0, 0.5), shell(), blend=law)
     for k in range(1, 700):
         pose, moving = (walk.rotation[k], walk.position[k]), full_twist(walk, k)
         dry.render(*pose, moving)
@@ -86,9 +85,9 @@ def test_energy_is_reckoned_without_drag():
 def test_an_update_amid_a_swap_of_drags_does_not_show(other):
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     moving = np.array([0.03, 0.0, 0.02, 0.1, 0.3, -0.2])
-    law = BlendLaw(force_rate=1.0, reserve=1.0)
+    law = tt.BlendLaw(force_rate=1.0, reserve=1.0)
     alike = {k: v for k, v in other.items() if k == "drag_at_points"}
-    renderer = Renderer(dragging(1.0, 0.3, **alike), shell(), blend=law)
+    renderer = tt.Renderer(dragging(1.0, 0.3, **alike), shell(), blend=law)
     before = renderer.render(R, at, moving).force
     for stiffness, friction in ((1.5, 0.05), (0.2, 0.8), (3.0, 0.0), (1.0, 0.6)):
         renderer.update(dragging(stiffness, friction, **other))

@@ -14,14 +14,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import small_scene
-from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from ttus_opt.core.errors import TtusError
+import ttus_opt as tt
+from tests.kit import DRAG, TWIST, TtusError, deepest_pose, pressing, small_scene
 from ttus_opt.haptic import c_interface
-from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.c_interface import DONE, HEADER, WAITING, frame_address
 from ttus_opt.haptic.renderer import LIMITS, Renderer
-from ttus_opt.voxmap.field import PotentialField
 
 pytestmark = pytest.mark.skipif(
     numba.config.DISABLE_JIT, reason="without the compiler there is no C function"
@@ -107,8 +104,8 @@ def poses_of(scene, n=40):
 @pytest.mark.slow
 def test_frames_from_c_are_those_from_python(scene, library):
     """Twists given, then estimated from times; amid a swap of fields, drag included."""
-    field, law = pressing(scene, DRAG), BlendLaw(force_rate=5.0, reserve=1.0)
-    new = PotentialField(field.voxmap, 1.5 * field.values, field.sampling, DRAG)
+    field, law = pressing(scene, DRAG), tt.BlendLaw(force_rate=5.0, reserve=1.0)
+    new = tt.PotentialField(field.voxmap, 1.5 * field.values, field.sampling, DRAG)
     rotation, position, twist, time_ = poses_of(scene)
     clock = 1e-3 * np.arange(len(time_))
     by_python, by_c = (Renderer(field, scene.shell, blend=law) for _ in "ab")
@@ -195,7 +192,7 @@ def test_bad_input_has_a_code_and_leaves_the_wrench(scene):
 
 def test_updates_reach_a_running_loop_and_never_jump(scene, library):
     """Fields come and go under a loop in C: all that it reads stays where it is."""
-    field, law = pressing(scene), BlendLaw(force_rate=5.0, reserve=1.0)
+    field, law = pressing(scene), tt.BlendLaw(force_rate=5.0, reserve=1.0)
     renderer = Renderer(field, scene.shell, blend=law)
     R, at = deepest_pose(scene)
     once = (R[None], at[None], np.zeros((1, 6)), np.full(1, np.nan))
@@ -205,7 +202,7 @@ def test_updates_reach_a_running_loop_and_never_jump(scene, library):
         for scale in np.random.default_rng(0).uniform(0.5, 1.5, 40):
             before = c.loop.frames
             renderer.update(
-                PotentialField(field.voxmap, scale * field.values, field.sampling)
+                tt.PotentialField(field.voxmap, scale * field.values, field.sampling)
             )
             until = time.monotonic() + 10.0
             while c.loop.frames < before + 20 and time.monotonic() < until:
@@ -230,7 +227,7 @@ def test_a_frame_leaves_the_ledger_to_a_waiting_update(scene, library):
     R, at = deepest_pose(scene)
     once = (R[None], at[None], np.zeros((1, 6)), np.full(1, np.nan))
     CLoop(library, renderer, once).run()
-    renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    renderer.update(tt.PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
     renderer._c.pause()
     before = renderer._fields.pair.ledger.copy()
     CLoop(library, renderer, once).run()

@@ -20,8 +20,7 @@ from tests.drags import (
     pushing,
     unlimited,
 )
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField

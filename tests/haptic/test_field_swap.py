@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
 from tests.haptic.test_renderer import random_field
+from tests.kit import InputError, small_scene
 from ttus_opt.contact.friction import FRICTION
-from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import (
     BENT,
     DIFFERENCE,

@@ -8,15 +8,8 @@ import ttus_opt as tt
 from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing
 from ttus_opt import example
 from ttus_opt.cli import main
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import TtusWarning
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.field_wrench import wrenches_along
-from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.metrics import evaluate
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def motion(n=40):
@@ -29,12 +22,12 @@ def motion(n=40):
     turns = np.stack([np.sin(4 * s), np.cos(3 * s), np.sin(6 * s)], axis=1)
     rotation = Rotation.from_rotvec(0.5 * turns).as_matrix()
     time = 0.05 * np.cumsum(1.0 + 0.5 * np.sin(np.arange(n)))
-    return Trajectory(time, centre - rotation @ SHELL.reference, rotation)
+    return tt.Trajectory(time, centre - rotation @ SHELL.reference, rotation)
 
 
 def rendered(field, trajectory):
     """Frame by frame with the trajectory's twists, shape (T, 6)."""
-    renderer = Renderer(field, SHELL)
+    renderer = tt.Renderer(field, SHELL)
     frames = zip(
         trajectory.rotation, trajectory.position, trajectory.twist(), strict=True
     )
@@ -71,7 +64,7 @@ def test_the_command_writes_what_evaluate_judges(law, tmp_path):
     with pytest.raises(SystemExit, match="0"):
         main(["render", *arguments, "-o", str(out), "--json"])
     written = tt.read_trajectory(out)
-    judged = evaluate(PotentialField.load(tmp_path / "field.nc"), shell, written)
+    judged = tt.evaluate(tt.PotentialField.load(tmp_path / "field.nc"), shell, written)
     np.testing.assert_allclose(written.force, judged.rendered_force, atol=1e-11)
     np.testing.assert_allclose(written.torque, judged.rendered_torque, atol=1e-12)
     assert judged.errors.force_vector_rmse_N < 1e-11
@@ -84,36 +77,36 @@ def test_a_frame_of_the_bundled_drag_sweep():
     surface = tt.Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE)
     recorded = tt.read_trajectory(example.path("sweep_drag_fit.csv"))
-    scene = Scene.assemble(
-        Voxmap.from_surface(surface, shape=(12, 36, 16), r_inner=0.03),
+    scene = tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=(12, 36, 16), r_inner=0.03),
         shell,
         recorded.select(slice(None, None, 4)),
         inner="fit",
         sampling="trilinear",
     )
     field = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2).field
-    judged = evaluate(field, shell, recorded)
+    judged = tt.evaluate(field, shell, recorded)
     k = 90
     np.testing.assert_allclose(recorded.force[k], [0.49, 4.64, -1.68], atol=5e-3)
     pose = recorded.rotation[k], recorded.position[k]
-    whole = Renderer(field, shell).render(*pose, recorded.twist()[k])
+    whole = tt.Renderer(field, shell).render(*pose, recorded.twist()[k])
     np.testing.assert_allclose(whole.force, judged.rendered_force[k], atol=1e-11)
     np.testing.assert_allclose(whole.torque, judged.rendered_torque[k], atol=1e-12)
-    with pytest.warns(TtusWarning, match="friction_coefficient"):
-        bare = Renderer(field, shell).render(*pose)
+    with pytest.warns(tt.TtusWarning, match="friction_coefficient"):
+        bare = tt.Renderer(field, shell).render(*pose)
     assert np.linalg.norm(bare.force - recorded.force[k]) > 1.2
     assert np.linalg.norm(whole.force - recorded.force[k]) < 0.6
 
 
 def test_evaluate_counts_points_beyond_the_inner_layer():
-    shallow = Voxmap.from_surface(SURFACE, shape=(8, 30, 14), r_inner=0.07)
+    shallow = tt.Voxmap.from_surface(SURFACE, shape=(8, 30, 14), r_inner=0.07)
     values = np.ones(shallow.grid.shape)
-    field = PotentialField(shallow, values, "trilinear")
+    field = tt.PotentialField(shallow, values, "trilinear")
     R, at = np.eye(3), np.array([0.0, 0.075, 0.1]) - SHELL.reference
-    deep = Trajectory(np.arange(1.0), at[None], R[None], at[None], at[None])
-    found = evaluate(field, SHELL, deep).beyond_inner
+    deep = tt.Trajectory(np.arange(1.0), at[None], R[None], at[None], at[None])
+    found = tt.evaluate(field, SHELL, deep).beyond_inner
     points = SHELL.points + at
     inner = np.hypot(points[:, 0], points[:, 1]) < 0.07
     assert found[0] == inner.sum() > 10
-    assert Renderer(field, SHELL).render(R, at).beyond_inner == found[0]
+    assert tt.Renderer(field, SHELL).render(R, at).beyond_inner == found[0]
     assert VOXMAP.grid.r_inner < 0.07

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, presses, small_scene, torso
-from tests.pressing import DRAG, pressing
-from ttus_opt.core.errors import InputError
+from tests.kit import DRAG, InputError, ellipsoid, presses, pressing, small_scene, torso
 from ttus_opt.haptic.flat_file import write_flat
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, torso
 from tests.drags import end_share
+from tests.kit import ellipsoid, torso
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.haptic.frame import touch
 from ttus_opt.haptic.kernel_data import FrameData

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, torso
+from tests.kit import ellipsoid, torso
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks
 from ttus_opt.haptic.kernel_data import RUN, FrameData

@@ -5,9 +5,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from ttus_opt.contact.friction import DEADBAND
-from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.motion import (
     DEVIATIONS,
     FOLLOWER,

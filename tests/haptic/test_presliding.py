@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing, unlimited
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from ttus_opt.contact.contact_size import patches_of
-from ttus_opt.core.errors import InputError
-from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.drag import PRESLIDING, VISCOUS
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.presliding import ALONG, BRISTLE, FLANK, STRENGTH, bend
 from ttus_opt.haptic.presliding import LENGTH as LENGTH_OF
-from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.trajectory import Trajectory
 
 LENGTH, STILL = 1e-3, np.zeros(6)
 LAW = {**LAWS["coulomb"], "presliding_length": LENGTH}
@@ -149,7 +146,7 @@ def test_a_recording_feels_what_the_renderer_renders(law):
         [place(a, 0.004 + 0.002 * np.sin(k / 9)) for k, a in enumerate(along)]
     )
     position[30:35] += 0.05  # lifted off
-    motion = Trajectory.from_arrays(
+    motion = tt.Trajectory.from_arrays(
         position, np.tile(np.eye(3), (n, 1, 1)), times=0.05 * np.arange(n)
     )
     field, renderer = held(law), unlimited(held(law))
@@ -158,7 +155,7 @@ def test_a_recording_feels_what_the_renderer_renders(law):
         one = renderer.render(np.eye(3), position[k], motion.twist()[k])
         np.testing.assert_allclose(one.force, along_all.force[k], atol=1e-10)
         np.testing.assert_allclose(one.torque, along_all.torque[k], atol=1e-10)
-    twice = wrenches_along(field, SHELL, Trajectory.concatenate([motion, motion]))
+    twice = wrenches_along(field, SHELL, tt.Trajectory.concatenate([motion, motion]))
     np.testing.assert_allclose(twice.force[n:], along_all.force, atol=1e-12)
 
 
@@ -175,9 +172,9 @@ def test_poses_alone_are_enough():
 @pytest.mark.parametrize("begins", [True, False])
 def test_friction_that_begins_or_ends_with_a_swap_does_not_jump(law, begins):
     """An update during the swap, of which less, or more, than half is felt."""
-    given = BlendLaw(force_rate=8.0, reserve=0.05, capacity=0.05)
+    given = tt.BlendLaw(force_rate=8.0, reserve=0.05, capacity=0.05)
     laws, before = ({}, law) if begins else (law, {}), None
-    renderer = Renderer(held(laws[0]), SHELL, blend=given, force_limit=math.inf)
+    renderer = tt.Renderer(held(laws[0]), SHELL, blend=given, force_limit=math.inf)
     for k, along in enumerate(np.linspace(0.0, 0.02, 1001)):
         if k in (400, 450 if begins else 570):
             share = renderer.blend.progress

@@ -9,27 +9,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import small_scene, torso
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import InputError, refuses, small_scene, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.core.errors import InputError
-from ttus_opt.haptic.blend import BlendLaw
-from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import render_frame
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def random_field(scene):
     values = np.random.default_rng(1).normal(size=scene.voxmap.grid.shape)
-    return PotentialField(scene.voxmap, values, scene.sampling)
+    return tt.PotentialField(scene.voxmap, values, scene.sampling)
 
 
 def test_render_is_the_row_of_the_fit(scene):
     """render(pose) == (N(pose) p, W(pose) p), eq. (6.5) of docs/method/contact.md."""
     field = random_field(scene)
-    renderer = Renderer(field, scene.shell)
+    renderer = tt.Renderer(field, scene.shell)
     force = (scene.N @ field.values.reshape(-1)).reshape(-1, 3)
     torque = (scene.W @ field.values.reshape(-1)).reshape(-1, 3)
     touched = 0
@@ -51,10 +45,10 @@ def test_the_law_at_five_thousand_points(sampling):
     """Random poses, from the air to half sunk and over the ends of the grid."""
     rng = np.random.default_rng(7)
     surface = torso(180, 61)
-    voxmap = Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
-    shell = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=5000)
+    voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=5000)
     values = rng.normal(size=voxmap.grid.shape)
-    renderer = Renderer(PotentialField(voxmap, values, sampling), shell)
+    renderer = tt.Renderer(tt.PotentialField(voxmap, values, sampling), shell)
     rotation = Rotation.random(60, rng=rng).as_matrix()
     angle, z = rng.uniform(0, 2 * np.pi, 60), rng.uniform(-0.02, 0.22, 60)
     r = surface.radius_at(angle, z) + rng.uniform(-0.02, 0.03, 60)
@@ -103,7 +97,7 @@ def least_memory(frame):
 def test_nothing_is_compiled_or_allocated_in_a_frame(scene):
     """Whatever layout a pose has; also while a swap of fields is under way."""
     field = random_field(scene)
-    renderer = Renderer(field, scene.shell, blend=BlendLaw(force_rate=1e-9))
+    renderer = tt.Renderer(field, scene.shell, blend=tt.BlendLaw(force_rate=1e-9))
     known = list(render_frame.signatures)
     out = np.zeros(6)
     trajectory = scene.trajectory
@@ -129,13 +123,13 @@ def test_nothing_is_compiled_or_allocated_in_a_frame(scene):
         assert peak < 2100, stage  # numba's fingerprint of one call's arguments
         drag = after.get(stage, {"friction_coefficient": 0.3})
         values = 2 * field.values if stage == "settled" else field.values
-        renderer.update(PotentialField(field.voxmap, values, field.sampling, drag))
+        renderer.update(tt.PotentialField(field.voxmap, values, field.sampling, drag))
     assert renderer.blend.progress < 1.0
     assert list(render_frame.signatures) == known
 
 
 def test_a_frame_leaves_no_trace_in_the_next_nor_changes_the_last(scene):
-    renderer = Renderer(random_field(scene), scene.shell)
+    renderer = tt.Renderer(random_field(scene), scene.shell)
     poses = list(zip(scene.trajectory.rotation, scene.trajectory.position, strict=True))
     kept = [renderer.render(*pose) for pose in poses]
     first = [wrench.force.copy() for wrench in kept]
@@ -145,7 +139,7 @@ def test_a_frame_leaves_no_trace_in_the_next_nor_changes_the_last(scene):
 
 
 def test_outside_the_grid_is_zero_and_says_so(scene):
-    renderer = Renderer(random_field(scene), scene.shell)
+    renderer = tt.Renderer(random_field(scene), scene.shell)
     far = np.array([0.0, 0.0, 7.0])
     assert renderer.render_into(np.eye(3), far, np.empty(6)) == -1
     wrench = renderer.render(np.eye(3), far)
@@ -169,7 +163,7 @@ def test_outside_the_grid_is_zero_and_says_so(scene):
     ],
 )
 def test_unusable_poses(scene, rotation, position, word):
-    renderer = Renderer(random_field(scene), scene.shell)
+    renderer = tt.Renderer(random_field(scene), scene.shell)
     refuses(InputError, word, renderer.render, rotation, position)
 
 
@@ -177,11 +171,11 @@ def test_a_field_loaded_from_file_renders_the_same(tmp_path):
     scene = small_scene("trilinear")
     field = random_field(scene)
     field.save(f"{tmp_path}/field.nc")
-    loaded = PotentialField.load(f"{tmp_path}/field.nc")
+    loaded = tt.PotentialField.load(f"{tmp_path}/field.nc")
     R, at = scene.trajectory.rotation[3], scene.trajectory.position[3]
     np.testing.assert_array_equal(
-        Renderer(loaded, scene.shell).render(R, at).force,
-        Renderer(field, scene.shell).render(R, at).force,
+        tt.Renderer(loaded, scene.shell).render(R, at).force,
+        tt.Renderer(field, scene.shell).render(R, at).force,
     )
     rows = contact_rows(loaded.voxmap, scene.shell, R[None], at[None])
     assert rows.contact_points[0] == scene.rows.contact_points[3]
@@ -190,8 +184,8 @@ def test_a_field_loaded_from_file_renders_the_same(tmp_path):
 def test_the_callers_field_is_not_the_renderers(scene):
     """Changing an array after it was handed over changes no force."""
     values = np.random.default_rng(2).normal(size=scene.voxmap.grid.shape)
-    renderer = Renderer(
-        PotentialField(scene.voxmap, values, scene.sampling), scene.shell
+    renderer = tt.Renderer(
+        tt.PotentialField(scene.voxmap, values, scene.sampling), scene.shell
     )
     k = int(scene.rows.contact_points.argmax())
     pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
@@ -202,14 +196,14 @@ def test_the_callers_field_is_not_the_renderers(scene):
 
 def test_an_update_before_the_first_frame_is_simply_taken(scene):
     field = random_field(scene)
-    renderer = Renderer(field, scene.shell)
-    new = PotentialField(field.voxmap, 3 * field.values, field.sampling)
+    renderer = tt.Renderer(field, scene.shell)
+    new = tt.PotentialField(field.voxmap, 3 * field.values, field.sampling)
     renderer.update(new)
     assert renderer.blend.progress == 1.0
     k = int(scene.rows.contact_points.argmax())
     pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
     np.testing.assert_array_equal(
-        renderer.render(*pose).force, Renderer(new, scene.shell).render(*pose).force
+        renderer.render(*pose).force, tt.Renderer(new, scene.shell).render(*pose).force
     )
 
 
@@ -217,12 +211,12 @@ def test_an_update_must_fit():
     scene = small_scene("trilinear")
     field = random_field(scene)
     told, other = "cannot change the field's sampling", "voxel-mean"
-    renderer = Renderer(field, scene.shell)
+    renderer = tt.Renderer(field, scene.shell)
     refuses(InputError, told, renderer.update, replace(field, sampling=other))
 
 
 def test_out_must_hold_a_wrench(scene):
-    renderer = Renderer(random_field(scene), scene.shell)
+    renderer = tt.Renderer(random_field(scene), scene.shell)
     with pytest.raises(InputError, match=r"\(6,\), got float64 \(3,\)"):
         renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))
 
@@ -232,7 +226,7 @@ def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
     """The newest field, settled, with its limits: as a renderer built of it."""
     scene = small_scene("trilinear")
     field = random_field(scene)
-    renderer = Renderer(field, scene.shell, force_limit=0.5)
+    renderer = tt.Renderer(field, scene.shell, force_limit=0.5)
     renderer.render(scene.trajectory.rotation[0], scene.trajectory.position[0])
     newest = replace(field, values=2.0 * field.values)
     renderer.update(newest)  # a blend that is still under way
@@ -247,7 +241,7 @@ def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code, tmp_path], check=True, timeout=300)
     there = np.load(tmp_path / "felt.npy")
-    own = Renderer(newest, scene.shell, force_limit=0.5)
+    own = tt.Renderer(newest, scene.shell, force_limit=0.5)
     here = [own.render(R, x) for R, x in zip(*poses, strict=True)]
     assert (there == [[*w.force, *w.torque] for w in here]).all()
     assert np.linalg.norm(there[:, :3], axis=1).max() == pytest.approx(0.5)

@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, TtusWarning
+from tests.kit import (
+    DRAG,
+    TWIST,
+    InputError,
+    TtusWarning,
+    deepest_pose,
+    pressing,
+    refuses,
+    small_scene,
+)
 from ttus_opt.haptic.renderer import Renderer
 
 

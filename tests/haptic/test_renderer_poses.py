@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.pressing import deepest_pose, pressing
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, deepest_pose, pressing, refuses
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import orthonormalise
 from ttus_opt.probe.pose import rotations

@@ -5,23 +5,19 @@ import threading
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.haptic.test_renderer import random_field
-from tests.pressing import DRAG, TWIST, deepest_pose, pressing
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
-from ttus_opt.haptic.blend import BlendLaw
+from tests.kit import DRAG, TWIST, InputError, deepest_pose, pressing, refuses
 from ttus_opt.haptic.field_swap import swapped
-from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.voxmap.field import PotentialField
 
 
 def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     """A standing probe feels a slow change, and in the air the last field holds."""
     field = random_field(scene)
-    law = BlendLaw(force_rate=5.0, reserve=1.0)
-    renderer = Renderer(field, scene.shell, blend=law)
+    law = tt.BlendLaw(force_rate=5.0, reserve=1.0)
+    renderer = tt.Renderer(field, scene.shell, blend=law)
     fields = [
-        PotentialField(field.voxmap, s * field.values, field.sampling)
+        tt.PotentialField(field.voxmap, s * field.values, field.sampling)
         for s in np.random.default_rng(5).uniform(0.2, 3.0, 25)
     ]
     k = int(scene.rows.contact_points.argmax())
@@ -50,7 +46,7 @@ def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     assert renderer.blend.progress == 1.0
     np.testing.assert_array_equal(
         renderer.render(*pose).force,
-        Renderer(fields[-1], scene.shell).render(*pose).force,
+        tt.Renderer(fields[-1], scene.shell).render(*pose).force,
     )
 
 
@@ -67,10 +63,10 @@ def scratch_of(renderer):
 def test_other_threads_calls_leave_a_frames_scratch_alone(scene, call):
     """A frame may be half done when another thread updates or compiles."""
     field = pressing(scene, DRAG)
-    renderer = Renderer(field, scene.shell, blend=BlendLaw(force_rate=1e-9))
+    renderer = tt.Renderer(field, scene.shell, blend=tt.BlendLaw(force_rate=1e-9))
     pose = deepest_pose(scene)
     renderer.render(*pose, TWIST)
-    renderer.update(PotentialField(field.voxmap, 2 * field.values, field.sampling))
+    renderer.update(tt.PotentialField(field.voxmap, 2 * field.values, field.sampling))
     renderer.render(*pose, TWIST)
     before, data = scratch_of(renderer), renderer._data
     if call == "warm_up":
@@ -87,9 +83,9 @@ def test_other_threads_calls_leave_a_frames_scratch_alone(scene, call):
 def test_frames_give_way_to_an_update(scene):
     """While an update wants the turn, frames render and do not take it."""
     field, pose = pressing(scene), deepest_pose(scene)
-    renderer = Renderer(field, scene.shell)
+    renderer = tt.Renderer(field, scene.shell)
     renderer.render(*pose)
-    renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    renderer.update(tt.PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
     renderer._waiting = True
     before = renderer._fields.pair.ledger.copy()
     force = renderer.render(*pose).force
@@ -102,7 +98,7 @@ def test_frames_give_way_to_an_update(scene):
 def test_updates_come_one_after_the_other(scene, monkeypatch):
     """A second update still waiting keeps its claim when the first one ends."""
     field = pressing(scene)
-    renderer, claims = Renderer(field, scene.shell), []
+    renderer, claims = tt.Renderer(field, scene.shell), []
     threads = [threading.Thread(target=renderer.update, args=(field,)) for _ in "ab"]
 
     def watched(*arguments):
@@ -125,7 +121,7 @@ def test_updates_come_one_after_the_other(scene, monkeypatch):
 @pytest.mark.parametrize("call", ["render", "render_into"])
 def test_two_threads_that_render_at_once_are_told(scene, call):
     """A second frame comes while the first is under way; afterwards all is well."""
-    renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
+    renderer, pose = tt.Renderer(pressing(scene), scene.shell), deepest_pose(scene)
     within, told = renderer._set_motion, []
 
     def frame():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, small_scene
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 THETA = np.arange(8) * np.pi / 4.0

@@ -12,10 +12,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import small_scene
-from tests.pressing import deepest_pose, pressing
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, TtusError
+from tests.kit import (
+    InputError,
+    TtusError,
+    deepest_pose,
+    pressing,
+    refuses,
+    small_scene,
+)
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, small_scene
-from tests.refusals import refuses
+from tests.kit import InputError, ellipsoid, refuses, small_scene
 from ttus_opt.core.compiled import compiled
-from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.blend import PROGRESS, settled_ledger
 from ttus_opt.haptic.field_swap import RenderedField, RenderedFields
 from ttus_opt.haptic.kernel_data import FrameData

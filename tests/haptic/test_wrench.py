@@ -7,27 +7,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from ttus_opt.contact.row_kernels import REFERENCE_AREA
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, over_limits
-from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import BY_FORCE, _cut, mixed
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: A round body, layers exactly on its surface, and a field of 300 N/cm² per metre
 RADIUS, SLOPE = 0.1, 300.0
 
 
 def made():
-    surface = Surface.from_radius(np.full((24, 5), RADIUS), np.linspace(0.0, 0.2, 5))
-    voxmap = Voxmap.from_surface(surface, shape=(10, 24, 5), r_inner=0.03, r_outer=0.12)
+    surface = tt.Surface.from_radius(np.full((24, 5), RADIUS), np.linspace(0.0, 0.2, 5))
+    voxmap = tt.Voxmap.from_surface(
+        surface, shape=(10, 24, 5), r_inner=0.03, r_outer=0.12
+    )
     depth = RADIUS - voxmap.grid.r
     values = np.broadcast_to(SLOPE * depth[:, None, None], voxmap.grid.shape)
-    field = PotentialField(voxmap, values.copy(), "trilinear")
-    return field, PointShell.sphere(0.01, n_points=200)
+    field = tt.PotentialField(voxmap, values.copy(), "trilinear")
+    return field, tt.PointShell.sphere(0.01, n_points=200)
 
 
 FIELD, SHELL = made()
@@ -47,7 +45,7 @@ def by_hand(R, at):
 def test_a_press_by_hand(depth):
     R = Rotation.from_rotvec([0.2, -0.1, 0.4]).as_matrix()
     at = np.array([RADIUS + 0.01 - depth, 0.0, 0.1])
-    wrench = Renderer(FIELD, SHELL).render(R, at)
+    wrench = tt.Renderer(FIELD, SHELL).render(R, at)
     force, torque = by_hand(R, at)
     np.testing.assert_allclose(wrench.force, force, atol=1e-10)
     np.testing.assert_allclose(wrench.torque, torque, atol=1e-11)
@@ -58,12 +56,12 @@ def test_a_press_by_hand(depth):
 
 def test_a_limit_shortens_the_wrench_as_a_whole_and_the_smaller_one_counts():
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
-    whole = Renderer(FIELD, SHELL).render(R, at)
+    whole = tt.Renderer(FIELD, SHELL).render(R, at)
     assert whole.limited_by == "" and not whole.saturated
     force, torque = (float(np.linalg.norm(x)) for x in (whole.force, whole.torque))
     for of_force, of_torque, name in ((1.1, 0.5, "torque"), (0.2, 0.5, "force")):
         limits = {"force_limit": of_force * force, "torque_limit": of_torque * torque}
-        cut = Renderer(FIELD, SHELL, **limits).render(R, at)
+        cut = tt.Renderer(FIELD, SHELL, **limits).render(R, at)
         share = min(of_force, of_torque)
         assert cut.limited_by == name and cut.saturated
         np.testing.assert_allclose(cut.force, share * whole.force, rtol=1e-12)
@@ -76,7 +74,7 @@ def test_forces_fade_over_the_last_voxel(end, sampling):
     """4 cm deep, across an end: continuous, with drag and without, and named."""
     parameters = {"friction_coefficient": 0.3}
     field = replace(FIELD, sampling=sampling, parameters=parameters)
-    renderer = Renderer(field, SHELL, force_limit=1e6, torque_limit=1e6)
+    renderer = tt.Renderer(field, SHELL, force_limit=1e6, torque_limit=1e6)
     twist = np.array([0.0, 0.05, 0.02, 0.0, 0.0, 0.0])
     inwards, reach = np.sign(0.1 - end), 0.01 + 0.05 + 1e-4  # the sphere and a voxel
     jumps = []
@@ -104,7 +102,7 @@ def test_forces_fade_over_the_last_voxel(end, sampling):
 @pytest.mark.parametrize("factor", [1e6, 1e77, 1e160])
 def test_whatever_a_field_holds_a_hand_survives(factor):
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
-    renderer = Renderer(replace(FIELD, values=factor * FIELD.values), SHELL)
+    renderer = tt.Renderer(replace(FIELD, values=factor * FIELD.values), SHELL)
     wrench = renderer.render(R, at)
     assert wrench.limited_by
     assert (FORCE_LIMIT, TORQUE_LIMIT) == (40.0, 4.0)  # what a hand holds

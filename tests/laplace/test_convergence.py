@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from scipy.special import i0
 
+import ttus_opt as tt
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.voxmap import Voxmap
 
 R_INNER, R_OUTER, HEIGHT = 0.03, 0.2, 0.2
-SHELL = PointShell.ellipsoid((0.03, 0.0125, 0.018), n_points=400)
+SHELL = tt.PointShell.ellipsoid((0.03, 0.0125, 0.018), n_points=400)
 
 
 def potential(r, theta, z):
@@ -38,7 +36,7 @@ def patient():
         middle = 0.5 * (low + high)
         inside = potential(middle, theta, z) > 0.0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-    return Surface.from_radius(0.5 * (low + high), z)
+    return tt.Surface.from_radius(0.5 * (low + high), z)
 
 
 @cache
@@ -70,7 +68,7 @@ def exact_forces():
 @cache
 def errors(n, boundary):
     """Largest error of the field inside, and of force over the largest force."""
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         patient(),
         shape=(n, 2 * n, n + 1),
         r_inner=R_INNER,
@@ -100,7 +98,7 @@ def test_second_order(what):
 
 def test_force_on_a_coarse_grid_points_where_it_does_on_a_fine_one():
     """24 × 60 × 30 against the harmonic field: a degree, 2 % of the largest force."""
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         patient(), shape=(24, 60, 30), r_inner=R_INNER, r_outer=R_OUTER
     )
     grid = voxmap.grid
@@ -118,11 +116,11 @@ def test_force_on_a_coarse_grid_points_where_it_does_on_a_fine_one():
 
 @pytest.mark.parametrize("shape", [(10, 24, 12), (17, 30, 11), (24, 60, 30)])
 def test_a_straight_press_starts_from_zero_and_never_pulls(shape):
-    voxmap = Voxmap.from_surface(patient(), shape=shape, r_inner=R_INNER)
+    voxmap = tt.Voxmap.from_surface(patient(), shape=shape, r_inner=R_INNER)
     system = LaplaceSystem.assemble(voxmap)
     p = system.solve(system.right_side(1.0, 1.0))
     assert voxmap.grid.unflatten(p)[voxmap.inside].min() >= -1e-12
-    sphere = PointShell.sphere(0.01, n_points=200)
+    sphere = tt.PointShell.sphere(0.01, n_points=200)
     depths = np.linspace(-0.0005, 0.02, 83)
     for angle, z in ((0.4, 0.06), (2.1, 0.11), (5.0, 0.14)):
         c, s = np.cos(angle), np.sin(angle)

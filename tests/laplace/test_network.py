@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.terms.departures import difference_rows
 

@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import TtusWarning
+from tests.kit import TtusWarning, ellipsoid, presses, torso
 from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.terms.departures import difference_rows
 from ttus_opt.problem.terms.laplace import LaplaceFreeSurfaceTerm
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: 100°, and the wave that has no flux at its sides
 SECTOR = (np.radians(40.0), np.radians(140.0))
@@ -41,14 +37,14 @@ def patient():
         middle = 0.5 * (low + high)
         inside = harmonic(middle, held) > 0.0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-    return Surface.from_radius(
+    return tt.Surface.from_radius(
         np.repeat(0.5 * (low + high)[:, None], 5, 1), np.linspace(0.0, 0.1, 5)
     )
 
 
 def error(n):
     """Largest error inside."""
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         patient(), shape=(n, n + 1, 6), r_inner=0.03, r_outer=0.2, sector=SECTOR
     )
     grid = voxmap.grid
@@ -73,9 +69,9 @@ def test_a_symmetric_body_is_its_half(boundary, n):
     theta = 0.5 * step * (1.0 + np.arange(4 * n))[:, None]
     z = np.linspace(0.0, 0.2, 7)
     radius = 0.1 + 0.01 * np.cos(theta) + 0.015 * np.cos(2.0 * theta) + 0.05 * z
-    surface = Surface.from_radius(radius, z)
-    whole = Voxmap.from_surface(surface, shape=(12, 2 * n, 9), boundary=boundary)
-    half = Voxmap.from_surface(
+    surface = tt.Surface.from_radius(radius, z)
+    whole = tt.Voxmap.from_surface(surface, shape=(12, 2 * n, 9), boundary=boundary)
+    half = tt.Voxmap.from_surface(
         surface,
         shape=(12, n + 1, 9),
         r_outer=whole.grid.r_outer,
@@ -91,7 +87,7 @@ def test_a_symmetric_body_is_its_half(boundary, n):
 
 def test_solves_are_those_of_the_matrix():
     """And of variants of the operator, whose grid is another one."""
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         torso(), shape=(10, 14, 8), sector=(np.radians(300.0), np.radians(420.0))
     )
     plain, rng = LaplaceSystem.assemble(voxmap), np.random.default_rng(0)
@@ -111,10 +107,10 @@ def test_solves_are_those_of_the_matrix():
 def scene():
     """Presses in a sector of 150° around the front, two of them across its sides."""
     sector = (np.radians(15.0), np.radians(165.0))
-    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 8), sector=sector)
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(9, 12, 8), sector=sector)
     poses = presses(torso(), 12, np.random.default_rng(0))
     with pytest.warns(TtusWarning, match="2 of 12 poses touch .* beyond the grid's"):
-        return Scene.assemble(
+        return tt.Scene.assemble(
             voxmap, ellipsoid(), poses, inner=2.0, outer=1.5, sampling="trilinear"
         )
 
@@ -138,10 +134,10 @@ def test_a_press_on_the_front_is_fitted_as_on_the_full_turn():
     told, unseen = front.select(slice(0, None, 2)), front.select(slice(1, None, 2))
     forces = []
     for n, sector in ((24, None), (12, (np.radians(7.5), np.radians(172.5)))):
-        voxmap = Voxmap.from_surface(
+        voxmap = tt.Voxmap.from_surface(
             torso(), shape=(10, n, 9), r_outer=0.15, sector=sector
         )
-        scene = Scene.assemble(voxmap, ellipsoid(), told, inner=2.0, outer=1.5)
+        scene = tt.Scene.assemble(voxmap, ellipsoid(), told, inner=2.0, outer=1.5)
         field = tt.fit(scene, "eq10", force_weight=1.0, torque_weight=1.0).field
         forces.append(tt.evaluate(field, ellipsoid(), unseen).rendered_force)
     whole, part = forces

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.laplace.multigrid.coarsening import conductances
 from ttus_opt.laplace.stencil import VariantGrid
 from ttus_opt.laplace.system import LaplaceSystem

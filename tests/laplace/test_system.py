@@ -9,10 +9,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 from scipy.special import i0, k0
 
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, torso
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.multigrid import MultigridResult
 from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.scan.surface import Surface

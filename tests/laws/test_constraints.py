@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt.problem.constraints
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.laplace import LaplaceTerm

@@ -5,9 +5,8 @@ import functools
 import pytest
 
 import ttus_opt as tt
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene
 from ttus_opt.contact import friction
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.formulation import available
 
 #: What a field carries for rendering, given and not identified
@@ -24,7 +23,7 @@ GIVEN = {
 @functools.cache
 def fitted():
     made = dragged_scene("contact", shape=(8, 18, 9))
-    return Scene.assemble(
+    return tt.Scene.assemble(
         made.voxmap, made.shell, made.trajectory, inner="fit", sampling="trilinear"
     )
 

@@ -7,9 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt.problem.terms
-from tests.conftest import small_scene
+from tests.kit import InputError, small_scene
 from ttus_opt.core import plugins
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.cvxpy_term import CvxpyRows

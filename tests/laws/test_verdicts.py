@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene
 from ttus_opt.fitting.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce

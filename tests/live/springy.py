@@ -1,7 +1,5 @@
 """A small session: a springy cylinder, a probe, a hand that presses into it."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -16,7 +14,6 @@ from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.simulation import Simulation
 from ttus_opt.message import decode, encode
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 
 RADIUS, BALL = 0.10, 0.02
@@ -54,7 +51,7 @@ def path(seconds=20.0, depth=0.02, period=4.0, lifted=1.0):
     wave = np.sin(np.pi * np.maximum(t - lifted, 0.0) / period) ** 2
     r = RADIUS + BALL + 0.005 - (depth + 0.005) * wave
     position = np.stack([r, np.zeros_like(r), np.full_like(r, 0.15)], axis=1)
-    return Trajectory(t, position, np.tile(np.eye(3), (len(t), 1, 1)))
+    return tt.Trajectory(t, position, np.tile(np.eye(3), (len(t), 1, 1)))
 
 
 def session(impairment=None, *, moved=None, patient=None, **options):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
+from tests.kit import refuses
 from ttus_opt.live.messages import (
     LONGEST,
     LONGEST_DATAGRAM,

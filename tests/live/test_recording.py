@@ -4,9 +4,8 @@ import struct
 import numpy as np
 import pytest
 
+from tests.kit import FileError, refuses
 from tests.live.springy import BALL, session
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.recording import Description, Frame, Recorder, frames_of
 from ttus_opt.live.replay import replay

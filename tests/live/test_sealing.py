@@ -3,8 +3,7 @@ import os
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.live.sealing import SealedChannel, new_key, read_key, write_key
 
 KEY = bytes(range(32))

@@ -8,10 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import some
+from tests.kit import InputError, refuses, some
 from tests.live.springy import PLAN, Spring, parts, path, session
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import (

@@ -4,8 +4,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import NumericalError
+from tests.kit import NumericalError, refuses
 from ttus_opt.live.shared_arrays import SharedArray
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import shared_data
+from tests.kit import InputError, shared_data
 from ttus_opt.contact.standing import depth_of
-from ttus_opt.core.errors import InputError
 from ttus_opt.live.subject import LIFTED, MEETING, PRESS, WAY, Subject, shell_of
 from ttus_opt.live.tissue import TORSO_LAW, VARIES, FieldTissue
 from ttus_opt.live.trial import Trial, simulation

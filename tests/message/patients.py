@@ -8,33 +8,29 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import small_scene, torso
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import TtusWarning
+from tests.kit import TtusWarning, small_scene, torso
 from ttus_opt.message import encode
-from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def uneven(n_theta: int = 40, n_z: int = 15) -> Surface:
+def uneven(n_theta: int = 40, n_z: int = 15) -> tt.Surface:
     """A small torso with bumps, part of it unseen, in a turned frame."""
     plain = torso(n_theta, n_z)
     theta, z = plain.theta[:, None], plain.z[None]
     bumps = 0.002 * np.sin(5 * theta + 40 * z)
     observed = np.broadcast_to(np.sin(theta) > -0.3 + z, bumps.shape)
-    return Surface(
+    return tt.Surface(
         plain.theta,
         plain.z,
         plain.radius + bumps,
         np.where(observed, 0.001, 0.02 + z),
         observed.copy(),
-        Axis(np.array([0.1, -0.2, 1.5]), Rotation.from_rotvec([1, 2, 3]).as_matrix()),
+        tt.Axis(
+            np.array([0.1, -0.2, 1.5]), Rotation.from_rotvec([1, 2, 3]).as_matrix()
+        ),
     )
 
 
-def dented(surface: Surface, depth: float = 0.004) -> Surface:
+def dented(surface: tt.Surface, depth: float = 0.004) -> tt.Surface:
     """Changed over the seam of the angle."""
     radius, observed = surface.radius.copy(), surface.observed.copy()
     radius[-3:, 4:7] -= depth
@@ -44,7 +40,7 @@ def dented(surface: Surface, depth: float = 0.004) -> Surface:
 
 
 @functools.cache
-def fitted(sampling: str = "trilinear") -> PotentialField:
+def fitted(sampling: str = "trilinear") -> tt.PotentialField:
     field = tt.fit(small_scene(sampling), "eq10").field
     return replace(field, parameters={"boundary_scale": 2.0})
 
@@ -54,14 +50,14 @@ SECTOR = (0.2, 2.6)
 
 
 @functools.cache
-def over_a_sector() -> PotentialField:
+def over_a_sector() -> tt.PotentialField:
     full = small_scene("trilinear")
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         full.voxmap.surface, shape=(15, 13, 8), r_inner=0.03, sector=SECTOR
     )
     there = voxmap, full.shell, full.trajectory
     with pytest.warns(TtusWarning, match="2 of 12 poses touch .* beyond the grid's"):
-        scene = Scene.assemble(*there, inner=1.0, sampling="trilinear")
+        scene = tt.Scene.assemble(*there, inner=1.0, sampling="trilinear")
     return tt.fit(scene).field
 
 

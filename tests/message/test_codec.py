@@ -3,23 +3,21 @@
 import numpy as np
 import pytest
 
+import ttus_opt as tt
+from tests.kit import InputError, refuses
 from tests.message.patients import dented, fitted, sent, uneven
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
 from ttus_opt.message.codec import decode, encode
 from ttus_opt.message.surface_message import MAX_ERROR
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
 def test_the_kind_comes_back():
     surface, field = sent()
-    assert isinstance(decode(surface), Surface)
-    assert isinstance(decode(field, base=surface), PotentialField)
+    assert isinstance(decode(surface), tt.Surface)
+    assert isinstance(decode(field, base=surface), tt.PotentialField)
     change = encode(dented(uneven()), base=encode(uneven()))
-    assert isinstance(decode(change, base=encode(uneven())), Surface)
+    assert isinstance(decode(change, base=encode(uneven())), tt.Surface)
 
 
 def test_several_messages_stand_for_the_last_surface():
@@ -30,10 +28,10 @@ def test_several_messages_stand_for_the_last_surface():
     again = encode(first, base=[whole, change])
     for base in ([whole, change], (whole, change)):
         found = decode(again, base=base)
-        assert isinstance(found, Surface)
+        assert isinstance(found, tt.Surface)
         np.testing.assert_allclose(found.radius, first.radius, atol=MAX_ERROR)
     once = decode(change, base=[whole])
-    assert isinstance(once, Surface)
+    assert isinstance(once, tt.Surface)
     np.testing.assert_allclose(once.radius, later.radius, atol=MAX_ERROR)
     # the change back goes with the first change, not with the surface alone
     refuses(InputError, "builds on", decode, again, base=whole)

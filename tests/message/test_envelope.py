@@ -6,9 +6,8 @@ import zlib
 import numpy as np
 import pytest
 
+from tests.kit import InputError, MissingPackageError, refuses
 from tests.message.sealing import sealed
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, MissingPackageError
 from ttus_opt.message.envelope import (
     DENSE,
     LONGEST,

@@ -7,17 +7,22 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.kit import (
+    InputError,
+    TtusError,
+    ellipsoid,
+    presses,
+    refuses,
+    small_scene,
+    torso,
+)
 from tests.message.patients import SECTOR, fitted, over_a_sector, sent, sent_sector
 from tests.message.sealing import body, sealed
-from tests.refusals import refuses
 from ttus_opt import example
-from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.laplace.multigrid.solver import Multigrid
 from ttus_opt.message import decode, encode, field_message
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.message.field_message import sampled
-from ttus_opt.voxmap.field import PotentialField
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
@@ -197,7 +202,7 @@ def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
     base = encode(surface)
     voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
     rough = np.random.default_rng(0).normal(0.0, 0.05, voxmap.grid.shape)
-    message = encode(PotentialField(voxmap, rough, "trilinear"), base=base)
+    message = encode(tt.PotentialField(voxmap, rough, "trilinear"), base=base)
     solve, cycles = Multigrid.solve, []
 
     def counted(self, *given, **named):
@@ -214,7 +219,7 @@ def test_a_field_of_case_M_is_decoded_in_64_MiB_and_a_larger_one_on_request(
         tracemalloc.stop()
     assert len(cycles) == 1 and cycles[0] <= 12
     larger = tt.Voxmap.from_surface(surface, shape=(56, 120, 60), r_inner=0.03)
-    flat = PotentialField(larger, np.zeros(larger.grid.shape), "trilinear")
+    flat = tt.PotentialField(larger, np.zeros(larger.grid.shape), "trilinear")
     with pytest.raises(InputError, match=r"403,200 voxels, at most 400,000 are"):
         decode(encode(flat, base=base), base=base)
 

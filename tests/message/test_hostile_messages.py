@@ -5,11 +5,10 @@ import resource
 import numpy as np
 import pytest
 
-from tests.conftest import torso
 from tests.hostile import SEED, mutated
+from tests.kit import TtusError, torso
 from tests.message.patients import dented, sent, sent_sector, uneven
 from tests.message.sealing import body, sealed
-from ttus_opt.core.errors import TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import NAMES
 

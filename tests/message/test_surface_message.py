@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import torso
+from tests.kit import InputError, TtusError, refuses, torso
 from tests.message.patients import dented, uneven
 from tests.message.sealing import body, sealed
-from tests.refusals import refuses
 from ttus_opt import example
-from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import SURFACE, SURFACE_DELTA
 from ttus_opt.message.surface_message import Window
-from ttus_opt.scan.frame import Axis
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
@@ -125,7 +122,7 @@ def test_the_window_is_the_smallest_on_the_circle(marked, window):
 
 def test_another_grid_or_frame_is_told():
     whole = encode(uneven())
-    for other in (uneven(44), replace(uneven(), axis=Axis.identity())):
+    for other in (uneven(44), replace(uneven(), axis=tt.Axis.identity())):
         refuses(InputError, "another grid or patient frame", encode, other, base=whole)
 
 

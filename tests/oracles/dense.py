@@ -1,7 +1,5 @@
 """Minimisers by dense algebra and by direct factorisation; no code of a solver."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.oracles.plain_assembly import plain_laplace, plain_rows
 
 

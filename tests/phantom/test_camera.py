@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.camera import ScanSetup, View, depth_image, scan, write_cloud
 from ttus_opt.scan.cloud import read_cloud

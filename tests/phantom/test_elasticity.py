@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
+from tests.kit import FileError, InputError, refuses
 from tests.phantom.block import box_mesh
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.phantom import ElasticBody, SkinPatch, elasticity, skin_compliance
 
 

@@ -3,8 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.phantom import EllipsoidProbe, Torso
 from ttus_opt.phantom.examination import push_handling, sweep_handling
 from ttus_opt.phantom.example_data import PROBE

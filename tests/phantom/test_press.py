@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError
+from tests.kit import GeometryError, InputError, refuses
 from ttus_opt.phantom import CoulombDrag, EllipsoidProbe, Motion, press
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.press import solve_unilateral

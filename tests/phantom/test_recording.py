@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.recording import add_pose_noise

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.kit import GeometryError, InputError, refuses
 from tests.phantom.block import box_mesh
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom import Torso, TorsoMesh, press, skin_compliance, torso_body
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.torso import ScannedTorso, graded, ring_mesh

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import presses, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, presses, refuses, torso
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
 

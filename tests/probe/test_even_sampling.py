@@ -3,8 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.probe.even_sampling import (
     SurfaceSamples,
     dense_samples,

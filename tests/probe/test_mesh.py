@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, GeometryError, InputError
+from tests.kit import FileError, GeometryError, InputError, refuses
 from ttus_opt.probe.mesh import TriangleMesh, read_mesh
 
 

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.conftest import SHARED
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError
+from tests.kit import SHARED, GeometryError, refuses
 from ttus_opt.probe import orientation
 from ttus_opt.probe.mesh import TriangleMesh, read_mesh
 from ttus_opt.probe.orientation import consistent_patches, orient_faces

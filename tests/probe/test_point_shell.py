@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import SHARED
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
+from tests.kit import SHARED, FileError, GeometryError, InputError, TtusWarning, refuses
 from ttus_opt.probe import orientation
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell, ellipsoid_area

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.probe.pose import (
     EXACT,
     from_quaternions,

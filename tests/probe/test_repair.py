@@ -1,7 +1,5 @@
 """Holes of a recording: all told at once, and mended where it is asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

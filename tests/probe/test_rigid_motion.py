@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import NUMBERS, only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.rigid_motion import (
     homogeneous,
     inverse,

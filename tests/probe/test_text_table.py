@@ -7,8 +7,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.hostile import NUMBERS, only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.column_names import known_name
 from ttus_opt.probe.text_table import read_text_table
 

@@ -4,22 +4,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import presses, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+import ttus_opt as tt
+from tests.kit import InputError, presses, refuses, torso
 from ttus_opt.phantom import recording
-from ttus_opt.probe.tracker_noise import TrackerNoise
-from ttus_opt.probe.trajectory import Trajectory
 
 
 def two_recordings():
     each = presses(torso(), 7, np.random.default_rng(0))
-    return Trajectory.concatenate([each, each])
+    return tt.Trajectory.concatenate([each, each])
 
 
 def test_the_phantoms_errors_have_the_default_noise():
     """The simulation has numbers and an autoregression of its own."""
-    noise = TrackerNoise()
+    noise = tt.TrackerNoise()
     assert noise.position == recording.POSITION_NOISE
     assert noise.rotation == pytest.approx(recording.ROTATION_NOISE)
     still = presses(torso(), 3, np.random.default_rng(1))
@@ -36,7 +33,7 @@ def test_the_phantoms_errors_have_the_default_noise():
 def test_errors_of_two_recordings_have_nothing_to_do_with_each_other():
     both = two_recordings()
     frames = np.array([1, 9])
-    alike = TrackerNoise(correlation=0.3).correlations(both, frames)
+    alike = tt.TrackerNoise(correlation=0.3).correlations(both, frames)
     for t in range(len(both)):
         for j, frame in enumerate(frames):
             same = both.segment[t] == both.segment[frame]
@@ -46,19 +43,19 @@ def test_errors_of_two_recordings_have_nothing_to_do_with_each_other():
 
 def test_errors_that_are_new_in_every_frame():
     both = two_recordings()
-    alike = TrackerNoise(correlation=0.0).correlations(both, np.arange(14))
+    alike = tt.TrackerNoise(correlation=0.0).correlations(both, np.arange(14))
     np.testing.assert_array_equal(alike, np.eye(14))
 
 
 def test_errors_come_off():
-    noise = TrackerNoise(1e-3, 0.02)
+    noise = tt.TrackerNoise(1e-3, 0.02)
     true = presses(torso(), 5, np.random.default_rng(3))
     xi = np.random.default_rng(4).standard_normal((5, 6))
     turn = Rotation.from_rotvec(0.02 * xi[:, 3:]).as_matrix()  # about patient axes
     rotation, position = noise.moved(true.rotation, true.position, xi)
     np.testing.assert_allclose(position, true.position + 1e-3 * xi[:, :3])
     np.testing.assert_allclose(rotation, turn @ true.rotation)
-    reported = Trajectory(true.time, position, rotation)
+    reported = tt.Trajectory(true.time, position, rotation)
     found = noise.without(reported, xi)
     np.testing.assert_allclose(found.position, true.position, atol=1e-15)
     np.testing.assert_allclose(found.rotation, true.rotation, atol=1e-14)
@@ -79,4 +76,4 @@ def test_errors_come_off():
     ],
 )
 def test_noise_that_is_none(given, said):
-    refuses(InputError, said, TrackerNoise, **given)
+    refuses(InputError, said, tt.TrackerNoise, **given)

@@ -4,9 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import SHARED, presses, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import SHARED, InputError, presses, refuses, torso
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory, thinned
 
 FILES = sorted([*SHARED.glob("phantom*/*.csv"), *SHARED.glob("wrench/*.csv")])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, MistakeWarning
+from tests.kit import FileError, MistakeWarning, refuses
 from ttus_opt.probe.trajectory import read_trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"

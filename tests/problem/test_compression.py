@@ -7,9 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import compression
 from ttus_opt.problem.compression import Compression, compressed_rows
 from ttus_opt.problem.formulation import load
@@ -106,7 +105,7 @@ def test_other_weights_and_values_are_compressed_again(monkeypatch):
     monkeypatch.setattr(compression, "OVERDETERMINED", 1.5)
     scene = small_scene("trilinear", shape=(9, 12, 8), n_poses=150)
     declared = load("eq10", scene)
-    fitter = Fitter(declared)
+    fitter = tt.Fitter(declared)
     fitter.solve()
     other = declared.with_weights(force=0.3)
     fitter.update(other)

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, Search, load

@@ -5,9 +5,7 @@ import traceback
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.core.plugins import formulation_module
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.terms.laplace import LaplaceTerm

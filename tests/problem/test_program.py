@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program

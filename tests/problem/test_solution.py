@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.fitting.batch import fit, judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce

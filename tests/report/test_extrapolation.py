@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import small_scene
+import ttus_opt as tt
+from tests.kit import FileError, small_scene
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.core.errors import FileError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.extrapolation import (
     CELL,
     CHUNK,
@@ -23,13 +21,12 @@ from ttus_opt.report.extrapolation import (
     by_distance_and_depth,
 )
 from ttus_opt.report.metrics import as_rendered, compare
-from ttus_opt.scan.surface import Surface
 
 RADIUS, BALL = 0.1, 0.02
 
 
 def cylinder():
-    return Surface.from_radius(np.full((36, 21), RADIUS), np.linspace(0.0, 0.2, 21))
+    return tt.Surface.from_radius(np.full((36, 21), RADIUS), np.linspace(0.0, 0.2, 21))
 
 
 def presses(angle, depth):
@@ -37,7 +34,7 @@ def presses(angle, depth):
     r, n = RADIUS + BALL - depth, len(depth)
     at = np.c_[r * np.cos(angle), r * np.sin(angle), np.full(n, 0.1)]
     force = np.zeros((n, 3))
-    return Trajectory(
+    return tt.Trajectory(
         0.1 * np.arange(n), at, np.tile(np.eye(3), (n, 1, 1)), force, force
     )
 
@@ -46,7 +43,7 @@ def presses(angle, depth):
 def test_depth_and_place_of_a_ball_on_a_cylinder():
     n = CHUNK + 50  # more than is in memory at once
     angle, depth = np.linspace(0.3, 5.0, n), np.linspace(-0.002, 0.008, n)
-    shell = PointShell.sphere(BALL, 3000)
+    shell = tt.PointShell.sphere(BALL, 3000)
     found = Contacts.of(cylinder(), shell, presses(angle, depth))
     np.testing.assert_allclose(found.depth, np.maximum(depth, 0.0), atol=2e-4)
     on = depth > 1e-3
@@ -60,7 +57,7 @@ def test_a_probe_beyond_the_ends_touches_nothing():
     """Where a robot waits, lower than the skin: it was no place, and is no frame."""
     poses = presses(np.zeros(5), np.full(5, 0.01))
     poses.position[:, 2] = 0.1, 0.3, -0.2, 0.19, 0.23
-    found = Contacts.of(cylinder(), PointShell.sphere(BALL, 3000), poses)
+    found = Contacts.of(cylinder(), tt.PointShell.sphere(BALL, 3000), poses)
     np.testing.assert_array_equal(found.depth > 0.0, [1, 0, 0, 1, 0])
     kept = FittedContacts.of(found)
     assert kept is not None
@@ -69,7 +66,7 @@ def test_a_probe_beyond_the_ends_touches_nothing():
 
 def test_distances_of_a_recording_from_what_was_fitted():
     """Along a cylinder, at chords of known arcs."""
-    shell, surface = PointShell.sphere(BALL, 3000), cylinder()
+    shell, surface = tt.PointShell.sphere(BALL, 3000), cylinder()
     one = presses(np.zeros(3), np.array([0.002, 0.008, 0.004]))
     fitted = FittedContacts.of(Contacts.of(surface, shell, one))
     assert fitted is not None

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.contact.friction import Sliding, coulomb_rows
-from ttus_opt.core.errors import InputError
-from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import (
     angles,
     as_rendered,
@@ -21,17 +17,16 @@ from ttus_opt.report.metrics import (
     hysteresis_share,
     noticeable,
 )
-from ttus_opt.voxmap.field import PotentialField
 
 SCENE = small_scene("trilinear", n_poses=20)
-FIELD = PotentialField(
+FIELD = tt.PotentialField(
     SCENE.voxmap, SCENE.voxmap.grid.unflatten(SCENE.laplace.solve(SCENE.b)), "trilinear"
 )
 
 
 def test_rendered_series_is_the_renderers():
     evaluation = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
-    renderer = Renderer(FIELD, SCENE.shell)
+    renderer = tt.Renderer(FIELD, SCENE.shell)
     for t in range(20):
         wrench = renderer.render(
             SCENE.trajectory.rotation[t], SCENE.trajectory.position[t]
@@ -208,7 +203,7 @@ def test_limits_of_magnitude_and_direction(measured, rendered, degrees, felt):
     assert found.tolist() == [felt]
 
 
-SHELL = PointShell.from_spec("sphere:0.01")
+SHELL = tt.PointShell.from_spec("sphere:0.01")
 STIFFNESS = 800.0
 TIME = np.arange(200) / 20.0
 DEPTH = 0.008 * np.sin(2.0 * np.pi * TIME / 5.0)  # two presses, lifted in between
@@ -222,7 +217,7 @@ def presses(lost=0.0, depth=DEPTH):
     force = np.outer(size, [0.0, 1.0, 0.0])
     position = np.outer(-depth, [0.0, 1.0, 0.0])
     n = len(depth)
-    return Trajectory(TIME[:n], position, np.tile(np.eye(3), (n, 1, 1)), force)
+    return tt.Trajectory(TIME[:n], position, np.tile(np.eye(3), (n, 1, 1)), force)
 
 
 def test_a_spring_gives_everything_back():
@@ -242,7 +237,7 @@ def test_a_turn_against_a_torque_is_work_too():
     rotation = np.stack([cos, -sin, no, sin, cos, no, no, no, no + 1.0], axis=1)
     rate = np.gradient(angle, TIME)
     torque = np.outer(-0.05 * rate, [0.0, 0.0, 1.0])  # a damper alone
-    turned = Trajectory(
+    turned = tt.Trajectory(
         TIME,
         np.zeros((len(TIME), 3)),
         rotation.reshape(-1, 3, 3),
@@ -255,5 +250,5 @@ def test_a_turn_against_a_torque_is_work_too():
 def test_nothing_is_told_where_no_press_is_complete():
     middle = presses(0.4).select(slice(10, 40))
     assert np.isnan(hysteresis_share(middle, SHELL, 0.5))
-    bare = Trajectory(middle.time, middle.position, middle.rotation)
+    bare = tt.Trajectory(middle.time, middle.position, middle.rotation)
     refuses(InputError, "forces", hysteresis_share, bare, SHELL, 0.5)

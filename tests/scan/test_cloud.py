@@ -12,10 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ttus_opt as tt
-from tests.conftest import shared_data, torso
 from tests.hostile import NUMBERS, only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError, TtusError
+from tests.kit import FileError, InputError, TtusError, refuses, shared_data, torso
 from ttus_opt.scan.cloud import extent_words, inside, read_cloud
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)).astype("<f4")

@@ -5,8 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.scan import contour_filter
 from ttus_opt.scan.candidates import Candidates
 from ttus_opt.scan.contour_filter import (

@@ -13,12 +13,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tests.conftest import shared_data
-from tests.refusals import refuses
+from tests.kit import GeometryError, InputError, TtusWarning, refuses, shared_data
 from tests.scan import camera
 from tests.scan.clouds import cylinder
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.scan.candidates import Candidates, collect, usable_range
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.contour_filter import Contour, ContourModel, associate, follow

@@ -8,16 +8,12 @@ from hypothesis import example as example_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import shared_data
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import GeometryError, InputError, TtusWarning, refuses, shared_data
 from ttus_opt import example
-from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
 from ttus_opt.probe.even_sampling import sphere_lattice
 from ttus_opt.scan import frame_estimate
-from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
-from ttus_opt.scan.surface import Surface
 
 
 def rotation(rng):
@@ -51,7 +47,7 @@ def test_found_on_a_bed_in_any_attitude(seed, upper):
     rng = np.random.default_rng(seed)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
     cloud = np.concatenate([body(rng, upper=upper), bed(rng)]) @ R.T + t
-    axis = Axis.from_cloud(cloud)
+    axis = tt.Axis.from_cloud(cloud)
     x, y, z = (R.T @ axis.rotation).T  # the axes in the body's own frame
     assert z[2] > np.cos(np.radians(5))  # towards the head
     assert y[1] > np.cos(np.radians(2))  # away from the bed
@@ -64,18 +60,18 @@ def test_found_on_a_bed_in_any_attitude(seed, upper):
 def test_the_user_says_how_the_patient_lies():
     rng = np.random.default_rng(3)
     cloud = np.concatenate([body(rng, upper=False), bed(rng)])
-    found = Axis.from_cloud(cloud).rotation
+    found = tt.Axis.from_cloud(cloud).rotation
     turned = found * [-1, 1, -1]
-    np.testing.assert_array_equal(Axis.from_cloud(cloud, flip=True).rotation, turned)
-    feet_first = Axis.from_cloud(cloud, head=[0.4, 0.0, -1.0])
+    np.testing.assert_array_equal(tt.Axis.from_cloud(cloud, flip=True).rotation, turned)
+    feet_first = tt.Axis.from_cloud(cloud, head=[0.4, 0.0, -1.0])
     np.testing.assert_array_equal(feet_first.rotation, turned)
-    assert feet_first.origin.tolist() == Axis.from_cloud(cloud).origin.tolist()
-    prone = Axis.from_cloud(cloud, prone=True, head=[0, 0, 1])
+    assert feet_first.origin.tolist() == tt.Axis.from_cloud(cloud).origin.tolist()
+    prone = tt.Axis.from_cloud(cloud, prone=True, head=[0, 0, 1])
     np.testing.assert_array_equal(prone.rotation, found * [-1, -1, 1])
     with pytest.raises(GeometryError, match="90° away from the body's axis"):
-        Axis.from_cloud(cloud, head=[1, 0, 0])
-    refuses(InputError, "must not be zero", Axis.from_cloud, cloud, head=[0, 0, 0])
-    refuses(InputError, "a direction x,y,z", Axis.from_cloud, cloud, head=[0, 1])
+        tt.Axis.from_cloud(cloud, head=[1, 0, 0])
+    refuses(InputError, "must not be zero", tt.Axis.from_cloud, cloud, head=[0, 0, 0])
+    refuses(InputError, "a direction x,y,z", tt.Axis.from_cloud, cloud, head=[0, 1])
 
 
 def test_what_the_scan_hardly_tells_is_said(monkeypatch):
@@ -84,7 +80,7 @@ def test_what_the_scan_hardly_tells_is_said(monkeypatch):
     theta, z = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(-0.25, 0.25, 20_000)
     tube = np.stack([0.17 * np.cos(theta), 0.11 * np.sin(theta), z], axis=1)
     with pytest.warns(TtusWarning) as told:
-        Axis.from_cloud(tube)
+        tt.Axis.from_cloud(tube)
     messages = [str(w.message) for w in told]
     assert ["which side is the front" in m for m in messages] == [True, False]
     assert ["which end is the head" in m for m in messages] == [False, True]
@@ -94,10 +90,10 @@ def test_what_the_scan_hardly_tells_is_said(monkeypatch):
 def turned_around(cloud, count):
     """Largest difference of the frames of a scan turned and shuffled [°, m]."""
     rng = np.random.default_rng(7)
-    own, angles, distances = Axis.from_cloud(cloud), [], []
+    own, angles, distances = tt.Axis.from_cloud(cloud), [], []
     for _ in range(count):
         R, t = rotation(rng), rng.uniform(-1, 1, 3)
-        other = Axis.from_cloud(rng.permutation(cloud) @ R.T + t)
+        other = tt.Axis.from_cloud(rng.permutation(cloud) @ R.T + t)
         off = own.rotation.T @ R.T @ other.rotation
         angles.append(np.degrees(np.arccos(np.clip(np.trace(off) / 2 - 0.5, -1, 1))))
         distances.append(float(np.linalg.norm(R.T @ (other.origin - t) - own.origin)))
@@ -105,9 +101,9 @@ def turned_around(cloud, count):
 
 
 def test_turning_the_examples_scan_keeps_its_frame():
-    cloud = read_cloud(example.path("scan.ply"))
-    truth = Surface.load(example.path("surface.nc")).axis
-    off = truth.rotation.T @ Axis.from_cloud(cloud).rotation
+    cloud = tt.read_cloud(example.path("scan.ply"))
+    truth = tt.Surface.load(example.path("surface.nc")).axis
+    off = truth.rotation.T @ tt.Axis.from_cloud(cloud).rotation
     assert np.trace(off) > 1 + 2 * np.cos(np.radians(0.5))
     angle, distance = turned_around(cloud, 1)
     assert angle < 0.5
@@ -116,7 +112,7 @@ def test_turning_the_examples_scan_keeps_its_frame():
 
 @pytest.mark.slow
 def test_many_turns_of_the_examples_scan():
-    angle, distance = turned_around(read_cloud(example.path("scan.ply")), 40)
+    angle, distance = turned_around(tt.read_cloud(example.path("scan.ply")), 40)
     assert angle < 0.5
     assert distance < 2e-3
 
@@ -125,8 +121,8 @@ def test_many_turns_of_the_examples_scan():
 def test_head_and_front_of_a_real_torso():
     """A CT's skin: x to the right, y to the front and z to the head (RAS)."""
     path = shared_data("torso/ct_skin_mm.ply")
-    cloud = read_cloud(path, unit="mm")
-    axis = Axis.from_cloud(cloud)
+    cloud = tt.read_cloud(path, unit="mm")
+    axis = tt.Axis.from_cloud(cloud)
     assert np.diag(axis.rotation).min() > np.cos(np.radians(8))
     angle, distance = turned_around(cloud, 4)
     assert angle < 3.0  # a belly: its long axis is known no better
@@ -140,7 +136,7 @@ def test_head_and_front_of_a_real_torso():
 def test_found_without_a_bed(seed):
     rng = np.random.default_rng(seed)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
-    axis = Axis.from_cloud(body(rng, upper=False) @ R.T + t)
+    axis = tt.Axis.from_cloud(body(rng, upper=False) @ R.T + t)
     _, y, z = (R.T @ axis.rotation).T
     assert z[2] > np.cos(np.radians(6))
     assert y[1] > np.cos(np.radians(12))  # along the shorter diameter, off the flat
@@ -156,7 +152,7 @@ def no_bed(monkeypatch):
 def test_one_sided_without_a_bed_looks_to_the_seen_side(monkeypatch):
     no_bed(monkeypatch)
     rng = np.random.default_rng(0)
-    axis = Axis.from_cloud(body(rng, upper=True, n=8000))
+    axis = tt.Axis.from_cloud(body(rng, upper=True, n=8000))
     assert axis.rotation[1, 1] > 0.95
     assert abs(axis.origin[0]) < 0.02
     assert -0.15 < axis.origin[1] < 0.18  # below the ridge at 0.22
@@ -167,7 +163,7 @@ def test_real_scan():
     with pytest.warns(
         TtusWarning, match="which end is the head"
     ):  # as high at both ends
-        axis = Axis.from_cloud(read_cloud(path))
+        axis = tt.Axis.from_cloud(tt.read_cloud(path))
     assert abs(axis.rotation[0, 2]) > np.cos(np.radians(8))  # the body lies along x
     assert axis.rotation[2, 1] > np.cos(np.radians(3))  # the table faces +z
     assert np.all((axis.origin > [0.5, -0.45, -0.15]) & (axis.origin < [0.7, -0.3, 0]))
@@ -175,11 +171,11 @@ def test_real_scan():
 
 def test_refusals():
     rng = np.random.default_rng(0)
-    refuses(InputError, "100 at least", Axis.from_cloud, np.zeros((10, 3)))
+    refuses(InputError, "100 at least", tt.Axis.from_cloud, np.zeros((10, 3)))
     flat = bed(rng)
     stubs = np.array([[0.0, 0.1, 0]]) + 0.003 * rng.standard_normal((400, 3))
     with pytest.raises(GeometryError, match="points stand above the supporting"):
-        Axis.from_cloud(np.concatenate([flat, stubs]))
+        tt.Axis.from_cloud(np.concatenate([flat, stubs]))
 
 
 def tube(n_around, n_along, share=1.0):

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.refusals import refuses
+from tests.kit import FileError, refuses
 from tests.scan.test_cloud import POINTS, lzf_compress, pcd_header
-from ttus_opt.core.errors import FileError
 from ttus_opt.scan.pcd import lzf_decompress, read_pcd
 
 #: A 16-bit intensity, doubles, three normals: fields on all sides of x, y, z

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import torso
-from ttus_opt.scan.frame import Axis
+import ttus_opt as tt
+from tests.kit import torso
 from ttus_opt.scan.radius_lookup import radius_between, radius_cell
-from ttus_opt.scan.surface import Surface
 
 BASE = torso(n_theta=37, n_z=11)
 
@@ -21,13 +20,13 @@ def look(theta, z, n_theta, n_z, layout, flat):
 
 
 def turned(first_angle):
-    return Surface(
+    return tt.Surface(
         BASE.theta + first_angle,
         BASE.z,
         BASE.radius,
         BASE.radius_std,
         BASE.observed,
-        Axis.identity(),
+        tt.Axis.identity(),
     )
 
 

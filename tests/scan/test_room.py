@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
-from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.frame import Axis
+import ttus_opt as tt
+from tests.kit import GeometryError, InputError, TtusWarning, refuses
 from ttus_opt.scan.frame_estimate import camera_of
 from ttus_opt.scan.room import alone_in_room
 
@@ -32,7 +30,7 @@ def room():
 
 @pytest.mark.slow
 def test_the_side_that_the_camera_saw_is_the_front():
-    axis = Axis.from_cloud(person(), head=[0, -1, 0])
+    axis = tt.Axis.from_cloud(person(), head=[0, -1, 0])
     np.testing.assert_array_equal(camera_of(person()), 0.0)
     assert axis.support is None  # trunk's edges and arms at one depth are no table
     assert axis.rotation[:, 1] @ [0, 0, -1] > 0.99
@@ -44,7 +42,7 @@ def test_the_side_that_the_camera_saw_is_the_front():
 def test_who_stands_alone_is_cropped(tmp_path):
     np.save(tmp_path / "room.npy", np.concatenate([room(), person()]))
     with pytest.warns(TtusWarning, match="shows a room: only the body"):
-        found = read_cloud(tmp_path / "room.npy")
+        found = tt.read_cloud(tmp_path / "room.npy")
     assert len(found) > 0.3 * len(person())
     assert np.abs(found[:, 2] - 2).max() < 0.2
 
@@ -57,12 +55,12 @@ def test_the_table_that_a_body_lies_on_stays_with_it(tmp_path):
     u, v = np.meshgrid(np.linspace(-0.45, 0.45, 90), np.linspace(-1.25, 1.25, 250))
     table = np.stack([u, np.zeros_like(u), v], -1)[np.abs(u) + np.abs(v) > 0.3]
     points = np.concatenate([trunk, table]) + rng.normal(0, 0.001, (1, 3))
-    whole = Axis.from_cloud(points, head=[0, 0, 1])
+    whole = tt.Axis.from_cloud(points, head=[0, 0, 1])
     np.save(tmp_path / "wide.npy", points)
     with pytest.warns(TtusWarning, match="shows a room"):
-        found = read_cloud(tmp_path / "wide.npy")
+        found = tt.read_cloud(tmp_path / "wide.npy")
     assert np.ptp(found[:, 2]) < 1.3  # of 2.5 m
-    axis = Axis.from_cloud(found, head=[0, 0, 1])
+    axis = tt.Axis.from_cloud(found, head=[0, 0, 1])
     assert axis.support is not None
     np.testing.assert_allclose(axis.origin, whole.origin, atol=0.005)
     np.testing.assert_allclose(axis.rotation, whole.rotation, atol=0.01)
@@ -83,6 +81,6 @@ def test_several_bodies_are_named(tmp_path):
     refuses(GeometryError, "several bodies", alone_in_room, two)
     np.save(tmp_path / "two.npy", two)  # 3 m: no larger than a torso's scan may be
     with pytest.warns(TtusWarning, match="read whole: .*crop it by box="):
-        assert len(read_cloud(tmp_path / "two.npy")) == len(two)
+        assert len(tt.read_cloud(tmp_path / "two.npy")) == len(two)
     np.save(tmp_path / "larger.npy", 1.2 * two)
-    refuses(InputError, "crop it by box=", read_cloud, tmp_path / "larger.npy")
+    refuses(InputError, "crop it by box=", tt.read_cloud, tmp_path / "larger.npy")

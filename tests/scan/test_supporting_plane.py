@@ -5,9 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import some
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, some
 from ttus_opt.scan import supporting_plane
 from ttus_opt.scan.supporting_plane import find_supporting_plane
 

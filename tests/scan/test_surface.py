@@ -9,20 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from tests.conftest import shared_data
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import FileError, GeometryError, InputError, refuses, shared_data
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError, GeometryError, InputError
-from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.surface import Surface
 
 
 def wavy(n_theta=12, n_z=7, seed=0):
     rng = np.random.default_rng(seed)
-    surface = Surface.from_radius(
+    surface = tt.Surface.from_radius(
         0.15 + 0.02 * rng.standard_normal((n_theta, n_z)),
         np.linspace(-0.1, 0.2, n_z),
-        axis=Axis(rng.standard_normal(3), np.eye(3)[[1, 2, 0]]),
+        axis=tt.Axis(rng.standard_normal(3), np.eye(3)[[1, 2, 0]]),
     )
     std = rng.uniform(0, 0.01, surface.radius.shape)
     return replace(surface, radius_std=std, observed=std < 0.005)
@@ -65,7 +62,7 @@ def test_points_lie_on_the_radius():
 def test_file_round_trip(tmp_path):
     s = wavy()
     s.save(tmp_path / "new" / "surface.nc")
-    again = Surface.load(tmp_path / "new" / "surface.nc")
+    again = tt.Surface.load(tmp_path / "new" / "surface.nc")
     for name in ("theta", "z", "radius", "radius_std", "observed"):
         np.testing.assert_array_equal(getattr(again, name), getattr(s, name))
     np.testing.assert_array_equal(again.axis.origin, s.axis.origin)
@@ -82,7 +79,7 @@ def test_file_from_elsewhere(tmp_path):
         coords={"theta": s.theta, "z": s.z},
     )
     data.to_netcdf(tmp_path / "foreign.nc", engine="netcdf4")
-    again = Surface.load(tmp_path / "foreign.nc")
+    again = tt.Surface.load(tmp_path / "foreign.nc")
     np.testing.assert_allclose(again.radius, s.radius)
     assert again.observed.all() and not again.radius_std.any()
     np.testing.assert_array_equal(again.axis.rotation, np.eye(3))
@@ -99,21 +96,21 @@ def _file(path, *, units="m", **changes):
 
 
 def test_bad_files(tmp_path):
-    refuses(FileError, "not found", Surface.load, tmp_path / "none.nc")
+    refuses(FileError, "not found", tt.Surface.load, tmp_path / "none.nc")
     (tmp_path / "text.nc").write_text("hello")
-    refuses(FileError, "not a readable netCDF", Surface.load, tmp_path / "text.nc")
+    refuses(FileError, "not a readable netCDF", tt.Surface.load, tmp_path / "text.nc")
     with pytest.raises(FileError, match="'mm', expected 'm'"):
-        Surface.load(_file(tmp_path / "mm.nc", units="mm"))
+        tt.Surface.load(_file(tmp_path / "mm.nc", units="mm"))
     with pytest.raises(FileError, match="z has units 'mm', expected 'm'"):
         millimetres = ("z", 1000.0 * wavy().z, {"units": "mm"})
-        Surface.load(_file(tmp_path / "z_mm.nc", z=millimetres))
+        tt.Surface.load(_file(tmp_path / "z_mm.nc", z=millimetres))
     with pytest.raises(FileError, match="radius_std has units 'cm', expected 'm'"):
         deviation = (("theta", "z"), wavy().radius_std, {"units": "cm"})
-        Surface.load(_file(tmp_path / "std_cm.nc", radius_std=deviation))
+        tt.Surface.load(_file(tmp_path / "std_cm.nc", radius_std=deviation))
     with pytest.raises(FileError, match="no variable radius"):
-        Surface.load(_file(tmp_path / "flat.nc", radius=("z", np.zeros(7))))
+        tt.Surface.load(_file(tmp_path / "flat.nc", radius=("z", np.zeros(7))))
     with pytest.raises(FileError, match="equal steps"):
-        Surface.load(_file(tmp_path / "z.nc", z=np.linspace(0, 1, 7) ** 2))
+        tt.Surface.load(_file(tmp_path / "z.nc", z=np.linspace(0, 1, 7) ** 2))
     wavy().save(tmp_path / "s.nc")
     with pytest.raises(FileError, match="holds surface, expected a field"):
         io.read_dataset(tmp_path / "s.nc", kind="field", version=1)
@@ -121,7 +118,7 @@ def test_bad_files(tmp_path):
         io.read_dataset(tmp_path / "s.nc", kind="surface", version=2)
     raw = (tmp_path / "s.nc").read_bytes()
     (tmp_path / "cut.nc").write_bytes(raw[: len(raw) // 2])
-    refuses(FileError, "truncated", Surface.load, tmp_path / "cut.nc")
+    refuses(FileError, "truncated", tt.Surface.load, tmp_path / "cut.nc")
 
 
 @pytest.mark.parametrize(
@@ -165,7 +162,7 @@ def test_hostile_files_are_one_line(tmp_path, damage):
         bad = damage(data.load())
     bad["radius"].attrs = {"units": "m"}
     bad.to_netcdf(tmp_path / "bad.nc")
-    told = refuses(FileError, "", Surface.load, tmp_path / "bad.nc")
+    told = refuses(FileError, "", tt.Surface.load, tmp_path / "bad.nc")
     assert "bad.nc" in told
     assert not {"float", "array", "sequence"} & set(told.split())
 
@@ -173,14 +170,14 @@ def test_hostile_files_are_one_line(tmp_path, damage):
 def test_no_coordinates_in_the_file(tmp_path):
     data = xr.Dataset({"radius": (("theta", "z"), wavy().radius, {"units": "m"})})
     data.to_netcdf(tmp_path / "bare.nc", engine="netcdf4")
-    refuses(FileError, "", Surface.load, tmp_path / "bare.nc")
+    refuses(FileError, "", tt.Surface.load, tmp_path / "bare.nc")
 
 
 def test_unusable_surfaces():
     s = wavy()
     refuses(InputError, "transposed", replace, s, radius=s.radius.T)
     with pytest.raises(InputError, match="at least 4 angles"):
-        Surface.from_radius(np.ones((3, 5)), np.arange(5.0))
+        tt.Surface.from_radius(np.ones((3, 5)), np.arange(5.0))
     refuses(InputError, "full turn", replace, s, theta=s.theta / 2)
     refuses(InputError, "equal steps", replace, s, z=s.z[::-1].copy())
     for bad in (np.nan, 0.0, -0.1, np.inf):
@@ -188,11 +185,11 @@ def test_unusable_surfaces():
         radius[2, 3] = bad
         refuses(GeometryError, "1 of 84 surface radii", replace, s, radius=radius)
     with pytest.raises(InputError, match=r"\(n_theta, n_z\)"):
-        Surface.from_radius(np.ones(5), np.arange(5.0))
+        tt.Surface.from_radius(np.ones(5), np.arange(5.0))
 
 
 def test_shared_surface_file():
     path = shared_data("phantom/surface.nc")
-    s = Surface.load(path)
+    s = tt.Surface.load(path)
     assert 0.05 < s.radius.min() < s.radius.max() < 0.3
     assert s.radius_at(0.5, float(s.z.mean())) > 0.05

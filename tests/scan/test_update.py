@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import GeometryError, InputError, TtusWarning, refuses
 from tests.scan.clouds import cylinder
-from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
-from ttus_opt.scan.extraction import extract_surface
-from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.update import update_surface
 
 SIZE = {"n_theta": 72, "n_z": 20, "z_range": (-0.15, 0.15), "support": None}
@@ -24,7 +22,7 @@ def part(cloud, first, last):
 @pytest.fixture(scope="module")
 def earlier():
     cloud = part(cylinder(np.random.default_rng(0)), 0, 200)
-    return extract_surface(cloud, axis=Axis.identity(), **SIZE)
+    return tt.extract_surface(cloud, axis=tt.Axis.identity(), **SIZE)
 
 
 def degrees(surface):

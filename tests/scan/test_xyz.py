@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.scan.cloud import read_cloud
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (12, 3)).round(6)

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from tests.conftest import some
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, some
 from tests.sensors.test_clock import wander
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.angular_offset import angular_offset
 from ttus_opt.sensors.clock import Signal, clock_offset

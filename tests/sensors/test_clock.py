@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
-from ttus_opt.scan.surface import Surface
+import ttus_opt as tt
+from tests.kit import InputError, refuses
 from ttus_opt.sensors import clock
 from ttus_opt.sensors.clock import (
     ROUNDED,
@@ -65,8 +63,8 @@ def test_clocks_that_count_from_elsewhere():
 
 def test_contact_of_presses(shared):
     """Forces of the finite-element phantom, moved on their clock."""
-    surface = Surface.load(shared / "phantom" / "surface.nc")
-    press = read_trajectory(shared / "phantom" / "press_fit.csv")
+    surface = tt.Surface.load(shared / "phantom" / "surface.nc")
+    press = tt.read_trajectory(shared / "phantom" / "press_fit.csv")
     second = contact_of_force(press.time - 0.37, press.force)
     first = contact_of_poses(press, surface, float(second.values.mean()))
     # the presses come every five seconds: an offset of a press is as good
@@ -109,7 +107,7 @@ def test_what_is_refused():
         clock_offset(sound, Signal(np.r_[time, 1e9], np.r_[time, 1.0]))
     with pytest.raises(InputError, match="must increase"):
         clock_offset(sound, Signal(np.zeros(20), np.arange(20.0)))
-    poses = Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
+    poses = tt.Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
     refuses(InputError, "makes and breaks contact", contact_of_poses, poses, None, 1.0)
 
 
@@ -124,7 +122,7 @@ def test_gravity_needs_no_calibration(sign):
         return Rotation.from_rotvec(0.25 * angle).as_matrix()
 
     down = np.array([0.0, -1.0, 0.0])
-    poses = Trajectory(time, np.zeros((len(time), 3)), turned(time))
+    poses = tt.Trajectory(time, np.zeros((len(time), 3)), turned(time))
     axes = Rotation.from_rotvec([0.4, 2.0, -0.3]).as_matrix()
     gravity = np.einsum("tji,j->ti", turned(own + 1.37) @ axes, down)
     force = sign * (3.7 * gravity + [4.0, -2.0, 7.0])

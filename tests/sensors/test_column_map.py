@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.sensors.column_map import column_map, read_column_map
 from ttus_opt.sensors.stream_files import read_poses, read_wrenches
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from tests.sensors.cameras import (
     Camera,
     flying,
@@ -13,7 +13,6 @@ from tests.sensors.cameras import (
     see_ellipsoid,
     see_plane,
 )
-from ttus_opt.core.errors import InputError
 from ttus_opt.sensors.depth import (
     LEAST_COUNT,
     STEPS,

@@ -1,7 +1,5 @@
 """A recording as RealSense's SDK writes it: depth images, intrinsics, depth units."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.depth import read_depth_image
 from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.intrinsics import read_intrinsics

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.depth_files import read_depth
 
 DEPTH = np.full((20, 24), 0.8)

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, GeometryError, InputError, TtusWarning
+from tests.kit import FileError, GeometryError, InputError, TtusWarning, refuses
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.sensors.hand_eye import HAND_EYE, ROBOT_WORLD, hand_eye, read_pose_pairs
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError, MissingPackageError
+from tests.kit import FileError, InputError, MissingPackageError, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics, read_intrinsics
 
 K = [[618.6, 0.0, 321.984], [0.0, 619.11, 241.146], [0.0, 0.0, 1.0]]

@@ -5,8 +5,7 @@ import json
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
+from tests.kit import FileError, refuses
 from ttus_opt.sensors.mapping_file import LARGEST_FILE, read_mapping
 
 pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError, TtusWarning
+from tests.kit import FileError, InputError, TtusWarning, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.marker_pose import (
     Board,

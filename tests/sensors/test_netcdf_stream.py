@@ -14,8 +14,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, TtusWarning
+from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.sensors import netcdf_child, netcdf_stream
 from ttus_opt.sensors.netcdf_child import unpacked
 from ttus_opt.sensors.netcdf_stream import (

@@ -13,8 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import SEED, mutated
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, TtusError, TtusWarning
+from tests.kit import InputError, TtusError, TtusWarning, refuses
 from ttus_opt.sensors import open_igt_link as igt
 from ttus_opt.sensors import open_igt_message
 from ttus_opt.sensors.open_igt_message import HEADER, MessageReader, crc64

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, TtusWarning
+from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.sensors.stream_files import read_poses
 
 HEAD = "ObjectType = Image\nNDims = 3\nDimSize = 2 2 6\nElementType = MET_UCHAR\n"

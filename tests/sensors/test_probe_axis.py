@@ -5,10 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import shared_data
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError
-from ttus_opt.probe.trajectory import Trajectory
+from tests.kit import GeometryError, InputError, refuses, shared_data
 from ttus_opt.sensors.probe_axis import axis_from_probe
 
 #: Probe to a scan whose axes are right, front, head: x to the left, y to the feet
@@ -31,7 +28,7 @@ def probe(n=5, rotation=HELD, at=None):
     rng = np.random.default_rng(1)
     shake = Rotation.from_rotvec(0.004 * rng.standard_normal((n, 3))).as_matrix()
     position = np.array([0.0, 0.24, 0.05]) if at is None else at
-    return Trajectory(
+    return tt.Trajectory(
         np.arange(float(n)),
         position + 0.0005 * rng.standard_normal((n, 3)),
         shake @ rotation,
@@ -117,7 +114,7 @@ def test_refusals():
     with pytest.raises(GeometryError, match="180° off"):
         axis_from_probe(probe(), cloud, held=("-z", "-y"))
     still = probe()
-    walked = Trajectory(
+    walked = tt.Trajectory(
         still.time, still.position + 0.02 * still.time[:, None], still.rotation
     )
     refuses(InputError, "held still", axis_from_probe, walked, cloud)

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import mutated
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, MissingPackageError, TtusError, TtusWarning
+from tests.kit import FileError, MissingPackageError, TtusError, TtusWarning, refuses
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.sensors.stream_files import raw_recordings, read_poses, read_wrenches
 

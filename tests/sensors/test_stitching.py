@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, MissingPackageError, refuses
 from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
 from tests.sensors.test_stream_formats import SAMPLES
-from ttus_opt.core.errors import FileError, InputError, MissingPackageError
 from ttus_opt.sensors.depth import DepthImage
 from ttus_opt.sensors.depth_noise import TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, refuses, torso
 from tests.sensors.test_plus_sequence import sequence
 from tests.sensors.test_stream_formats import SAMPLES
-from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import (

@@ -1,7 +1,5 @@
 """Every format of the table, by a small sample in its maker's documented layout."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection
 from pathlib import Path
@@ -12,8 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, TtusWarning
+from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.sensors.column_map import read_column_map
 from ttus_opt.sensors.stream_files import (
     FORMATS,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError
+from tests.kit import GeometryError, InputError, refuses
 from ttus_opt.probe.pose import rotations
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.probe.trajectory import Trajectory

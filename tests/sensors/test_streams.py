@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import (

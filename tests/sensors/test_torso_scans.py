@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import shared_data
+from tests.kit import shared_data
 from tests.scan.camera import radius_by_section
 from tests.sensors.cameras import (
     Camera,

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError
+from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection, read_unprojection
 

@@ -5,11 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.problem.solution import Status
-from ttus_opt.scan.surface import Surface
+import ttus_opt as tt
 from ttus_opt.session import demo
-from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +25,8 @@ def result(folder, stages):
 
 
 def test_both_fits_hold_their_own_check(result):
-    assert result.before.status is Status.SOLVED
-    assert result.after.status is Status.SOLVED
+    assert result.before.status is tt.Status.SOLVED
+    assert result.after.status is tt.Status.SOLVED
     assert result.after.formulation == "eq10"
 
 
@@ -57,9 +54,9 @@ def test_every_file_is_there_and_readable(result, folder):
         "report.md",
         "report.html",
     }
-    field = PotentialField.load(folder / "field.nc")
+    field = tt.PotentialField.load(folder / "field.nc")
     np.testing.assert_array_equal(field.values, result.after.field.values)
-    surface = Surface.load(folder / "surface.nc")
+    surface = tt.Surface.load(folder / "surface.nc")
     np.testing.assert_array_equal(surface.radius, field.voxmap.surface.radius)
     report = (folder / "report.md").read_text(encoding="utf-8")
     assert all(f"({name})" in report for name in demo.PICTURES)
@@ -82,7 +79,7 @@ def test_fitted_and_unseen_recordings_differ():
     from ttus_opt import example
 
     poses = [
-        read_trajectory(example.path(f"{name}.csv")).position
+        tt.read_trajectory(example.path(f"{name}.csv")).position
         for name in (*demo.FITTED, *demo.UNSEEN)
     ]
     for i in range(2):

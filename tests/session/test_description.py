@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.refusals import refuses
+from tests.kit import FileError, TtusError, refuses
 from tests.session.recordings import changed, described
-from ttus_opt.core.errors import FileError, TtusError
 from ttus_opt.session.description import read_description
 
 

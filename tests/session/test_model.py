@@ -9,18 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
+from tests.kit import InputError, MistakeWarning, TtusWarning, ellipsoid, presses, torso
 from ttus_opt import example
-from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.problem.solution import NoSolutionError
-from ttus_opt.report.metrics import evaluate
-from ttus_opt.scan.surface import Surface
 from ttus_opt.session import model
 from ttus_opt.session.description import FitPlan
 from ttus_opt.session.model import KEYS, fit_model, judge
 from ttus_opt.solvers.base import Candidate, Capabilities, Solver
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE, SHELL = torso(), ellipsoid()
 SHAPE, R_INNER = (7, 14, 8), 0.03
@@ -42,7 +36,7 @@ def session(**changed):
 
 
 def scene():
-    voxmap = Voxmap.from_surface(SURFACE, shape=SHAPE, r_inner=R_INNER)
+    voxmap = tt.Voxmap.from_surface(SURFACE, shape=SHAPE, r_inner=R_INNER)
     both = tt.Trajectory.concatenate([RECORDINGS["third"], RECORDINGS["second"]])
     return tt.Scene.assemble(voxmap, SHELL, both, sampling="trilinear")
 
@@ -71,7 +65,7 @@ def test_every_stretch_is_judged_with_both_fields():
     for each in found:
         own = RECORDINGS[each.recording]
         for solution, seen in ((both.before, each.before), (both.after, each.after)):
-            assert seen.errors == evaluate(solution.field, SHELL, own).errors
+            assert seen.errors == tt.evaluate(solution.field, SHELL, own).errors
         if each.seen:
             after, before = each.after.errors, each.before.errors
             assert after.force_vector_rmse_N < before.force_vector_rmse_N
@@ -96,7 +90,7 @@ def test_a_formulation_that_cannot_be_tuned_keeps_its_weights_aloud():
 
 
 def test_a_field_that_fails_its_check_is_no_model():
-    with pytest.raises(NoSolutionError):
+    with pytest.raises(tt.NoSolutionError):
         fit_model(session(solver=Wrong()), SURFACE, SHELL, RECORDINGS)
     with pytest.raises(InputError, match="unknown formulation"):
         fit_model(session(formulation="eq11"), SURFACE, SHELL, RECORDINGS)
@@ -137,10 +131,10 @@ def no_solve(*_, **__):
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     """Before anything is solved, with a warning that --strict makes an error."""
-    press = spoilt(read_trajectory(example.path("press_fit.csv")), cause)
+    press = spoilt(tt.read_trajectory(example.path("press_fit.csv")), cause)
     plan = replace(session().fit, shape=(12, 28, 12), r_inner=0.03)
     told = SimpleNamespace(fit=plan, fitted=["press"])
-    surface = Surface.load(example.path("surface.nc"))
+    surface = tt.Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE, n_points=120)
     monkeypatch.setattr(model, "fit", no_solve)
     named = re.escape(f"check {KEYS[cause]} in the description")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, TtusWarning, refuses
 from tests.session.recordings import (
     SECONDS,
     begins,
@@ -19,20 +19,15 @@ from tests.session.recordings import (
     described,
     made,
 )
-from ttus_opt.core.errors import FileError, InputError, TtusWarning
 from ttus_opt.phantom.example_data import frame
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import inverse
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session import pipeline
 from ttus_opt.session.model import fit_model, judge
-from ttus_opt.session.pipeline import run_session
 from ttus_opt.session.results import STEPS, complete_steps
 from ttus_opt.session.synthetic import Truth, perfect, write_recording
-from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own
 pytestmark = pytest.mark.filterwarnings(
@@ -51,7 +46,7 @@ def forces_perfect(result, seconds):
     back = inverse(frame().scan_to_patient)
     own = result.skin.surface.axis.scan_to_patient
     recordings = {k: v.transformed(back, own) for k, v in calibrated(seconds).items()}
-    shell = PointShell.from_spec(result.session.probe)
+    shell = tt.PointShell.from_spec(result.session.probe)
     model = fit_model(result.session, result.skin.surface, shell, recordings)
     fields = model.before.field, model.after.field
     found = judge(fields, shell, recordings, result.session.fitted)
@@ -102,10 +97,10 @@ def test_what_it_writes(result):
     errors = {row["recording"]: row for row in told["evaluation"]["errors"]}
     assert errors["press_test"]["after"]["force_magnitude_error_N"] > 0.0
     for name, recording in result.recordings.items():
-        written = read_trajectory(folder / "recordings" / f"{name}.csv")
+        written = tt.read_trajectory(folder / "recordings" / f"{name}.csv")
         np.testing.assert_array_equal(written.position, recording.position)
-    field = PotentialField.load(folder / "field.nc")
-    shell = PointShell.from_spec(result.session.probe)
+    field = tt.PotentialField.load(folder / "field.nc")
+    shell = tt.PointShell.from_spec(result.session.probe)
     again = tt.evaluate(field, shell, result.recordings["press_test"]).errors
     first = next(c for c in result.comparisons if c.recording == "press_test")
     assert again.force_magnitude_error_N == pytest.approx(
@@ -125,11 +120,11 @@ def test_a_second_session_replaces_the_first(result, tmp_path):
     """And one that fails leaves complete steps alone, never old ones beside new."""
     recording, output = copied(tmp_path), tmp_path / "out"
     changed(recording, "fit.formulation", "laplace_only")
-    run_session(recording, output)
+    tt.run_session(recording, output)
     (output / "note.txt").write_text("the user's")
     changed(recording, "clock", {"by": "gravity", "largest_offset": 0.2})
     told = r"^clock: .*\(complete in .*out: surface, registration\)$"
-    refuses(InputError, told, run_session, recording, output)
+    refuses(InputError, told, tt.run_session, recording, output)
     assert complete_steps(output) == ["surface", "registration"]
     left = {str(f.relative_to(output)) for f in output.rglob("*") if f.is_file()}
     assert left == {"surface.nc", "session.json", "note.txt"}
@@ -137,13 +132,13 @@ def test_a_second_session_replaces_the_first(result, tmp_path):
 
 def test_nothing_is_written_where_nothing_is_to_be(tmp_path):
     recording = copied(tmp_path)
-    refuses(FileError, "holds the recording", run_session, recording, recording)
+    refuses(FileError, "holds the recording", tt.run_session, recording, recording)
     other = tmp_path / "other"
     other.mkdir()
     (other / "surface.nc").write_text("unrelated files")
-    refuses(FileError, "unrelated files", run_session, recording, other)
+    refuses(FileError, "unrelated files", tt.run_session, recording, other)
     changed(recording, "tracker.file", "none.csv")
-    refuses(FileError, "which is not in", run_session, recording, tmp_path / "out")
+    refuses(FileError, "which is not in", tt.run_session, recording, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -159,7 +154,7 @@ def test_the_recording_goes_into_a_folder_of_its_own(tmp_path):
 def test_forces_as_good_as_with_perfect_calibration(tmp_path):
     """The whole recording, 48 × 120 × 60 voxels: within a fifth."""
     truth = write_recording(tmp_path / "recording")
-    result = run_session(tmp_path / "recording", tmp_path / "out")
+    result = tt.run_session(tmp_path / "recording", tmp_path / "out")
     own, best = forces_unseen(result), forces_perfect(result, 20.0)
     assert truth.offset == pytest.approx(result.timing.offset, abs=0.002)
     assert own < 1.2 * best
@@ -168,7 +163,7 @@ def test_forces_as_good_as_with_perfect_calibration(tmp_path):
 def without(recording, stream, lost):
     """Take rows out of the tracker's or the sensor's file, by their times."""
     if stream == "tracker":
-        poses = read_trajectory(recording / "tracker.csv")
+        poses = tt.read_trajectory(recording / "tracker.csv")
         poses.select(~lost(poses.time)).save(recording / "tracker.csv")
         return
     read = read_wrenches(recording / "force.nc")
@@ -194,7 +189,7 @@ def without(recording, stream, lost):
     ],
 )
 def test_gaps_are_bridged_by_nothing(tmp_path, monkeypatch, stream, gap):
-    fitted: list[Trajectory] = []
+    fitted: list[tt.Trajectory] = []
 
     def fit(_session, _surface, _shell, recordings):
         fitted.append(recordings["press_fit"])
@@ -205,7 +200,7 @@ def test_gaps_are_bridged_by_nothing(tmp_path, monkeypatch, stream, gap):
     start = begins(recording) + 0.4
     without(recording, stream, lambda time: (time >= start) & (time < start + gap))
     with pytest.raises(InputError, match="far enough"):
-        run_session(recording, tmp_path / "out")
+        tt.run_session(recording, tmp_path / "out")
     assert len(np.unique(fitted[0].segment)) == 1 + (gap > 0.1)
 
 
@@ -215,12 +210,12 @@ def test_a_lost_stretch_and_lost_rows(tmp_path, stream):
     recording = copied(tmp_path)
     rng = np.random.default_rng(0)
     without(recording, stream, lambda time: rng.random(len(time)) < 0.2)
-    found = run_session(recording, tmp_path / "out")
+    found = tt.run_session(recording, tmp_path / "out")
     assert len(found.recordings["press_fit"]) > 100
     start = begins(recording) - 1.0
     without(recording, stream, lambda time: (time > start) & (time < start + 9.0))
     with pytest.raises(InputError, match="recordings: press_fit has 0 frames"):
-        run_session(recording, tmp_path / "out")
+        tt.run_session(recording, tmp_path / "out")
 
 
 def test_repeated_rows_are_left_out(tmp_path):
@@ -229,9 +224,9 @@ def test_repeated_rows_are_left_out(tmp_path):
     twice = [row for i, row in enumerate(rows) for row in [row] * (1 + (i % 9 == 0))]
     (recording / "tracker.csv").write_text("\n".join([head, *twice, ""]))
     with pytest.warns(TtusWarning, match="equal to the row before"):
-        poses = read_trajectory(recording / "tracker.csv")
+        poses = tt.read_trajectory(recording / "tracker.csv")
     assert len(poses) == len(rows)
     rows[3] = ",".join([rows[2].split(",")[0], *rows[3].split(",")[1:]])
     (recording / "tracker.csv").write_text("\n".join([head, *rows, ""]))
     with pytest.raises(OSError, match="repeats"):  # other numbers at the same time
-        read_trajectory(recording / "tracker.csv")
+        tt.read_trajectory(recording / "tracker.csv")

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import InputError, refuses
 from tests.session.recordings import changed
 from tests.session.single_steps import SURFACE, streams
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session.description import Part, read_description
 from ttus_opt.session.readings import (
@@ -71,7 +69,7 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(recording, frame)
     assert timing.offset == pytest.approx(0.35, abs=0.02)
     assert set(timing.second.values) == {0.0, 1.0}
     joined = joined_streams(session, poses, wrenches, replace(timing, offset=0.35))
-    shell = PointShell.from_spec(session.probe)
+    shell = tt.PointShell.from_spec(session.probe)
     found, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None and found.force is not None and found.torque is not None
     at = np.searchsorted(own.time, found.time)
@@ -87,7 +85,7 @@ def test_poses_clock_and_load(recording):
     timing = synchronise(session, poses, wrenches, SURFACE, frames)
     assert timing.offset == pytest.approx(truth.offset, abs=0.002)
     joined = joined_streams(session, poses, wrenches, timing)
-    shell = PointShell.from_spec(session.probe)
+    shell = tt.PointShell.from_spec(session.probe)
     begin = float(poses.time[0])
     contact, load = contact_wrenches(session, joined, shell, frames, begin)
     assert load.mass == pytest.approx(truth.mass, abs=0.001)
@@ -119,7 +117,7 @@ def test_contact_wrenches_of_another_frame(recording):
     session = read_description(recording)
     timing = synchronise(session, poses, read_forces(session), SURFACE, frames)
     joined = joined_streams(session, poses, read_forces(session), timing)
-    shell = PointShell.from_spec(session.probe)
+    shell = tt.PointShell.from_spec(session.probe)
     contact, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None
     again = [np.interp(contact.time, own.time + 23.0, c) for c in own.force.T]
@@ -129,7 +127,7 @@ def test_contact_wrenches_of_another_frame(recording):
 def test_stretches():
     time = np.arange(0.0, 10.0, 0.1) + 500.0
     turns = np.tile(np.eye(3), (100, 1, 1))
-    whole = Trajectory(time, np.zeros((100, 3)), turns)
+    whole = tt.Trajectory(time, np.zeros((100, 3)), turns)
     first, second = Part("a", 1.0, 3.0), Part("b", 3.0, 9.0, fitted=False)
     found = cut(whole, [first, second], 500.0)
     assert found["a"].time[0] == pytest.approx(501.0)

@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from tests.session.recordings import copied
-from ttus_opt.core.errors import InputError
 from ttus_opt.core.saved_results import plain
 from ttus_opt.phantom.example_data import true_surface
 from ttus_opt.session.description import read_description

@@ -4,9 +4,8 @@ import json
 
 import pytest
 
-from tests.refusals import refuses
+from tests.kit import FileError, InputError, refuses
 from tests.session.recordings import copied
-from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.session.results import SUMMARY, Results, complete_steps
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
+from tests.kit import FileError, refuses
 from ttus_opt.probe.held import USUAL
 from ttus_opt.session.scan_description import Scan, read_scan
 from ttus_opt.session.section import Section

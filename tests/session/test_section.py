@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
+from tests.kit import FileError, refuses
 from ttus_opt.session.section import Section
 
 TURN = Rotation.from_rotvec([0.1, -0.4, 0.2])

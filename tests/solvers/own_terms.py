@@ -1,7 +1,5 @@
 """Terms over all voxels as a user writes them, without tags; those of the benchmark."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

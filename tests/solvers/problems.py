@@ -1,7 +1,5 @@
 """Small programs with known primal and dual answers, for every solver."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast

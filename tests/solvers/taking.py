@@ -4,8 +4,6 @@ A solver that begins to refuse a problem, or to take one, fails `test_taking` un
 change is written here; a test that asked the solver itself would pass over it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Mapping
 
 import pytest

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers import taking
 from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.reduction import reduce

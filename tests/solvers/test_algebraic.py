@@ -7,15 +7,11 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.kit import MissingPackageError, small_scene
 from tests.oracles.dense import minimiser
 from tests.solvers.own_terms import Differences, SkinGraph
-from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.solution import Status
-from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.departures import difference_rows
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
@@ -30,25 +26,25 @@ SCENE, SOLVER = small_scene("trilinear", (6, 12, 7)), solvers()["algebraic"]
 
 
 @dataclass(frozen=True)
-class Ridge(Term):
+class Ridge(tt.Term):
     """Squares of the departure from the Laplace field."""
 
     name = "ridge"
 
     def rows(self):
         one = sp.eye_array(self.scene.n_voxels, format="csr")
-        return AffineRows({"p": one}, self.scene.laplace.solve(self.scene.b))
+        return tt.AffineRows({"p": one}, self.scene.laplace.solve(self.scene.b))
 
 
 @dataclass(frozen=True)
-class GraphLaplacian(Term):
+class GraphLaplacian(tt.Term):
     """Squares of the grid's graph Laplacian."""
 
     name = "graph_laplacian"
 
     def rows(self):
         D = difference_rows(self.scene.voxmap.grid)
-        return AffineRows({"p": sp.csr_array(D.T @ D)}, np.zeros(D.shape[1]))
+        return tt.AffineRows({"p": sp.csr_array(D.T @ D)}, np.zeros(D.shape[1]))
 
 
 def declared(scene, case, weight=1e-2):
@@ -61,7 +57,7 @@ def declared(scene, case, weight=1e-2):
         "sum": ([Ridge(scene, 0.1), SkinGraph(scene, 3.0)], []),
     }
     terms, constraints = prior[case]
-    return Formulation([*terms, *measured], constraints)
+    return tt.Formulation([*terms, *measured], constraints)
 
 
 def solved(program, tolerance=1e-9):
@@ -86,7 +82,7 @@ def test_differences_between_given_values_are_a_network(weight, monkeypatch):
     expected = minimiser(program)
     apart = np.linalg.norm(found.x - expected) / np.linalg.norm(expected)
     assert apart <= 1e-7
-    soft = Formulation([Differences(SCENE), Ridge(SCENE, 0.1)]).compile()
+    soft = tt.Formulation([Differences(SCENE), Ridge(SCENE, 0.1)]).compile()
     beside = solved(soft)  # its boundary values move: not of the grid's free voxels
     assert not beside.detail.startswith("the grid's multigrid")
 
@@ -106,8 +102,8 @@ def test_equals_a_factorisation(case, way):
 
 def test_auto_takes_it_and_its_answer_is_verified():
     solution = tt.fit(SCENE, declared(SCENE, "differences"))
-    assert solution.status is Status.SOLVED
-    large = replace(Formulation([Ridge(SCENE)]).compile())
+    assert solution.status is tt.Status.SOLVED
+    large = replace(tt.Formulation([Ridge(SCENE)]).compile())
     assert SOLVER.cost(large) < np.inf
 
 
@@ -127,7 +123,7 @@ def test_new_targets_keep_what_was_set_up(monkeypatch):
 
 def test_what_no_square_determines_stays_where_it_is():
     """Voxels that nothing touches do not move, and nothing fails for them."""
-    program = Formulation([ForceTerm(SCENE, 1.0)]).compile()
+    program = tt.Formulation([ForceTerm(SCENE, 1.0)]).compile()
     found = solved(program, 1e-6)
     untouched = np.diff(sp.csc_array(program.terms[0].matrix).indptr) == 0
     assert untouched.any() and (found.x[untouched] == 0.0).all()
@@ -146,7 +142,7 @@ def test_a_missing_package_is_told_and_another_solver_goes_on(monkeypatch):
 
 
 def test_refuses_what_others_know_more_of():
-    laplace = Formulation([LaplaceTerm(SCENE), Ridge(SCENE)]).compile()
+    laplace = tt.Formulation([LaplaceTerm(SCENE), Ridge(SCENE)]).compile()
     assert "normal_equations" in SOLVER.refusal(laplace)
-    limited = Formulation([Ridge(SCENE)], [Sign(SCENE)]).compile()
+    limited = tt.Formulation([Ridge(SCENE)], [Sign(SCENE)]).compile()
     assert SOLVER.refusal(limited)

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+import ttus_opt as tt
+from tests.kit import small_scene
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.departures import TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Penalty
@@ -105,7 +104,7 @@ def test_a_penalty_without_a_resolvent_is_refused():
     assert "does not implement resolvent()" in SOLVER.refusal(what)
 
 
-class _Departure(Term):
+class _Departure(tt.Term):
     """A penalty of p − p₀ over all voxels."""
 
     name = "departure"
@@ -113,7 +112,7 @@ class _Departure(Term):
     def rows(self):
         V = self.scene.n_voxels
         field = self.scene.laplace.solve(self.scene.b)
-        return AffineRows({"p": sp.csr_array(sp.eye_array(V, format="csr"))}, field)
+        return tt.AffineRows({"p": sp.csr_array(sp.eye_array(V, format="csr"))}, field)
 
     @property
     def penalty(self):
@@ -208,7 +207,7 @@ def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight):
     assert found.x is not None and found.iterations <= 12
     point = both.restore(found.x, found.duals)
     assert kkt_residuals(what, point.x, point.duals).worst_relative <= 1e-7
-    other = fit(scene, "robust", solver="clarabel", **weights)
+    other = tt.fit(scene, "robust", solver="clarabel", **weights)
     assert other.objective == pytest.approx(what.objective(point.x), rel=1e-7)
 
 

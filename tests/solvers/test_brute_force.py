@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from tests.conftest import small_scene, with_wrenches
+from tests.kit import small_scene, with_wrenches
 from tests.oracles.dense import enumerated, minimiser, stacked
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term

@@ -1,7 +1,5 @@
 """Conjugate gradients on dense systems: with all directions kept, and with the last."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from tests.conftest import small_scene
+from tests.kit import InputError, small_scene
 from tests.oracles.dense import stacked
 from ttus_opt import fit
-from ttus_opt.core.errors import InputError
 from ttus_opt.gaussian.prior import square_root
 from ttus_opt.problem.constraints.signs import Sign, ViscousSign
 from ttus_opt.problem.formulation import Formulation

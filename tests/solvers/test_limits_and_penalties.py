@@ -13,8 +13,6 @@ from tests.solvers.test_algebraic import Ridge
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.departures import TikhonovTerm, TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, RobustForceTerm
@@ -58,10 +56,10 @@ def own_solver(formulation):
 @pytest.mark.parametrize("limits", LIMITS)
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_the_optimum_within_limits_is_clarabels(objective, limits):
-    declared = Formulation(OBJECTIVES[objective](SCENE), LIMITS[limits](SCENE))
+    declared = tt.Formulation(OBJECTIVES[objective](SCENE), LIMITS[limits](SCENE))
     own = tt.fit(SCENE, declared, solver=own_solver(declared))
     peer = tt.fit(SCENE, declared, solver="clarabel")
-    assert own.status is Status.SOLVED, own.advice
+    assert own.status is tt.Status.SOLVED, own.advice
     # Clarabel's own answer may end a little above the tolerance
     assert peer.kkt is not None and peer.kkt.worst_relative < 5e-6
     assert own.objective == pytest.approx(peer.objective, rel=1e-5, abs=1e-8)
@@ -69,8 +67,8 @@ def test_the_optimum_within_limits_is_clarabels(objective, limits):
 
 @pytest.mark.parametrize("limits", LIMITS)
 def test_limits_are_active_in_these_laws(limits):
-    free = Formulation(OBJECTIVES["Tikhonov"](SCENE), [HardBoundary(SCENE)])
-    held = Formulation(OBJECTIVES["Tikhonov"](SCENE), LIMITS[limits](SCENE))
+    free = tt.Formulation(OBJECTIVES["Tikhonov"](SCENE), [HardBoundary(SCENE)])
+    held = tt.Formulation(OBJECTIVES["Tikhonov"](SCENE), LIMITS[limits](SCENE))
     solver = "normal_equations"
     without = tt.fit(SCENE, free, solver=solver).objective
     assert tt.fit(SCENE, held, solver=solver).objective > without * (1.0 + 1e-4)

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
-from ttus_opt.problem.solution import Status
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 
@@ -76,10 +73,10 @@ def fresh():
 def test_an_object_is_verified_like_any_other():
     """A right answer is solved, one that is 1 % off is not."""
     solution = tt.fit(SCENE, "eq10", solver=Dense())
-    assert (solution.solver, solution.status) == ("dense", Status.SOLVED)
+    assert (solution.solver, solution.status) == ("dense", tt.Status.SOLVED)
     expected = tt.fit(SCENE, "eq10", solver="closed_form")
     np.testing.assert_allclose(solution.field.values, expected.field.values, atol=1e-8)
-    assert tt.fit(SCENE, "eq10", solver=Dense(1.01)).status is Status.INACCURATE
+    assert tt.fit(SCENE, "eq10", solver=Dense(1.01)).status is tt.Status.INACCURATE
 
 
 def test_an_object_says_what_it_cannot_take():
@@ -92,7 +89,7 @@ def test_a_file_by_path(tmp_path):
     own.write_text(FILE.replace("ANSWER", DENSE))
     for given in (own, str(own)):
         solution = tt.fit(SCENE, "eq10", solver=given)
-        assert (solution.solver, solution.status) == ("mine", Status.SOLVED)
+        assert (solution.solver, solution.status) == ("mine", tt.Status.SOLVED)
 
 
 @pytest.mark.parametrize(
@@ -148,5 +145,5 @@ def test_another_package_offers_solvers_and_formulations(monkeypatch):
     monkeypatch.setattr(importlib.metadata, "entry_points", entries)
     solution = tt.fit(SCENE, "theirs", solver="dense")
     assert (solution.solver, solution.formulation) == ("dense", "theirs")
-    assert tt.fit(SCENE, "eq10").status is Status.SOLVED
+    assert tt.fit(SCENE, "eq10").status is tt.Status.SOLVED
     assert "theirs" in [info.name for info in available()]

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
+from tests.kit import InputError, SolverUnavailableError, refuses, small_scene
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
 from tests.solvers.taking import ALGEBRAIC, BENT
-from ttus_opt.core.errors import InputError, SolverUnavailableError
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.members import ProgramTerm

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene, with_wrenches
+from tests.kit import small_scene, with_wrenches
 from tests.solvers import taking
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers.sizes import Sizes, interior_point_seconds, splitting_seconds

@@ -7,22 +7,25 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, small_scene, torso, with_wrenches
-from tests.dragging import dragged_scene
+from tests.kit import (
+    dragged_scene,
+    ellipsoid,
+    presses,
+    small_scene,
+    torso,
+    with_wrenches,
+)
 from tests.oracles.dense import minimiser
 from tests.solvers.dual.user_limits import Rows, louder
 from ttus_opt.benchmark import reference_cases
-from ttus_opt.contact.scene import Scene
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.scan.surface import Surface
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.structured import Structured
-from ttus_opt.voxmap.voxmap import Voxmap
 
 STRUCTURED = registry.solvers()["structured"]
 TIGHT = Request(tolerance=1e-8)
@@ -101,7 +104,7 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one():
 def test_another_trajectory_is_taken(scene):
     prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
     prepared.solve()
-    longer = Scene.assemble(
+    longer = tt.Scene.assemble(
         scene.voxmap,
         scene.shell,
         presses(scene.voxmap.surface, 20, np.random.default_rng(9)),
@@ -124,7 +127,7 @@ def rough_surface(seed):
     """Spikes and dents from voxel to voxel: pockets, necks, slices one voxel thin."""
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.05, 0.1, (24, 12))
-    return Surface.from_radius(radius, np.linspace(0.0, 0.2, 12))
+    return tt.Surface.from_radius(radius, np.linspace(0.0, 0.2, 12))
 
 
 @pytest.mark.parametrize(
@@ -139,10 +142,10 @@ def rough_surface(seed):
     ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
 )
 def test_geometry_that_breaks_careless_solvers(surface, shape, r_outer):
-    voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
+    voxmap = tt.Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
     shell = ellipsoid()
     trajectory = presses(surface, 10, np.random.default_rng(2), depth=0.015)
-    scene = Scene.assemble(voxmap, shell, trajectory, sampling="trilinear")
+    scene = tt.Scene.assemble(voxmap, shell, trajectory, sampling="trilinear")
     for hard in (False, True):
         loaded = program(scene, 1e-1, hard)
         assert relative(solved(loaded).x, minimiser(loaded)) < 1e-8

@@ -1,7 +1,5 @@
 """Solve, check, tighten: with a package that does what it is told, step by step."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import torso
 from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
     fitted,
     three_presses,
 )
+from tests.kit import InputError, torso
 from tests.viewer.conftest import field, probe
 from ttus_opt.contact.standing import depth_of, standing
-from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.next_press import next_press
 from ttus_opt.probe.held import hold
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.skin import SkinMesh
@@ -65,7 +63,7 @@ def test_what_was_seen_and_what_was_filled():
 @pytest.mark.filterwarnings(KEPT_SHARE)
 def test_next_presses_are_those_of_the_fit():
     stated = tt.uncertainty(fitted(), three_presses())
-    found, presses = colouring.next_presses(stated, SKIN), next_press(stated)
+    found, presses = colouring.next_presses(stated, SKIN), tt.next_press(stated)
     np.testing.assert_array_equal(found.marks, presses.points[presses.node])
     known = np.flatnonzero(np.isfinite(found.values))
     assert len(known) > 20

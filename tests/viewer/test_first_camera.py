@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.viewer.first_camera import FIELD_OF_VIEW, SHAPES, FirstCamera, front_of
 from ttus_opt.viewer.skin import SkinMesh
 

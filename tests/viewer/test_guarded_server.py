@@ -8,8 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.viewer import guarded_server as guard
 
 viser = pytest.importorskip("viser", reason="needs ttus-opt[viewer]")

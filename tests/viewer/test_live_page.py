@@ -8,9 +8,8 @@ import pytest
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from tests.viewer.test_viewer import until
-from ttus_opt.core.errors import InputError
 from ttus_opt.live.trial import Trial
 from ttus_opt.viewer.live_page import LivePage
 from ttus_opt.viewer.live_session import LiveSession

@@ -4,8 +4,6 @@ What a visitor does with mouse and keys is compared with the state and the rende
 pictures are slow to draw here, so no test looks at a pixel.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+import ttus_opt as tt
+from tests.kit import torso
 from tests.viewer.conftest import field
-from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.section import sampled, section
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def test_samples_at_the_voxels_are_the_field():
@@ -26,12 +24,12 @@ def test_samples_at_the_voxels_are_the_field():
 
 @pytest.mark.parametrize(("direction", "at"), [("axial", 0.11), ("along", 0.7)])
 def test_a_section_shows_an_analytic_field(direction, at):
-    cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
-    voxmap = Voxmap.from_surface(cylinder, shape=(41, 60, 31), r_inner=0.02)
+    cylinder = tt.Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
+    voxmap = tt.Voxmap.from_surface(cylinder, shape=(41, 60, 31), r_inner=0.02)
     grid = voxmap.grid
     r, z = grid.r[:, None, None], grid.z[None, None, :]
     values = 10.0 * (0.1 - r) + 3.0 * z + 0.0 * grid.theta[None, :, None]
-    found = section(PotentialField(voxmap, values, "trilinear"), direction, at)
+    found = section(tt.PotentialField(voxmap, values, "trilinear"), direction, at)
     rows, columns = found.values.shape
     u = (np.arange(columns) + 0.5) / columns * found.size[0] - found.size[0] / 2
     v = found.size[1] / 2 - (np.arange(rows) + 0.5) / rows * found.size[1]
@@ -61,11 +59,11 @@ def test_isolines_lie_where_the_field_passes_their_values():
 
 
 def test_beyond_a_sector_there_is_no_field():
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         torso(), shape=(24, 24, 20), r_inner=0.03, sector=(0.5, 2.6)
     )
     depth = voxmap.spoke_radius[None] - voxmap.grid.r[:, None, None]
-    one = PotentialField(voxmap, np.where(voxmap.region == 0, 0, depth), "trilinear")
+    one = tt.PotentialField(voxmap, np.where(voxmap.region == 0, 0, depth), "trilinear")
     angle = np.array([0.51, 1.0, 2.59, 0.4, 2.7, 4.0])
     points = np.stack([0.06 * np.cos(angle), 0.06 * np.sin(angle), 0 * angle + 0.1], 1)
     known = np.isfinite(sampled(one, points))

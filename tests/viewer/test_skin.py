@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.skin import SkinMesh, place_on_ray
 

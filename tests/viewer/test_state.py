@@ -5,15 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import torso
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.contact.standing import depth_of, places_below, skin_points
-from ttus_opt.core.errors import InputError
-from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.state import LEAST, MOST, ViewState
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 FRAME = 1.0 / 60.0  # [s]
 
@@ -166,12 +161,12 @@ def test_a_new_field_is_felt_without_a_new_page(state):
 
 
 def test_a_touch_beyond_the_model_says_so():
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         torso(), shape=(24, 24, 20), r_inner=0.03, sector=(0.5, 2.6)
     )
     depth = voxmap.spoke_radius[None] - voxmap.grid.r[:, None, None]
     values = np.where(voxmap.region == 0, 0.0, 200.0 * depth)
-    part = ViewState([PotentialField(voxmap, values, "trilinear")], probe())
+    part = ViewState([tt.PotentialField(voxmap, values, "trilinear")], probe())
     settle(part)
     assert part.touches[0].notes == ()
     part.slide(4.5, 0.1)
@@ -204,9 +199,9 @@ def test_without_a_probe_there_is_nothing_to_move():
 
 
 def test_fields_of_two_patients_are_refused():
-    other = Surface.from_radius(np.full((90, 31), 0.1), torso().z)
-    voxmap = Voxmap.from_surface(other, shape=(24, 48, 20), r_inner=0.03)
-    round_one = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
+    other = tt.Surface.from_radius(np.full((90, 31), 0.1), torso().z)
+    voxmap = tt.Voxmap.from_surface(other, shape=(24, 48, 20), r_inner=0.03)
+    round_one = tt.PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
     refuses(InputError, "differ by up to", ViewState, [field(), round_one], probe())
     refuses(InputError, "one field or two", ViewState, [], probe())
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.voxmap import SURFACE, Voxmap

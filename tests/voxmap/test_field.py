@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.conftest import torso
 from tests.hostile import NUMBERS, only_our_errors
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError, InputError, TtusWarning
+from tests.kit import FileError, InputError, TtusWarning, refuses, torso
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, presses, torso
-from tests.refusals import refuses
+from tests.kit import GeometryError, InputError, ellipsoid, presses, refuses, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.voxmap.field import PotentialField, _from_dataset

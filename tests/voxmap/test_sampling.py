@@ -1,17 +1,13 @@
 """Names of samplings, and the length that one of them takes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+import ttus_opt as tt
 from tests.drags import end_share
+from tests.kit import InputError, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sampling import (
     check_sampling,
     field_unit,
@@ -20,7 +16,6 @@ from ttus_opt.voxmap.sampling import (
     spoke_cell,
     spoke_table,
 )
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @pytest.mark.parametrize(
@@ -59,7 +54,7 @@ def test_other_names_are_refused(name, told):
 
 
 #: Four points in one place, 1 cm² together: a pose's x-force is the field there
-POINT = PointShell(
+POINT = tt.PointShell(
     np.zeros((4, 3)), np.tile([1.0, 0, 0], (4, 1)), np.full(4, 0.25e-4), np.zeros(3)
 )
 SAMPLINGS = ["voxel-mean", "trilinear"]
@@ -77,7 +72,7 @@ def sampled(voxmap, values, places, sampling="trilinear"):
 def bumpy(n_theta=180, n_z=61):
     theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
     z = np.linspace(0.0, 0.2, n_z)
-    return Surface.from_radius(
+    return tt.Surface.from_radius(
         0.1 + 0.012 * np.sin(3 * theta + 20 * z) + 0.01 * np.cos(40 * z), z
     )
 
@@ -100,7 +95,7 @@ def places_below(surface, depth, rng):
 def test_a_field_that_grows_linearly_with_depth_is_exact(shape):
     """Whatever the skin's slope, and whatever stands on it and outside."""
     rng = np.random.default_rng(0)
-    voxmap = Voxmap.from_surface(bumpy(), shape=shape)
+    voxmap = tt.Voxmap.from_surface(bumpy(), shape=shape)
     below = depths_of_voxels(voxmap)
     values = np.where(below > voxmap.grid.r_step / 2, 100.0 * below, 1e6)
     depth = rng.uniform(0.0, 0.04, 800)
@@ -122,7 +117,7 @@ def test_second_order_on_a_bumpy_skin():
     errors = []
     for n in (1, 2, 4):
         shape = (12 * n, 16 * n, 8 * n + 1)
-        voxmap = Voxmap.from_surface(surface, shape=shape, r_outer=0.14)
+        voxmap = tt.Voxmap.from_surface(surface, shape=shape, r_outer=0.14)
         grid = voxmap.grid
         values = field(depths_of_voxels(voxmap), grid.theta[:, None], grid.z)
         miss = sampled(voxmap, values, places)
@@ -135,7 +130,7 @@ def test_second_order_on_a_bumpy_skin():
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_the_skins_layer_and_the_outside_are_never_sampled(sampling):
     rng = np.random.default_rng(2)
-    voxmap = Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
+    voxmap = tt.Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
     depth = 10.0 ** rng.uniform(-9.0, -1.5, 1000)
     rows = rows_at(voxmap, places_below(voxmap.surface, depth, rng)[0], sampling)
     nearest = np.abs(depths_of_voxels(voxmap)).argmin(axis=0)
@@ -150,7 +145,7 @@ def test_the_skins_layer_and_the_outside_are_never_sampled(sampling):
 def test_values_start_from_zero_at_the_skin(shape):
     """On any grid, on any slope of the skin; here they are 1 inside and outside."""
     rng = np.random.default_rng(3)
-    voxmap = Voxmap.from_surface(bumpy(), shape=shape)
+    voxmap = tt.Voxmap.from_surface(bumpy(), shape=shape)
     ones, step = np.ones(voxmap.grid.shape), voxmap.grid.r_step
     depth = 10.0 ** rng.uniform(-9.0, -3.0, 500)
     places = places_below(voxmap.surface, depth, rng)[0]
@@ -166,7 +161,7 @@ def test_values_start_from_zero_at_the_skin(shape):
 @pytest.mark.parametrize("r_inner", [0.03, 0.06])
 def test_beyond_the_inner_layer_its_values_go_on(sampling, r_inner):
     rng = np.random.default_rng(4)
-    voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=r_inner)
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=r_inner)
     grid = voxmap.grid
     values = rng.uniform(1.0, 2.0, grid.shape)
     values[0] = 5.0
@@ -186,7 +181,7 @@ def test_beyond_the_inner_layer_its_values_go_on(sampling, r_inner):
 def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other():
     """Along one line almost to the axis, in steps of 1 µm, then of half a µm."""
     rng = np.random.default_rng(5)
-    voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=0.04)
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(24, 40, 21), r_inner=0.04)
     values = rng.uniform(0.0, 1.0, voxmap.grid.shape)
     jumps = []
     for n in (100_001, 200_001):
@@ -201,7 +196,7 @@ def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other():
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_points_on_the_first_and_the_last_slice(sampling):
     """An index past the last slice would be the next spoke's first voxel."""
-    voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21))
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(24, 40, 21))
     grid = voxmap.grid
     values = np.zeros(grid.shape)
     values[:, :, 0], values[:, :, -1] = 3.0, 4.0
@@ -217,7 +212,7 @@ def test_points_on_the_first_and_the_last_slice(sampling):
 
 
 def test_the_table_holds_the_skin_of_every_spoke():
-    voxmap = Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
+    voxmap = tt.Voxmap.from_surface(bumpy(), shape=(24, 40, 21))
     grid = voxmap.grid
     table = spoke_table(voxmap).reshape(40, 21, 3)
     skin = voxmap.surface.radius_at(grid.theta[:, None], grid.z)
@@ -230,7 +225,7 @@ def test_the_table_holds_the_skin_of_every_spoke():
 
 def test_voxel_mean_is_the_voxels_value_away_from_the_skin():
     rng = np.random.default_rng(6)
-    voxmap = Voxmap.from_surface(torso(), shape=(24, 40, 21))
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(24, 40, 21))
     grid = voxmap.grid
     values = rng.normal(size=grid.shape)
     places, _, z = places_below(voxmap.surface, rng.uniform(0.02, 0.05, 300), rng)
@@ -246,7 +241,7 @@ def test_voxel_mean_is_the_voxels_value_away_from_the_skin():
 
 def test_the_last_slice_is_sampled_within_the_last_cell():
     """At the top there is no spoke above: the cell below, at its upper end."""
-    voxmap = Voxmap.from_surface(torso(), shape=(9, 20, 10))
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(9, 20, 10))
     grid = voxmap.grid
     for theta in (*grid.theta, np.nextafter(2 * np.pi, 0.0)):
         j, j_next, k, _, w = spoke_cell(theta, grid.z_max, grid.kernel_limits, 20, 10)

@@ -1,9 +1,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import GeometryError, InputError
+from tests.kit import GeometryError, InputError, refuses, torso
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE, Voxmap
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 from tests.benchmark.parts.quick import SETTINGS, TINY, every_part, measured
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from ttus_opt.benchmark.parts.base import SOLVERS, chosen
 from ttus_opt.benchmark.row import RunSpec
-from ttus_opt.core.errors import InputError
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pstats
 import pytest
 
 from tests.benchmark.parts.quick import measured
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.benchmark.parts import profile
 from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.progress import KEPT

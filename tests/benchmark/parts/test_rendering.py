@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import InputError, small_scene
 from ttus_opt.benchmark.parts.rendering import frame_times, numpy_frame, time_rendering
-from ttus_opt.core.errors import InputError
 from ttus_opt.voxmap.field import PotentialField
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import some
+from tests.kit import some
 from ttus_opt.benchmark.parts.ripple import LEAN, OFFSET, RADIUS, cylinder_field, ripple
 
 

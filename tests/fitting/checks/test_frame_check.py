@@ -7,21 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import presses, torso
-from ttus_opt.core.errors import MistakeWarning
+import ttus_opt as tt
+from tests.kit import MistakeWarning, presses, torso
 from ttus_opt.fitting.checks.frame_check import (
     jumps,
     share_near_skin,
     warn_of_another_frame,
 )
 from ttus_opt.probe.conventions import Conventions
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.rigid_motion import as_rows, inverse
-from ttus_opt.scan.frame import Axis
 
 TURN = Rotation.from_rotvec([1.0, 0.5, -2.0]).as_matrix()
-SKIN = replace(torso(), axis=Axis(np.array([0.4, -0.1, 0.9]), TURN))
-SHELL = PointShell.ellipsoid((0.02, 0.015, 0.015), n_points=50)
+SKIN = replace(torso(), axis=tt.Axis(np.array([0.4, -0.1, 0.9]), TURN))
+SHELL = tt.PointShell.ellipsoid((0.02, 0.015, 0.015), n_points=50)
 OWN = presses(SKIN, 12, np.random.default_rng(5))
 PLACE = SKIN.axis.scan_to_patient
 
@@ -46,7 +44,7 @@ def test_nothing_is_said_of_the_right_frame():
         told(OWN, Conventions())
         told(OWN.transformed(inverse(PLACE)), Conventions(frame="scan"))
         # nor where scan and patient are one frame
-        one = replace(SKIN, axis=Axis.identity())
+        one = replace(SKIN, axis=tt.Axis.identity())
         warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
 
 

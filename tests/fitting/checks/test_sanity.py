@@ -15,10 +15,9 @@ import scipy.optimize
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso, with_wrenches
+from tests.kit import InputError, presses, small_scene, torso, with_wrenches
 from ttus_opt import example
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.checks.sanity import (
     SanityReport,
     agreement,
@@ -27,7 +26,6 @@ from ttus_opt.fitting.checks.sanity import (
     torque_offset,
 )
 from ttus_opt.probe.conventions import Conventions
-from ttus_opt.probe.trajectory import Trajectory
 
 SWAP = [1, 0, 2]
 
@@ -198,7 +196,7 @@ def test_torques_about_a_point_of_the_sensor_are_told():
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_residuals_and_contacts_are_those_of_each_recording():
     voxmap, shell = geometry()
-    both = Trajectory.concatenate([recording("press_fit"), recording("sweep_fit")])
+    both = tt.Trajectory.concatenate([recording("press_fit"), recording("sweep_fit")])
     scene = tt.Scene.assemble(voxmap, shell, both, inner=10.0, sampling="trilinear")
     field = tt.fit(scene, "laplace_only").field
     found = check_recordings(scene, field, ["press", "sweep"]).recordings

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene, some, with_wrenches
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, small_scene, some, with_wrenches
 from tests.oracles.dense import least_squares, stacked
 from ttus_opt.contact.friction import Sliding
-from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.parameters.identification import PlaceRows, noise_variance
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.limited import Limited
-from ttus_opt.voxmap.field import PotentialField
 
 SMALL = (8, 18, 9)
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
@@ -32,7 +28,7 @@ each_drag = pytest.mark.parametrize("name", sorted(NEUTRAL))
 
 def recorded(scene, trajectory):
     """The same torso with another recording."""
-    return Scene.assemble(
+    return tt.Scene.assemble(
         scene.voxmap,
         scene.shell,
         trajectory,
@@ -56,7 +52,7 @@ def still(given):
 
 
 def alone(given):
-    return Trajectory(
+    return tt.Trajectory(
         given.time[:1],
         given.position[:1],
         given.rotation[:1],
@@ -343,7 +339,7 @@ def test_standard_errors_go_through_the_file(tmp_path):
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(1))
     field = tt.fit(scene, "viscous_drag", **WEIGHTS).field
     field.save(tmp_path / "field.nc")
-    back = PotentialField.load(tmp_path / "field.nc")
+    back = tt.PotentialField.load(tmp_path / "field.nc")
     assert back.standard_errors == field.standard_errors
     assert back.standard_errors["viscous_coefficient"] > 0.0
 
@@ -395,7 +391,7 @@ def test_a_standard_error_is_that_of_a_cold_start(monkeypatch):
 
 def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use():
     scene = small_scene("trilinear", n_poses=30)
-    fitted = Scene.assemble(
+    fitted = tt.Scene.assemble(
         scene.voxmap, scene.shell, scene.trajectory, inner="fit", sampling="trilinear"
     )
     assert set(fitted.standard_errors) == {"boundary_scale"}
@@ -477,7 +473,7 @@ def test_rows_are_those_in_contact_by_place():
     far = scene.trajectory.position.copy()
     far[10:14] *= [1.3, 1.3, 1.0]
     away = replace(scene.trajectory, position=far)
-    scene = Scene.assemble(scene.voxmap, scene.shell, away, inner=3.0, outer=3.0)
+    scene = tt.Scene.assemble(scene.voxmap, scene.shell, away, inner=3.0, outer=3.0)
     program = load("eq10", scene, **WEIGHTS).compile()
     rows = PlaceRows.of(scene, program)
     assert rows.names == ("force", "torque")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
+from tests.kit import refuses
 from ttus_opt.fitting.parameters.identification import NO_SLOPE
 from ttus_opt.fitting.parameters.parabola import ROUNDING, Parabola, UnsolvedError
 from ttus_opt.problem.solution import Status

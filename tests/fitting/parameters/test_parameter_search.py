@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting import batch
-from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.fitting.parameters import parameter_search
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.wrench import ForceTerm
 
@@ -48,14 +44,14 @@ def declared(low=0.0, high=1.0, best=0.3, depth=1.0):
 
 def unsolved_where(monkeypatch, bad, objective):
     """Fits in a range of values come back unsolved, with a tempting objective."""
-    solve = Fitter.solve
+    solve = tt.Fitter.solve
 
     def patched(self):
         solution = solve(self)
         if bad[0] <= solution.parameters["value"] <= bad[1]:
             return replace(
                 solution,
-                status=Status.INACCURATE,
+                status=tt.Status.INACCURATE,
                 objective=objective,
                 verified_field=None,
             )
@@ -74,7 +70,7 @@ def left_over(solution):
 
 def test_the_vertex_is_found_and_its_error_told():
     """J = J₀ (1 + 100 (v - 0.3)²), so that J'' = 200 J₀ and σ̂² = J₀/(m - 1)."""
-    solution = fit(SILENT, declared(depth=100.0))
+    solution = tt.fit(SILENT, declared(depth=100.0))
     assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-4)
     rest, m = left_over(solution)
     expected = np.sqrt(2.0 * rest / (m - 1) / (200.0 * solution.objective))
@@ -86,26 +82,26 @@ def test_the_vertex_is_found_and_its_error_told():
 def test_an_unsolved_fit_is_no_optimum(monkeypatch):
     """However small the objective is that it claims."""
     unsolved_where(monkeypatch, (0.6, 1.0), 0.0)
-    solution = fit(SILENT, declared(depth=100.0))
-    assert solution.status is Status.SOLVED
+    solution = tt.fit(SILENT, declared(depth=100.0))
+    assert solution.status is tt.Status.SOLVED
     assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-3)
 
 
 def test_no_fit_along_the_search_was_solved(monkeypatch):
     unsolved_where(monkeypatch, (1e-9, 1.0), 0.0)  # all but the neutral value's
-    solution = fit(SILENT, declared(depth=100.0))
-    assert solution.status is Status.INACCURATE
+    solution = tt.fit(SILENT, declared(depth=100.0))
+    assert solution.status is tt.Status.INACCURATE
     assert solution.detail.startswith(
         "the search for value solved none of its fits, the last: "
     )
-    refuses(NoSolutionError, "", lambda: solution.field)
+    refuses(tt.NoSolutionError, "", lambda: solution.field)
 
 
 def test_a_fit_beside_the_optimum_fails(monkeypatch):
     """The value stands, its standard error does not."""
     unsolved_where(monkeypatch, (0.31, 0.33), 0.0)
-    solution = fit(SILENT, declared(depth=100.0))
-    assert solution.status is Status.SOLVED
+    solution = tt.fit(SILENT, declared(depth=100.0))
+    assert solution.status is tt.Status.SOLVED
     assert solution.standard_errors == {}
     assert solution.remarks == {
         "value": "its standard error is unknown: a fit beside it was not solved"
@@ -114,14 +110,14 @@ def test_a_fit_beside_the_optimum_fails(monkeypatch):
 
 def test_a_search_that_does_not_end_is_not_solved(monkeypatch):
     monkeypatch.setattr(parameter_search, "MOST_FITS", 3)
-    solution = fit(SILENT, declared(depth=100.0))
-    assert solution.status is Status.INACCURATE
+    solution = tt.fit(SILENT, declared(depth=100.0))
+    assert solution.status is tt.Status.INACCURATE
     assert "did not converge in 3 fits: narrow its range" in solution.detail
 
 
 @pytest.mark.parametrize(("best", "limit"), [(1.4, "upper limit 1"), (-0.4, "lower")])
 def test_an_optimum_at_the_edge_is_told(best, limit):
-    solution = fit(SILENT, declared(best=best, depth=100.0))
+    solution = tt.fit(SILENT, declared(best=best, depth=100.0))
     assert solution.parameters["value"] == 0.0
     if limit == "lower":
         assert solution.remarks == {"value": "at its lower limit 0"}
@@ -134,14 +130,14 @@ def test_an_optimum_at_the_edge_is_told(best, limit):
 
 
 def test_a_flat_objective_tells_nothing():
-    solution = fit(SILENT, declared(depth=0.0))
-    assert solution.status is Status.SOLVED
+    solution = tt.fit(SILENT, declared(depth=0.0))
+    assert solution.status is tt.Status.SOLVED
     assert solution.parameters["value"] == 0.0
     assert solution.not_identified == {"value": "the objective does not depend on it"}
 
 
 def test_a_nearly_flat_objective_is_doubted():
-    solution = fit(SILENT, declared(depth=0.1))
+    solution = tt.fit(SILENT, declared(depth=0.1))
     assert solution.parameters["value"] == 0.0
     assert solution.not_identified["value"].startswith("the data give 0.3 ± ")
 
@@ -155,7 +151,7 @@ def test_two_parameters_are_found_together():
 
         return build(0.0).with_search(Search("b", -1.0, 1.0, build, neutral=0.0))
 
-    solution = fit(
+    solution = tt.fit(
         SILENT, both(0.9).with_search(Search("a", -1.0, 1.0, both, neutral=0.0))
     )
     assert solution.parameters["a"] == pytest.approx(0.3, abs=1e-3)
@@ -197,14 +193,14 @@ def test_the_neutral_value_lies_in_the_range():
 
 
 def test_search_is_told_in_the_time():
-    assert fit(SILENT, declared(depth=100.0)).timings.search is not None
+    assert tt.fit(SILENT, declared(depth=100.0)).timings.search is not None
     assert tt.fit(SILENT, "eq10").timings.search is None
 
 
 def test_a_limit_that_is_not_neutral_is_no_value():
     """The scale of boundary values between 0.5 and 2, for instance."""
     made = declared(low=0.5, high=2.0, best=0.2, depth=100.0)
-    solution = fit(SILENT, made.with_search(replace(made.search, neutral=1.0)))
+    solution = tt.fit(SILENT, made.with_search(replace(made.search, neutral=1.0)))
     assert solution.parameters["value"] == 1.0
     assert solution.not_identified == {"value": "at its lower limit 0.5"}
 
@@ -221,9 +217,9 @@ def test_an_estimate_saves_the_search_where_the_minimum_is_beside_it(bad, monkey
     )
     whole = declared(depth=100.0)
     likely = whole.with_search(replace(whole.search, likely=0.78))
-    solution = fit(SILENT, likely)
+    solution = tt.fit(SILENT, likely)
     assert len(searched) == (bad[0] < 1.0)
     assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-4)
     assert solution.standard_errors == pytest.approx(
-        fit(SILENT, whole).standard_errors, rel=1e-3
+        tt.fit(SILENT, whole).standard_errors, rel=1e-3
     )

@@ -7,8 +7,7 @@ import pytest
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import small_scene, three_presses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, small_scene, three_presses
 
 FORCE, TORQUE = 30.0, 3.0
 

@@ -7,9 +7,7 @@ import pytest
 import xarray as xr
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import FileError
+from tests.kit import FileError, presses, refuses, small_scene, torso
 from ttus_opt.fitting.path.path_dataset import (
     PathRecord,
     best_weights,

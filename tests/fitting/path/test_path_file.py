@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, some, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, TtusWarning
+from tests.kit import (
+    InputError,
+    TtusWarning,
+    presses,
+    refuses,
+    small_scene,
+    some,
+    torso,
+)
 from ttus_opt.fitting.path import path_file, path_solvers
 from ttus_opt.fitting.path.path_dataset import PathRecord
 from ttus_opt.fitting.path.path_file import inputs_of

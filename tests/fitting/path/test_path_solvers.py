@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
+from tests.kit import InputError, refuses, small_scene
 from tests.solvers.dual.test_weight_sweep import exact
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import Differences
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.path import path_solvers
 from ttus_opt.fitting.path.path_solvers import point_solver
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.solution import Status
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
@@ -79,7 +76,7 @@ def test_points_in_a_common_basis_are_the_dense_minimisers(name, singly):
     for weights in WEIGHTS:
         own = weighted(declared, *weights)
         found = solve(own)
-        assert (found.status, found.solver) == (Status.SOLVED, "structured")
+        assert (found.status, found.solver) == (tt.Status.SOLVED, "structured")
         expected = exact(own.compile())
         size = np.abs(expected).max()
         np.testing.assert_allclose(found.candidate, expected, atol=1e-6 * size)
@@ -97,7 +94,7 @@ def test_where_limits_hold_a_point_is_fitted_alone(singly, asked):
         p = exact(own.compile())
         asked.clear()
         found = solve(own)
-        assert found.status is Status.SOLVED
+        assert found.status is tt.Status.SOLVED
         slack = min(float(s.min()) for s in found.slacks.values())
         assert slack >= -1e-9 * np.abs(p).max()
         held.append(own in singly)
@@ -113,7 +110,7 @@ def test_where_limits_hold_a_point_is_fitted_alone(singly, asked):
 def test_a_residual_that_does_not_hold_is_tightened(monkeypatch, asked, singly):
     monkeypatch.setattr(path_solvers, "ENERGY", 1e3)
     own = weighted(eq10(), 1.0, 0.1)
-    assert in_basis(own, Request(1e-6))(own).status is Status.SOLVED
+    assert in_basis(own, Request(1e-6))(own).status is tt.Status.SOLVED
     assert asked == pytest.approx([1e-3, 1e-5, 1e-7][: len(asked)])
     assert len(asked) > 1 and not singly
 
@@ -121,14 +118,14 @@ def test_a_residual_that_does_not_hold_is_tightened(monkeypatch, asked, singly):
 def test_what_the_basis_cannot_reach_is_fitted_alone(monkeypatch, asked, singly):
     monkeypatch.setattr(path_solvers, "ENERGY", 1e12)
     own = weighted(eq10(), 1.0, 0.1)
-    assert in_basis(own, Request(1e-6))(own).status is Status.SOLVED
+    assert in_basis(own, Request(1e-6))(own).status is tt.Status.SOLVED
     assert len(asked) == 1 + path_solvers.TIGHTENINGS
     assert singly == [own]
 
 
 def test_out_of_time_it_says_so(singly):
     own = weighted(eq10(), 1.0, 0.1)
-    assert in_basis(own, Request(1e-8, 1e-9))(own).status is Status.TIME_LIMIT
+    assert in_basis(own, Request(1e-8, 1e-9))(own).status is tt.Status.TIME_LIMIT
     assert not singly
 
 

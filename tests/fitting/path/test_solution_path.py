@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
-from ttus_opt.core.errors import InputError, TtusWarning
+from tests.kit import InputError, TtusWarning, presses, small_scene, torso
 from ttus_opt.fitting.path import path_solvers
 from ttus_opt.fitting.path.solution_path import several_at_a_time
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.solution import Status
 
 WEIGHTS = np.geomspace(1e-4, 1e2, 4)
 
@@ -143,7 +140,7 @@ def test_a_point_that_fails_leaves_nan_and_its_status(monkeypatch):
     meanings = path["status"].attrs["flag_meanings"].split()
     values = path["status"].attrs["flag_values"]
     told = meanings[list(values).index(int(path["status"][3]))]
-    assert told == Status.INACCURATE.name.lower()
+    assert told == tt.Status.INACCURATE.name.lower()
     assert np.isnan(path["objective"][2:]).all()
     assert np.isnan(path["potential"][2:]).all()
     assert (path["kkt_residual"][2:] > 1e-15).all()
@@ -170,7 +167,7 @@ def test_a_name_needs_a_scene_and_a_recording_a_wrench():
     with pytest.raises(InputError, match="needs a scene"):
         tt.solution_path("eq10", weights={"force": [1.0]})
     one = unseen()
-    bare = Trajectory(one.time, one.position, one.rotation)
+    bare = tt.Trajectory(one.time, one.position, one.rotation)
     with pytest.raises(InputError, match="no wrench"):
         tt.solution_path(
             "eq10", small_scene("trilinear"), weights={"force": [1.0]}, held_out=bare

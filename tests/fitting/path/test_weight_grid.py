@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.fitting.path.weight_grid import WeightGrid
 
 TERMS = ("laplace", "force", "torque")

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.fitting.poses.test_pose_refinement import NOISE, examined, sweep
-from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.poses import pose_error_step
 from ttus_opt.fitting.poses.pose_error_step import PoseErrorProblem
 from ttus_opt.gaussian.matern import SeparableCovariance
-from ttus_opt.probe.trajectory import Trajectory
 
 
 def test_places_left_out_are_not_known():
@@ -66,11 +65,11 @@ def test_frames_of_a_press_share_errors():
 
 def test_one_shift_for_all_frames():
     """Of more than 800 frames in contact only some are used, but all are shifted."""
-    own = Trajectory.concatenate([sweep(1, 480), sweep(2, 480)])
+    own = tt.Trajectory.concatenate([sweep(1, 480), sweep(2, 480)])
     force = np.tile([0.0, 3.0, 0.0], (len(own), 1))
     pushed = replace(own, force=force, torque=np.zeros_like(force))
     small = examined(1.0, 40)[0]
-    scene = Scene.assemble(small.voxmap, small.shell, pushed)
+    scene = tt.Scene.assemble(small.voxmap, small.shell, pushed)
     problem = PoseErrorProblem.of(scene, NOISE)
     touching = scene.rows.contact_points > 0
     assert touching.sum() > 800 > len(problem.frames)

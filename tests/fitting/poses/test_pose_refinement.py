@@ -12,19 +12,21 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, torso
-from tests.refusals import refuses
+from tests.kit import (
+    InputError,
+    MistakeWarning,
+    NumericalError,
+    TtusWarning,
+    ellipsoid,
+    refuses,
+    torso,
+)
 from ttus_opt.contact.rows import PoseRows
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError, MistakeWarning, NumericalError, TtusWarning
 from ttus_opt.fitting.poses import pose_refinement
 from ttus_opt.fitting.poses.pose_error_step import Check, PoseErrorProblem
-from ttus_opt.fitting.poses.pose_refinement import refine_poses
-from ttus_opt.probe.tracker_noise import TrackerNoise
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 
-NOISE = TrackerNoise()
+NOISE = tt.TrackerNoise()
 SHAPE = (14, 40, 16)
 
 
@@ -41,13 +43,13 @@ def sweep(seed, n=120):
     rotation = (
         outward @ Rotation.from_euler("y", 0.1 * np.sin(time)[:, None]).as_matrix()
     )
-    return Trajectory(time, position, rotation)
+    return tt.Trajectory(time, position, rotation)
 
 
 @cache
 def examined(size=1.0, n=120):
     """A scene with errors of poses of ``size`` times the noise, and the true poses."""
-    true = Trajectory.concatenate([sweep(1, n), sweep(2, n)])
+    true = tt.Trajectory.concatenate([sweep(1, n), sweep(2, n)])
     rng = np.random.default_rng(5)
     alike = NOISE.correlations(true, np.arange(len(true)))
     drawn = np.linalg.cholesky(alike + 1e-9 * np.eye(len(true)))
@@ -85,7 +87,7 @@ def refined():
     """Estimated errors; two short sweeps are too few for the check by places."""
     with warnings.catch_warnings(), patch.object(Check, "better", True):
         warnings.simplefilter("error", TtusWarning)
-        return refine_poses(examined()[0], NOISE)
+        return tt.refine_poses(examined()[0], NOISE)
 
 
 def depths(found, true, force):
@@ -149,7 +151,7 @@ def test_a_field_for_refined_poses_predicts_no_worse():
 def test_exact_poses_stay_as_reported():
     scene, true = examined(0.0, 60)
     with pytest.warns(TtusWarning, match=r"show no errors of poses of 0.5 mm and 0.5°"):
-        found = refine_poses(scene, NOISE)
+        found = tt.refine_poses(scene, NOISE)
     assert found.gain < 0.0 < refined().gain
     assert found.trajectory is scene.trajectory
     assert not found.errors.any() and found.check is None and found.steps == 1
@@ -165,10 +167,10 @@ def test_a_shifted_recording_is_no_noise(monkeypatch):
     outward /= np.linalg.norm(outward, axis=1)[:, None]
     second = (own.segment == 1)[:, None]
     shifted = replace(own, position=own.position - 2.5e-3 * second * outward)
-    off = Scene.assemble(scene.voxmap, scene.shell, shifted)
+    off = tt.Scene.assemble(scene.voxmap, scene.shell, shifted)
     monkeypatch.setattr(Check, "better", True)
     with pytest.warns(TtusWarning, match=r"recording \d seems reported [12]\..* mm"):
-        refine_poses(off, NOISE)
+        tt.refine_poses(off, NOISE)
 
 
 def standing(deep, segment):
@@ -177,8 +179,8 @@ def standing(deep, segment):
     time = np.arange(n, dtype=float)
     still = np.zeros((n, 3))
     turns = np.tile(np.eye(3), (n, 1, 1))
-    trajectory = Trajectory(time, still, turns, segment=np.array(segment))
-    noise = TrackerNoise(2e-3, 0.01, 0.0)
+    trajectory = tt.Trajectory(time, still, turns, segment=np.array(segment))
+    noise = tt.TrackerNoise(2e-3, 0.01, 0.0)
     frames = np.arange(n)
     xi = np.zeros((n, 6))
     xi[:, 2] = -np.array(deep)
@@ -206,8 +208,10 @@ def test_one_recording_differs_from_none():
 
 def test_no_forces_refine_nothing():
     scene, true = examined()
-    without = Scene.assemble(scene.voxmap, scene.shell, true)
-    refuses(InputError, "poses are refined by measured forces", refine_poses, without)
+    without = tt.Scene.assemble(scene.voxmap, scene.shell, true)
+    refuses(
+        InputError, "poses are refined by measured forces", tt.refine_poses, without
+    )
 
 
 @pytest.mark.slow
@@ -216,7 +220,7 @@ def test_steps_that_do_not_end_give_no_poses(monkeypatch):
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     begun = []
     with pytest.raises(NumericalError, match=r"still move by .* after 2 steps"):
-        refine_poses(examined(1.0, 60)[0], progress=lambda: begun.append(1))
+        tt.refine_poses(examined(1.0, 60)[0], progress=lambda: begun.append(1))
     assert len(begun) == 2
 
 
@@ -228,7 +232,7 @@ def test_exact_poses_stay_where_the_evidence_is_not_asked(monkeypatch):
     with pytest.warns(
         TtusWarning, match=r"places left out not clearly better .* left as rep"
     ):
-        found = refine_poses(scene, NOISE)
+        found = tt.refine_poses(scene, NOISE)
     assert found.trajectory is scene.trajectory
     check = found.check
     assert check is not None and check.places >= 3 and not check.better
@@ -244,4 +248,4 @@ def test_too_few_places_to_check_move_no_pose(monkeypatch):
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     monkeypatch.setattr(PoseErrorProblem, "check", lambda *_: Check(2, 1.0, 2.0, 0.1))
     with pytest.warns(TtusWarning, match="2 places are too few to check"):
-        assert not refine_poses(examined(1.0, 60)[0], NOISE).errors.any()
+        assert not tt.refine_poses(examined(1.0, 60)[0], NOISE).errors.any()

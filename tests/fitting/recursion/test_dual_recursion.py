@@ -5,9 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, NumericalError
+from tests.kit import InputError, NumericalError, refuses, small_scene
 from ttus_opt.fitting.recursion import dual_recursion
 from ttus_opt.fitting.recursion.dual_recursion import FIELD_RTOL, DualRecursion
 from ttus_opt.fitting.recursion.measured_rows import Block

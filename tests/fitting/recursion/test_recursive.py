@@ -6,15 +6,9 @@ import pytest
 from scipy.stats import chi2
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, some, torso
-from tests.refusals import refuses
+from tests.kit import InputError, presses, refuses, small_scene, some, torso
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.dual_recursion import FIELD_RTOL
-from ttus_opt.fitting.recursion.recursive import RecursiveFit
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.voxmap import Voxmap
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 3e-3}
 
@@ -22,7 +16,7 @@ WEIGHTS = {"force_weight": 1e-2, "torque_weight": 3e-3}
 def batch(scene, frames):
     """The scene with some of its frames, assembled anew."""
     at = np.arange(len(scene.trajectory))[frames]
-    return Scene.assemble(
+    return tt.Scene.assemble(
         scene.voxmap,
         scene.shell,
         scene.trajectory.select(at),
@@ -62,7 +56,7 @@ def closed_form(scene, **options):
 @pytest.mark.parametrize("folded", [0, 5, 12])
 def test_equals_the_closed_form_wherever_it_starts(scene, folded):
     start = scene if folded == 12 else batch(scene, slice(max(folded, 1)))
-    fit = RecursiveFit(start, **WEIGHTS, fold_scene=folded > 0)
+    fit = tt.RecursiveFit(start, **WEIGHTS, fold_scene=folded > 0)
     assert fit.measurements == folded
     innovations = fold(fit, scene.trajectory, list(range(folded, 12)))
     assert [i.index for i in innovations] == list(range(folded, 12))
@@ -82,7 +76,7 @@ def test_equals_the_closed_form_wherever_it_starts(scene, folded):
 )
 def test_other_weights(weights):
     scene = small_scene()
-    fit = RecursiveFit(scene, **weights)
+    fit = tt.RecursiveFit(scene, **weights)
     # the field is refined until its dual's residual is below that, not to rounding
     assert difference(fit, closed_form(scene, **weights)) < FIELD_RTOL
     last = fold(fit, scene.trajectory, [0])[0]
@@ -96,7 +90,7 @@ def test_other_weights(weights):
 def test_400_random_measurements_equal_the_batch_fit():
     scene = small_scene("trilinear", n_poses=400)
     order = np.random.default_rng(7).permutation(400).tolist()
-    fit = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
+    fit = tt.RecursiveFit(scene, **WEIGHTS, fold_scene=False)
     fold(fit, scene.trajectory, order)
     assert fit.measurements == 400
     assert not fit.rejected
@@ -108,15 +102,15 @@ def test_400_random_measurements_equal_the_batch_fit():
 @pytest.mark.slow
 def test_400_measurements_at_case_s():
     surface = torso()
-    scene = Scene.assemble(
-        Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=0.03),
-        PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1500),
+    scene = tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=0.03),
+        tt.PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1500),
         presses(surface, 400, np.random.default_rng(0)),
         inner=2.0,
         outer=1.5,
         sampling="trilinear",
     )
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     structured = tt.fit(scene, solver="structured", tolerance=1e-9, **WEIGHTS)
     assert difference(fit, structured.field.values) < 1e-8
     rows = 6 * len(fit.in_contact)
@@ -125,7 +119,7 @@ def test_400_measurements_at_case_s():
 
 def test_downdate_leaves_what_the_others_make():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     before = fit.field.values
     gone = fold(fit, scene.trajectory, [4])[0]
     assert difference(fit, before) > 1e-6
@@ -141,7 +135,7 @@ def test_downdate_leaves_what_the_others_make():
 
 def test_window_and_fading():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     fit.forget(window=20)
     assert fit.measurements == 12
     fit.forget(window=5)
@@ -167,7 +161,7 @@ SCENES = {
 @pytest.mark.parametrize("which", some(SCENES, 1))
 def test_innovation_is_predicted_by_the_dense_posterior(which):
     scene = small_scene(*SCENES[which])
-    fit = RecursiveFit(scene, **WEIGHTS, noise_std=0.2)
+    fit = tt.RecursiveFit(scene, **WEIGHTS, noise_std=0.2)
     pose = presses(torso(), 1, np.random.default_rng(99))
     p, length = fit.field.values.reshape(-1), scene.torque_length
     seen = fold(fit, pose, [0])[0]
@@ -215,7 +209,7 @@ def consistent(scene, std, seed):
 def test_good_measurements_pass_and_their_statistics_are_right():
     scene = small_scene("trilinear", n_poses=150)
     told = consistent(scene, 0.1, 5)
-    fit = RecursiveFit(
+    fit = tt.RecursiveFit(
         scene, **WEIGHTS, noise_std=0.1, outlier_level=1e-4, fold_scene=False
     )
     seen = fold(fit, told, list(range(150)))
@@ -233,7 +227,7 @@ def test_an_outlier_is_reported_and_left_out():
     force[20] += [3.0, -2.0, 2.0]
     force[25] *= -1.0
     told = replace(told, force=force)
-    fit = RecursiveFit(scene, **WEIGHTS, noise_std=0.1, fold_scene=False)
+    fit = tt.RecursiveFit(scene, **WEIGHTS, noise_std=0.1, fold_scene=False)
     seen = fold(fit, told, list(range(30)))
     assert fit.rejected == (20, 25)
     assert [i.index for i in seen if not i.accepted] == [20, 25]
@@ -244,7 +238,7 @@ def test_an_outlier_is_reported_and_left_out():
     assert difference(fit, closed_form(good, **WEIGHTS)) < 1e-10
     refuses(InputError, "measurement 20 is not in the fit", fit.downdate, 20)
     # without a test everything is in
-    everything = RecursiveFit(
+    everything = tt.RecursiveFit(
         scene, **WEIGHTS, noise_std=0.1, outlier_level=None, fold_scene=False
     )
     assert all(i.accepted for i in fold(everything, told, list(range(30))))
@@ -252,7 +246,7 @@ def test_an_outlier_is_reported_and_left_out():
 
 def test_a_gross_outlier_is_found_by_the_weights_alone():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     told = scene.trajectory
     bad = fit.update(told.rotation[0], told.position[0], [0.0, 900.0, 0.0], np.zeros(3))
     assert not bad.accepted
@@ -261,7 +255,7 @@ def test_a_gross_outlier_is_found_by_the_weights_alone():
 
 def test_poses_without_contact_are_held_and_cost_nothing():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     before, memory = fit.field.values, fit.memory_bytes
     near = fit.update(np.eye(3), [0.15, 0.0, 0.1], np.full(3, 0.01), np.zeros(3))
     far = fit.update(np.eye(3), [9.0, 0.0, 0.1], np.full(3, 1e3), np.zeros(3))
@@ -283,7 +277,7 @@ def test_poses_without_contact_are_held_and_cost_nothing():
 def test_starts_without_wrenches_at_the_laplace_field():
     scene = small_scene()
     bare = replace(scene.trajectory, force=None, torque=None)
-    fit = RecursiveFit(replace(scene, trajectory=bare))
+    fit = tt.RecursiveFit(replace(scene, trajectory=bare))
     assert fit.measurements == 0
     assert np.isnan(fit.estimated_noise_std)
     laplace = tt.fit(scene, "laplace_only").field.values
@@ -292,7 +286,7 @@ def test_starts_without_wrenches_at_the_laplace_field():
 
 def test_a_field_once_given_stays():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
+    fit = tt.RecursiveFit(scene, **WEIGHTS, fold_scene=False)
     first = fit.field
     copy = first.values.copy()
     fold(fit, scene.trajectory, [0, 1])
@@ -305,8 +299,8 @@ def test_capacity_is_a_limit():
     frames = speaking(scene)
     n, first = len(frames), frames[0]
     with pytest.raises(InputError, match=f"capacity of {n - 1} measurements"):
-        RecursiveFit(scene, **WEIGHTS, capacity=n - 1)
-    fit = RecursiveFit(scene, **WEIGHTS, capacity=n)
+        tt.RecursiveFit(scene, **WEIGHTS, capacity=n - 1)
+    fit = tt.RecursiveFit(scene, **WEIGHTS, capacity=n)
     refuses(InputError, "forget old measurements", fold, fit, scene.trajectory, [first])
     assert fit.measurements == 12
     fit.forget(window=12 - first - 1)
@@ -316,7 +310,7 @@ def test_capacity_is_a_limit():
 def test_forces_alone_and_the_noise_they_tell_by_dense_algebra():
     """1/√λ times the root mean square of whitened innovations: the least objective."""
     scene, weight = small_scene("trilinear", shape=(7, 12, 7), n_poses=4), 0.3
-    fit = RecursiveFit(
+    fit = tt.RecursiveFit(
         scene,
         force_weight=weight,
         torque_weight=0.0,
@@ -324,7 +318,7 @@ def test_forces_alone_and_the_noise_they_tell_by_dense_algebra():
         outlier_level=None,
         fold_scene=False,
     )
-    both = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
+    both = tt.RecursiveFit(scene, **WEIGHTS, fold_scene=False)
     told = scene.trajectory
     for k in range(4):
         pose = told.rotation[k], told.position[k]
@@ -359,7 +353,7 @@ def test_forces_alone_and_the_noise_they_tell_by_dense_algebra():
     ],
 )
 def test_options_are_checked(option, message):
-    refuses(InputError, message, RecursiveFit, small_scene(), **option)
+    refuses(InputError, message, tt.RecursiveFit, small_scene(), **option)
 
 
 def test_options_at_the_ends_of_their_ranges_are_taken():
@@ -367,13 +361,13 @@ def test_options_at_the_ends_of_their_ranges_are_taken():
     weights = ({"force_weight": 0.0}, {"torque_weight": 0.0})
     more = {"noise_std": 1e-9}, {"outlier_level": 1e-12}, {"capacity": 1}
     for options in (*weights, *more):
-        RecursiveFit(small_scene(), fold_scene=False, **options)
+        tt.RecursiveFit(small_scene(), fold_scene=False, **options)
 
 
 @functools.cache
 def held():
     """A fit for what changes nothing."""
-    return RecursiveFit(small_scene(), **WEIGHTS)
+    return tt.RecursiveFit(small_scene(), **WEIGHTS)
 
 
 @pytest.mark.parametrize(
@@ -405,7 +399,7 @@ def test_forget_wants_one_sound_value(factor, window):
 
 def test_forgetting_nothing_and_everything():
     scene = small_scene()
-    fit = RecursiveFit(scene, **WEIGHTS)
+    fit = tt.RecursiveFit(scene, **WEIGHTS)
     touching = f"12 measurements held, {len(speaking(scene))} in contact>"
     assert repr(fit) == f"<RecursiveFit on {scene.voxmap.grid.sizes}: {touching}"
     before = fit.field.values

@@ -7,10 +7,9 @@ import pytest
 from scipy.linalg import block_diag
 
 import ttus_opt as tt
-from tests.refusals import refuses
+from tests.kit import InputError, refuses
 from ttus_opt import example
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion import recursive_depth_map as module
 from ttus_opt.fitting.recursion.recursive_depth_map import RecursiveDepthMap
 from ttus_opt.problem.terms.depth_profile import DepthProfile

@@ -1,7 +1,5 @@
 """`RecursiveFit` whose measurements come, fade and go, against dense algebra."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -18,12 +16,8 @@ from hypothesis.stateful import (
 )
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.contact.scene import Scene
+from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.recursion.dual_recursion import DualRecursion
-from ttus_opt.fitting.recursion.recursive import RecursiveFit
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: What the issue asks for: the field is the batch fit's up to this part
 EXACT = 1e-8
@@ -41,17 +35,17 @@ def scene():
     surface, rng = torso(), np.random.default_rng(3)
     at, poses = np.repeat([0, 1, 2], [7, 7, 6]), presses(surface, 3, rng)
     # three spots, the probe a millimetre aside each time, and single presses all over
-    near = Trajectory(
+    near = tt.Trajectory(
         0.05 * np.arange(20),
         poses.position[at] + rng.normal(0.0, 1e-3, (20, 3)),
         poses.rotation[at],
         poses.force[at] + rng.normal(0.0, 0.2, (20, 3)),
         poses.torque[at],
     )
-    return Scene.assemble(
-        Voxmap.from_surface(surface, shape=(7, 12, 7), r_inner=0.03),
+    return tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=(7, 12, 7), r_inner=0.03),
         ellipsoid(),
-        Trajectory.concatenate([near, presses(surface, 20, rng)]),
+        tt.Trajectory.concatenate([near, presses(surface, 20, rng)]),
         inner=2.0,
         outer=1.5,
         sampling="trilinear",
@@ -110,7 +104,7 @@ def batch(poses, weights):
 
 
 def start(weight, told):
-    return RecursiveFit(
+    return tt.RecursiveFit(
         told,
         force_weight=weight,
         torque_weight=weight,

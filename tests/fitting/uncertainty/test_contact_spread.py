@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import TtusWarning
+import ttus_opt as tt
+from tests.kit import TtusWarning, ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.contact_spread import (
     OWN_ERROR,
     USUAL_PLACES,
@@ -18,10 +17,9 @@ from ttus_opt.fitting.uncertainty.contact_spread import (
 )
 from ttus_opt.gaussian.matern import matern
 from ttus_opt.problem.terms.structure import UncertainMean
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
-VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10), r_inner=0.03)
+VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(9, 20, 10), r_inner=0.03)
 
 
 def scene_of(angle, z, depth):
@@ -29,7 +27,7 @@ def scene_of(angle, z, depth):
     path = presses(SURFACE, len(angle), np.random.default_rng(0))
     r = SURFACE.radius_at(angle, z) + 0.012 - depth
     position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-    return Scene.assemble(
+    return tt.Scene.assemble(
         VOXMAP, ellipsoid(), replace(path, position=position), inner=1.0
     )
 

@@ -1,7 +1,5 @@
 """The closed form of a depth map's posterior against dense algebra."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -11,7 +9,6 @@ import scipy.linalg
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, presses, torso
 from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
     noise_of,
@@ -20,10 +17,9 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
     unseen,
     wrench_rows,
 )
-from ttus_opt.contact.scene import Scene
+from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
-from ttus_opt.problem.solution import Solution
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
@@ -37,12 +33,12 @@ LEAST, STEP = 0.01, 0.01
 
 
 @functools.cache
-def scene_of(least: float) -> Scene:
+def scene_of(least: float) -> tt.Scene:
     return three_presses().resampled(f"contact-size:{least:.3g}")
 
 
 @functools.cache
-def fitted() -> Solution:
+def fitted() -> tt.Solution:
     return tt.fit(scene_of(LEAST), "depth_map", **WEIGHTS)
 
 
@@ -51,7 +47,7 @@ def exact() -> Uncertainty:
     return uncertainty(fitted(), scene_of(LEAST))
 
 
-def rows_of(scene: Scene) -> np.ndarray:
+def rows_of(scene: tt.Scene) -> np.ndarray:
     return np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
 
 
@@ -144,7 +140,7 @@ def test_draws_agree_with_it():
     assert abs(np.median(found / std) - 1.0) < 0.02
 
 
-def opposite_presses(stiffer: float) -> Scene:
+def opposite_presses(stiffer: float) -> tt.Scene:
     """The same presses on both sides of a torso, of which one is stiffer."""
     surface = torso()
     voxmap = tt.Voxmap.from_surface(surface, shape=(9, 20, 10))
@@ -152,7 +148,7 @@ def opposite_presses(stiffer: float) -> Scene:
     one = presses(surface, 8, rng, depth=0.015)
     other = replace(one, position=one.position @ turn, rotation=turn @ one.rotation)
     both = tt.Trajectory.concatenate([one, other])
-    scene = Scene.assemble(voxmap, ellipsoid(), both, inner=1.0)
+    scene = tt.Scene.assemble(voxmap, ellipsoid(), both, inner=1.0)
     shape = voxmap.grid.shape
     stiff = np.where(np.arange(shape[1]) < shape[1] // 2, stiffer, 1.0)
     depth = np.maximum(voxel_depths(voxmap), 0.0).reshape(shape)
@@ -160,7 +156,7 @@ def opposite_presses(stiffer: float) -> Scene:
     force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, 0.02, both.position.shape)
     torque = (scene.W @ p).reshape(-1, 3)
     measured = replace(both, force=force, torque=torque)
-    return Scene.assemble(voxmap, ellipsoid(), measured, inner=1.0)
+    return tt.Scene.assemble(voxmap, ellipsoid(), measured, inner=1.0)
 
 
 def test_a_stiffer_place_is_uncertain_by_more_newtons():
@@ -188,7 +184,7 @@ def test_forces_without_torques_have_an_uncertainty_too():
     """A depth map of them has no torque rows; torques tell more."""
     whole = opposite_presses(2.0)
     bare = replace(whole.trajectory, torque=None)
-    scene = Scene.assemble(whole.voxmap, whole.shell, bare, inner=1.0)
+    scene = tt.Scene.assemble(whole.voxmap, whole.shell, bare, inner=1.0)
     found = uncertainty(tt.fit(scene, "depth_map", force_weight=30.0), scene)
     rows = sp.csr_array(whole.N)
     less = uncertainty(tt.fit(whole, "depth_map", **WEIGHTS), whole)

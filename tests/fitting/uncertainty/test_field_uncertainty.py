@@ -9,11 +9,18 @@ import scipy.sparse as sp
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, three_presses, torso, with_wrenches
 from tests.fitting.uncertainty import test_wrench_noise
-from tests.refusals import refuses
+from tests.kit import (
+    InputError,
+    TtusWarning,
+    presses,
+    refuses,
+    small_scene,
+    three_presses,
+    torso,
+    with_wrenches,
+)
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.uncertainty.wrench_noise import PRIORS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.fitting.uncertainty import laplace_posterior
 from ttus_opt.fitting.uncertainty.laplace_posterior import (
     SCALE_DEVIATION,

@@ -10,7 +10,6 @@ import pytest
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import KEPT_SHARE, three_presses
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.next_press import greedy, next_press, normal_forces
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 
@@ -53,7 +52,7 @@ def test_a_place_is_suggested_once_however_noisy():
 
 @functools.cache
 def stated():
-    return uncertainty(tt.fit(three_presses(), "depth_map"), three_presses())
+    return tt.uncertainty(tt.fit(three_presses(), "depth_map"), three_presses())
 
 
 @functools.cache

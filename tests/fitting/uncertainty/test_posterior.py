@@ -1,7 +1,5 @@
 """Rows of a field over some of its voxels."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 

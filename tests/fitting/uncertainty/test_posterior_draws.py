@@ -1,12 +1,10 @@
 """Draws near the skin: what contact samples, and what is deeper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.fitting.uncertainty.posterior_draws import (
     BATCH,
     PosteriorDraws,

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.conftest import ellipsoid, presses, small_scene, three_presses, torso
+import ttus_opt as tt
 from tests.fitting.uncertainty.test_contact_spread import scene_of
-from ttus_opt.contact.scene import Scene
+from tests.kit import ellipsoid, presses, small_scene, three_presses, torso
 from ttus_opt.fitting.uncertainty.presses import pressed_places
-from ttus_opt.probe.trajectory import Trajectory
 
 
 def test_recordings_and_air_part_presses():
@@ -18,11 +17,11 @@ def test_recordings_and_air_part_presses():
     assert not inside[4::5].any()
     numbers = scene.presses
     assert len(np.unique(numbers[inside])) == 3
-    two = Trajectory.concatenate(
+    two = tt.Trajectory.concatenate(
         [presses(torso(), 5, np.random.default_rng(k)) for k in (1, 2)]
     )
     voxmap = small_scene("trilinear").voxmap
-    joined = Scene.assemble(voxmap, ellipsoid(), two, sampling="trilinear")
+    joined = tt.Scene.assemble(voxmap, ellipsoid(), two, sampling="trilinear")
     assert len(np.unique(joined.presses)) == 2
 
 

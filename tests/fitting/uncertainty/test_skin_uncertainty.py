@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import torso
 from tests.fitting.uncertainty.test_field_uncertainty import (
     KEPT_SHARE,
     fitted,
     three_presses,
 )
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, torso
 from ttus_opt.fitting.uncertainty import skin_uncertainty
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.saved_uncertainty import save_with_uncertainty

@@ -7,16 +7,14 @@ import pytest
 import scipy.stats
 
 import ttus_opt as tt
-from tests.conftest import presses, torso
 from tests.fitting.uncertainty.test_field_uncertainty import exact, fitted
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, presses, torso
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
     calibration_curve,
     check_uncertainty,
 )
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.haptic.field_wrench import FieldWrenches
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import compare
 
 
@@ -92,7 +90,7 @@ def test_correlations_of_frames_of_noise_and_of_places():
     noise = 10.0 - std  # undoes the order
     zero, time = np.zeros((n * each, 3)), np.arange(n * each, dtype=np.float64)
     force = zero + np.array([1.0, 0.0, 0.0])
-    recorded = Trajectory(
+    recorded = tt.Trajectory(
         time,
         zero + 0.05 * place[:, None],
         np.tile(np.eye(3), (n * each, 1, 1)),

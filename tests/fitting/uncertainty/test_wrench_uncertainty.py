@@ -3,16 +3,13 @@
 import numpy as np
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
-from tests.dragging import dragged_scene
-from ttus_opt.contact.scene import Scene
+from tests.kit import dragged_scene, presses, small_scene, torso
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import (
     WrenchUncertainty,
     rendered,
     wrench_rows,
 )
 from ttus_opt.haptic.field_wrench import wrenches_along
-from ttus_opt.voxmap.field import PotentialField
 
 SCENE = small_scene("trilinear")
 
@@ -20,12 +17,12 @@ SCENE = small_scene("trilinear")
 def field(scene, **parameters):
     rng = np.random.default_rng(0)
     values = rng.normal(size=scene.voxmap.grid.shape)
-    return PotentialField(scene.voxmap, values, scene.sampling, parameters)
+    return tt.PotentialField(scene.voxmap, values, scene.sampling, parameters)
 
 
 def test_six_rows_of_a_frame_stand_together():
     poses = presses(torso(), 4, np.random.default_rng(5))
-    there = Scene.assemble(
+    there = tt.Scene.assemble(
         SCENE.voxmap, SCENE.shell, poses, inner=1.0, sampling="trilinear"
     )
     rows = wrench_rows(field(SCENE), SCENE.shell, poses).toarray()
@@ -58,7 +55,7 @@ def test_drag_is_among_them():
     wrenches = wrenches_along(own, scene.shell, scene.trajectory)
     expected = np.hstack([wrenches.force, wrenches.torque])
     np.testing.assert_allclose(rendered(own, rows), expected, atol=1e-9)
-    plain = PotentialField(own.voxmap, own.values, own.sampling)
+    plain = tt.PotentialField(own.voxmap, own.values, own.sampling)
     without = rendered(own, wrench_rows(plain, scene.shell, scene.trajectory))
     assert np.abs(without - expected).max() > 1e-3
 

@@ -1,12 +1,9 @@
 """The scene on fewer voxels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, small_scene
 from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.weights import coarse_scene
 from ttus_opt.fitting.weights.coarse_scene import coarse_shape, coarser

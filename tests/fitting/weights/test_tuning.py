@@ -1,7 +1,5 @@
 """Tuning against data whose noise, boundary scale and friction are known."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -11,19 +9,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import ttus_opt as tt
-from tests.conftest import small_scene, three_presses, torso
 from tests.core.test_threads import threads
-from tests.refusals import refuses
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene, three_presses, torso
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights import coarse_scene, tuning
-from ttus_opt.fitting.weights.tuning import tune
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.wrench import ForceTerm
-from ttus_opt.voxmap.voxmap import Voxmap
 
 NOISE, SCALE = 0.02, 1.4
 
@@ -38,12 +29,12 @@ def drawn():
     noise = NOISE * scene.torque_length
     torque = (scene.W @ p).reshape(-1, 3) + rng.normal(0.0, noise, (15, 3))
     trajectory = replace(scene.trajectory, force=force, torque=torque)
-    return Scene.assemble(scene.voxmap, scene.shell, trajectory, inner="fit")
+    return tt.Scene.assemble(scene.voxmap, scene.shell, trajectory, inner="fit")
 
 
 @functools.cache
 def tuned():
-    return tune(drawn(), "eq10")
+    return tt.tune(drawn(), "eq10")
 
 
 def test_the_scale_is_found():
@@ -112,7 +103,7 @@ def test_other_criteria_choose_multiples_of_the_weights():
 
 
 def test_without_sliding_drag_is_not_taken():
-    found = tune(drawn(), ["coulomb_global", "eq10"], compare=False)
+    found = tt.tune(drawn(), ["coulomb_global", "eq10"], compare=False)
     assert found.formulation.name == "eq10"
     assert set(found.candidates) == {"eq10", "coulomb_global"}
     assert found.candidates["eq10"] == found.left_out_force_error
@@ -127,15 +118,15 @@ class OwnForceTerm(ForceTerm):
     def rows(self):
         given = super().rows()
         blocks = {name: 3.0 * M for name, M in given.blocks.items()}
-        return AffineRows(blocks, 3.0 * given.target)
+        return tt.AffineRows(blocks, 3.0 * given.target)
 
 
 def test_a_users_own_terms_are_tuned():
     """By their rows alone: in another unit the weight is another, the fit the same."""
     scene = tuned().scene
-    plain = Formulation([LaplaceTerm(scene), ForceTerm(scene)])
-    own = Formulation([LaplaceTerm(scene), OwnForceTerm(scene)]).named("mine")
-    weights = [tune(scene, each, compare=False).weights for each in (plain, own)]
+    plain = tt.Formulation([LaplaceTerm(scene), ForceTerm(scene)])
+    own = tt.Formulation([LaplaceTerm(scene), OwnForceTerm(scene)]).named("mine")
+    weights = [tt.tune(scene, each, compare=False).weights for each in (plain, own)]
     ratio = weights[0]["force"] / weights[1]["own_force"]
     assert ratio == pytest.approx(9.0, rel=0.5)
     solution = tt.fit(scene, own, weights="auto")
@@ -163,8 +154,8 @@ def test_a_users_file_is_tuned(tmp_path):
 def test_any_squares_are_a_prior():
     """With next to no Tikhonov term the factorised prior is eq. 10's."""
     scene = tuned().scene
-    found = tune(scene, "tikhonov", compare=False, ridge=1e-9)
-    plain = tune(scene, "eq10", compare=False)
+    found = tt.tune(scene, "tikhonov", compare=False, ridge=1e-9)
+    plain = tt.tune(scene, "eq10", compare=False)
     for name, weight in plain.weights.items():
         assert found.weights[name] == pytest.approx(weight, rel=0.3)
     assert found.check.chosen_error == pytest.approx(plain.check.chosen_error, rel=0.02)
@@ -173,8 +164,8 @@ def test_any_squares_are_a_prior():
 def test_forces_alone_are_tuned():
     own = drawn()
     silent = replace(own.trajectory, torque=None)
-    scene = Scene.assemble(own.voxmap, own.shell, silent, inner="fit")
-    found = tune(scene, "eq10", compare=False)
+    scene = tt.Scene.assemble(own.voxmap, own.shell, silent, inner="fit")
+    found = tt.tune(scene, "eq10", compare=False)
     assert found.weights.keys() == {"force"} == found.weight_factors.keys()
     assert 0.2 < found.weights["force"] / tuned().weights["force"] < 5.0
 
@@ -182,20 +173,22 @@ def test_forces_alone_are_tuned():
 def test_one_thread_does_the_dense_algebra():
     seen = []
     with threadpool_limits(limits=2, user_api="blas"):
-        tune(drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads()))
+        tt.tune(
+            drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads())
+        )
     assert seen and all(one == {1} for one in seen)
 
 
 def test_an_option_at_the_end_of_its_range_is_told():
     ridges = {"ridge": (1e2, 1e4)}  # the less the better
-    found = tune(drawn(), "tikhonov", vary=ridges, compare=False)
+    found = tt.tune(drawn(), "tikhonov", vary=ridges, compare=False)
     option = found.hyperparameters[-1]
     assert (option.name, option.value, option.at_bound) == ("option_ridge", 1e2, True)
 
 
 @pytest.mark.slow
 def test_an_option_is_chosen_among_others():
-    found = tune(drawn(), "free_surface", compare=False)
+    found = tt.tune(drawn(), "free_surface", compare=False)
     option = next(h for h in found.hyperparameters if h.name == "option_skin")
     assert 1e-7 < option.value < 1.0
     prior = next(t for t in found.formulation.terms if not t.measures)
@@ -205,7 +198,7 @@ def test_an_option_is_chosen_among_others():
 def test_a_coarse_grid_finds_nearly_the_same(monkeypatch):
     scene = drawn()
     monkeypatch.setattr(coarse_scene, "MOST_VOXELS", scene.n_voxels // 2)
-    found = tune(scene, "eq10", compare=False)
+    found = tt.tune(scene, "eq10", compare=False)
     assert np.prod(found.shape) < scene.n_voxels
     ratio = found.weights["force"] / tuned().weights["force"]
     assert 0.2 < ratio < 5.0
@@ -221,11 +214,11 @@ def prior_variance(scene):
 def test_what_another_grid_finds_is_rescaled_by_its_prior(monkeypatch):
     """Half of the layers: the same rows have several times the prior variance."""
     scene, own = drawn(), {"force_weight": 3.0, "torque_weight": 1.0}
-    voxmap = Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)
-    small = Scene.assemble(voxmap, scene.shell, scene.trajectory, inner="fit")
-    there = tune(small, "eq10")
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(5, 20, 10), r_inner=0.03)
+    small = tt.Scene.assemble(voxmap, scene.shell, scene.trajectory, inner="fit")
+    there = tt.tune(small, "eq10")
     monkeypatch.setattr(tuning, "coarser", lambda _: small)
-    found = tune(scene, "eq10", **own)
+    found = tt.tune(scene, "eq10", **own)
     grid = found.weights["force"] / there.weights["force"]
     assert not 0.4 < grid < 2.5
     # eight random probes
@@ -238,7 +231,7 @@ def test_what_another_grid_finds_is_rescaled_by_its_prior(monkeypatch):
             assert weight == pytest.approx(grid * other.weights[name], rel=0.01)
     monkeypatch.undo()
     same = {name: weight / grid for name, weight in own.items()}
-    known = tune(small, "eq10", compare=False, **same).check
+    known = tt.tune(small, "eq10", compare=False, **same).check
     assert found.check.own_error == pytest.approx(known.own_error, rel=1e-3)
 
 
@@ -260,5 +253,5 @@ def test_without_contact_nothing_is_tuned():
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
     with pytest.warns(tt.TtusWarning, match="Laplace field alone"):
-        off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
-    refuses(InputError, "measured in contact", tune, off)
+        off = tt.Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    refuses(InputError, "measured in contact", tt.tune, off)

@@ -1,7 +1,5 @@
 """The rows that are tuned on, against dense algebra."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -10,14 +8,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import three_presses
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
+import ttus_opt as tt
+from tests.kit import InputError, three_presses
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights import tuning_rows
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.wrench import DragForceTerm
 
 MU = 0.3
@@ -168,17 +164,17 @@ def test_unknowns_beside_the_field_are_known_by_measurements_alone():
 
 
 @dataclass(frozen=True)
-class HeightTerm(Term):
+class HeightTerm(tt.Term):
     """A user's own measurement: mean potential of seven parts of the patient."""
 
-    scene: Scene = field(repr=False, kw_only=True)
+    scene: tt.Scene = field(repr=False, kw_only=True)
     name: ClassVar[str] = "height"
     measures: ClassVar[bool] = True
 
-    def rows(self) -> AffineRows:
+    def rows(self) -> tt.AffineRows:
         V = self.scene.n_voxels
         parts = sp.csr_array(np.arange(7)[:, None] == np.arange(V) * 7 // V)
-        return AffineRows({"p": parts.astype(float)}, np.linspace(1.0, 2.0, 7))
+        return tt.AffineRows({"p": parts.astype(float)}, np.linspace(1.0, 2.0, 7))
 
 
 def test_rows_of_no_frames_are_left_out_in_parts():

@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
-from tests.dragging import dragged_scene
 from tests.fitting.uncertainty.test_contact_spread import scene_of
 from tests.fitting.weights.test_tuning import drawn, tuned
-from tests.refusals import refuses
+from tests.kit import (
+    InputError,
+    TtusWarning,
+    dragged_scene,
+    presses,
+    refuses,
+    small_scene,
+    torso,
+)
 from ttus_opt import example
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import (
     WORDS,
@@ -24,7 +29,6 @@ from ttus_opt.fitting.weights.weight_choice import (
     has_weights,
     word_for,
 )
-from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
@@ -241,7 +245,7 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path):
     assert word_for(None, own, {"strength": 2.0}) == "auto"
     assert word_for(None, str(own), WEIGHT) == "own"
     declared = tt.load_formulation("eq10", drawn())
-    assert isinstance(declared, Formulation) and not has_weights(declared)
+    assert isinstance(declared, tt.Formulation) and not has_weights(declared)
     with pytest.raises(InputError, match="chooses force_weight"):
         choice_of("auto", drawn(), "eq10", {"force_weight": 1.0})
 

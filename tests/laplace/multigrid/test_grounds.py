@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from tests.conftest import torso
+from tests.kit import torso
 from tests.laplace.multigrid.test_solver import product
 from ttus_opt.laplace.multigrid import Grounds, Multigrid
 from ttus_opt.laplace.multigrid.one_cycle import OneCycle

@@ -10,15 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.linalg import splu
 
-from tests.conftest import shared_data
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError, NumericalError
+import ttus_opt as tt
+from tests.kit import InputError, NumericalError, refuses, shared_data
 from ttus_opt.laplace.multigrid import Multigrid, refinement
 from ttus_opt.laplace.multigrid import solver as solver_module
 from ttus_opt.laplace.multigrid.workspace import Workspace
-from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def make_grid(shape, **limits):
@@ -236,7 +233,7 @@ def test_a_surface_costs_no_more_cycles_than_none():
 
 def test_the_phantom_surface():
     path = shared_data("phantom/surface.nc")
-    voxmap = Voxmap.from_surface(Surface.load(path), shape=(48, 120, 60))
+    voxmap = tt.Voxmap.from_surface(tt.Surface.load(path), shape=(48, 120, 60))
     solver = Multigrid(voxmap.grid, ~voxmap.dirichlet)
     b = noise(~voxmap.dirichlet)
     result = solver.solve(b, rtol=1e-12)

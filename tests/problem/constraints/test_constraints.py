@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary

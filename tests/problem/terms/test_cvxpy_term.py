@@ -6,9 +6,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.solution import Status

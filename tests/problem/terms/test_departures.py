@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.batch import fit
+import ttus_opt as tt
+from tests.kit import InputError, refuses, small_scene, torso
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.terms.departures import (
     TikhonovTerm,
@@ -14,7 +12,6 @@ from ttus_opt.problem.terms.departures import (
     difference_rows,
 )
 from ttus_opt.problem.terms.penalties import Groups
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SCENE = small_scene("trilinear")
 
@@ -25,7 +22,7 @@ def test_tikhonov_pulls_towards_its_reference():
     for reference, target in (("laplace", laplace), ("zero", np.zeros_like(laplace))):
         options, distance = {"force_weight": 1.0, "reference": reference}, []
         for ridge in (1e-4, 1e-2, 1.0):
-            field = fit(SCENE, "tikhonov", ridge=ridge, **options).field
+            field = tt.fit(SCENE, "tikhonov", ridge=ridge, **options).field
             distance.append(np.linalg.norm((field.values - target)[free]))
         assert distance[0] > distance[1] > distance[2]
     words = "reference must be one of laplace, zero"
@@ -41,7 +38,7 @@ def test_without_measurements_priors_give_the_laplace_field():
     expected = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
     for name in ("sparse_sources", "total_variation", "volume_weighted", "tikhonov"):
         declared = load(name, scene).with_weights(force=0.0, torque=0.0)
-        solution = fit(scene, declared, tolerance=1e-5)
+        solution = tt.fit(scene, declared, tolerance=1e-5)
         np.testing.assert_allclose(
             solution.field.values, expected, atol=2e-6, err_msg=name
         )
@@ -86,7 +83,7 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate():
     """Solved through cvxpy; its multipliers prove it on the program as declared."""
     scene = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
     options = {"force_weight": 1.0, "torque_weight": 1.0, "variation": 0.01}
-    solution = fit(
+    solution = tt.fit(
         scene, "total_variation", solver="cvxpy_clarabel", isotropic=True, **options
     )
     assert solution.field is not None
@@ -95,7 +92,7 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate():
         solution.duals.terms["total_variation"].reshape(-1, 3), axis=1
     )
     assert lengths.max() <= 1.0 + 1e-9
-    boxed = fit(scene, "total_variation", **options)
+    boxed = tt.fit(scene, "total_variation", **options)
     # √3 |d|₂ ≥ |d|₁ ≥ |d|₂ orders the two minima
     assert solution.objective <= boxed.objective * (1 + 1e-6)
     assert boxed.objective <= np.sqrt(3.0) * solution.objective * (1 + 1e-6)
@@ -103,7 +100,7 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate():
 
 def test_a_sector_has_no_differences_beyond_its_sides():
     """θ wraps around a full circle only; the wall's column is nobody's neighbour."""
-    voxmap = Voxmap.from_surface(
+    voxmap = tt.Voxmap.from_surface(
         torso(), shape=(5, 9, 4), r_inner=0.03, sector=(0.2, 2.6)
     )
     grid = voxmap.grid

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, small_scene
 from ttus_opt.problem.terms.depth_map import SCALE_DEVIATION, DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import PRIOR, DepthMapEstimate
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths

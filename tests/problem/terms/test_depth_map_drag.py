@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.dragging import dragged_scene
+from tests.kit import InputError, dragged_scene
 from ttus_opt import example
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms import depth_map_drag
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map

@@ -8,10 +8,8 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 from scipy.stats import multivariate_normal
 
-from tests.conftest import small_scene, with_wrenches
-from tests.refusals import refuses
+from tests.kit import InputError, TtusWarning, refuses, small_scene, with_wrenches
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError, TtusWarning
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.depth_map_estimate import (

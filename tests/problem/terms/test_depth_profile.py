@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.problem.terms.depth_profile import (
     DepthProfile,
     check_depth_map,

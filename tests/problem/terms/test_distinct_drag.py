@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import with_wrenches
+from tests.kit import TtusWarning, with_wrenches
 from ttus_opt import example
 from ttus_opt.contact.point_drag import point_drag_rows
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import TtusWarning
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.distinct_drag import (
     LEAST_DISTINCT,
     ONE_SENSE,
@@ -78,7 +75,7 @@ def pressed(depth, angles, step=0.05):
     position = r[:, None] * out + [0.0, 0.0, 0.1]
     size = np.maximum(np.tile(depth, len(angles)) / 0.006, 0.0) ** EXPONENT
     force = 3.0 * size[:, None] * out
-    poses = Trajectory(
+    poses = tt.Trajectory(
         step * np.arange(len(r)),
         position,
         np.tile(np.eye(3), (len(r), 1, 1)),
@@ -87,7 +84,7 @@ def pressed(depth, angles, step=0.05):
         segment=np.repeat(np.arange(len(angles)), len(depth)),
     )
     shell = tt.PointShell.sphere(0.02, 700)
-    return Scene.assemble(tube(), shell, poses, inner=3.0)
+    return tt.Scene.assemble(tube(), shell, poses, inner=3.0)
 
 
 ANGLES = np.array([0.5, 1.2, 2.0])
@@ -120,13 +117,13 @@ def test_a_probe_that_slides_tells_friction_in_one_sense_too():
     angle = np.linspace(0.5, 0.9, n)
     scene = pressed(np.full(n, 0.004), np.zeros(1))
     position = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1) * 0.166
-    slid = Trajectory(
+    slid = tt.Trajectory(
         scene.trajectory.time,
         np.add(position, [0.0, 0.0, 0.1]),
         scene.trajectory.rotation,
         2.0 * position / 0.166,
     )
-    scene = Scene.assemble(tube(), scene.shell, slid, inner=3.0)
+    scene = tt.Scene.assemble(tube(), scene.shell, slid, inner=3.0)
     for acts_at in ("points", "contact", "reference"):
         model = GlobalCoulomb(scene, acts_at)
         assert distinct_drag(scene, model.rows.force) > 0.9
@@ -217,7 +214,7 @@ def test_recordings_that_press_release_and_slide_tell_friction(shared):
     for place, recording in recordings(shared):
         voxmap = tt.Voxmap.from_surface(tt.Surface.load(place), shape=(16, 48, 24))
         poses = tt.read_trajectory(recording)
-        scene = Scene.assemble(voxmap, shell, poses, inner=1.0)
+        scene = tt.Scene.assemble(voxmap, shell, poses, inner=1.0)
         for acts_at in ("points", "contact", "reference"):
             drag = GlobalCoulomb(scene, acts_at)
             assert distinct_drag(scene, drag.rows.force) > 1.7 * LEAST_DISTINCT

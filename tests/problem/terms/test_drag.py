@@ -10,17 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.dragging import dragged_scene
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
+import ttus_opt as tt
+from tests.kit import InputError, dragged_scene
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
 from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 MU, DEADBAND = 0.3, 0.02
 SECTORS, BANDS = 10, 4
@@ -39,7 +33,7 @@ def scene():
     trajectory = replace(
         whole.trajectory, position=position, rotation=rotation, segment=parts
     )
-    return Scene.assemble(
+    return tt.Scene.assemble(
         whole.voxmap, whole.shell, trajectory, inner=3.0, sampling="trilinear"
     )
 
@@ -134,7 +128,7 @@ def test_what_is_identified_renders_as_the_rows_say():
     ):
         n = getattr(model, "sectors", 0) * getattr(model, "bands", 0)
         values = {"p": p, "c": np.linspace(5.0, 50.0, n)}
-        potential = PotentialField(
+        potential = tt.PotentialField(
             scene().voxmap,
             scene().voxmap.grid.unflatten(p),
             "trilinear",
@@ -242,7 +236,7 @@ def test_a_patch_never_touched_has_the_mean_of_all_frames_in_contact():
 def only(poses):
     """The scene's poses of a mask alone."""
     whole = scene()
-    return Scene.assemble(
+    return tt.Scene.assemble(
         whole.voxmap,
         whole.shell,
         whole.trajectory.select(np.flatnonzero(poses)),
@@ -300,20 +294,20 @@ def test_a_coefficient_that_is_none_is_refused(coefficient):
 
 def test_a_straight_press_slides_along_its_flanks():
     """A symmetric probe pressed straight in: its patch slides nowhere."""
-    one = PointShell.sphere(0.02, n_points=60)
+    one = tt.PointShell.sphere(0.02, n_points=60)
     signs = np.array([[1, b, c] for b in (1, -1) for c in (1, -1)])
     points, normals = (
         (signs[:, None] * values).reshape(-1, 3) for values in (one.points, one.normals)
     )
-    shell = PointShell(points, normals, np.tile(one.areas / 4, 4), np.zeros(3))
-    surface = Surface.from_radius(np.full((24, 9), 0.1), np.linspace(-0.06, 0.06, 9))
-    voxmap = Voxmap.from_surface(surface, shape=(10, 24, 13))
+    shell = tt.PointShell(points, normals, np.tile(one.areas / 4, 4), np.zeros(3))
+    surface = tt.Surface.from_radius(np.full((24, 9), 0.1), np.linspace(-0.06, 0.06, 9))
+    voxmap = tt.Voxmap.from_surface(surface, shape=(10, 24, 13))
     x = 0.13 - 0.025 * np.sin(np.linspace(0.0, np.pi, 30))
     position = np.stack([x, 0 * x, 0 * x], axis=1)
     rotation = np.tile(np.eye(3), (30, 1, 1))
     zero = np.zeros((30, 3))
-    straight = Trajectory(0.05 * np.arange(30), position, rotation, zero, zero)
-    scene = Scene.assemble(voxmap, shell, straight, inner=3.0)
+    straight = tt.Trajectory(0.05 * np.arange(30), position, rotation, zero, zero)
+    scene = tt.Scene.assemble(voxmap, shell, straight, inner=3.0)
     touching = GlobalCoulomb(scene, "points").touching
     assert 5 < touching.sum() < 25
     for place in ("contact", "reference"):
@@ -324,7 +318,9 @@ def test_a_straight_press_slides_along_its_flanks():
     np.testing.assert_array_equal(everywhere.moving, touching)
     assert everywhere.not_identifiable() == {}
     still = replace(straight, position=np.tile(position[15], (30, 1)))
-    resting = GlobalCoulomb(Scene.assemble(voxmap, shell, still, inner=3.0), "points")
+    resting = GlobalCoulomb(
+        tt.Scene.assemble(voxmap, shell, still, inner=3.0), "points"
+    )
     assert resting.touching.all()
     assert not resting.moving.any()
     assert resting.not_identifiable() == {"friction_coefficient": "no sliding"}

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import with_wrenches
-from tests.dragging import dragged_scene
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, dragged_scene, with_wrenches
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import (

@@ -9,15 +9,8 @@ from scipy.sparse.linalg import spsolve
 from scipy.special import i0, k0
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, with_wrenches
-from tests.refusals import refuses
-from ttus_opt.contact.scene import Scene
-from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weights.tuning import tune
+from tests.kit import InputError, presses, refuses, small_scene, with_wrenches
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.problem.solution import Status
 from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.problem.terms.laplace import (
@@ -34,10 +27,6 @@ from ttus_opt.problem.terms.laplace import (
     free_surface_layer,
 )
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
-from ttus_opt.report.metrics import evaluate
-from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 SCENE = small_scene("trilinear")
 
@@ -81,14 +70,14 @@ def test_free_surface_drops_the_skin_and_nothing_else():
 
 def test_free_surface_lets_the_skin_push():
     """Measured forces raise the skin under the probe, and leave it elsewhere."""
-    solution = fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
+    solution = tt.fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
     p = solution.field.values
     skin = free_surface_layer(SCENE.voxmap.on_surface)
     # points near the skin sample the layer below it: their spokes are what counts
     touched = (np.abs(SCENE.N).sum(axis=0) > 0).reshape(p.shape).any(axis=0)
     assert p[skin & touched].max() > 0.1
     assert p[SCENE.voxmap.region >= 0].min() >= -1e-6
-    fixed = fit(SCENE, "eq10", force_weight=1.0, torque_weight=0.0)
+    fixed = tt.fit(SCENE, "eq10", force_weight=1.0, torque_weight=0.0)
     assert solution.costs["force"] < fixed.costs["force"]
     far = skin & (np.arange(p.shape[1]) * 2 * np.pi / p.shape[1] > np.pi + 0.6)[:, None]
     assert np.abs(p[far]).max() < 0.05 * p[skin].max()
@@ -137,7 +126,7 @@ def profile_at_voxels(profile):
 def test_the_answer_is_that_of_dense_normal_equations(solver):
     expected = dense(profile_at_voxels(PROFILE))
     solution = tt.fit(place(), declared(PROFILE), solver=solver)
-    assert solution.status is Status.SOLVED
+    assert solution.status is tt.Status.SOLVED
     size = np.abs(expected).max()
     assert np.abs(solution.field.values.ravel() - expected).max() < 1e-5 * size
 
@@ -178,7 +167,7 @@ def test_the_boundary_scale_is_neither_listed_nor_tuned():
     assert "boundary_scale" in tt.fit(fitted, "eq10").parameters
     assert "boundary_scale" not in tt.fit(fitted, "depth_map_residual").parameters
     found = {
-        name: {h.name for h in tune(fitted, name).hyperparameters}
+        name: {h.name for h in tt.tune(fitted, name).hyperparameters}
         for name in ("eq10", "depth_map_residual")
     }
     assert found["eq10"] - found["depth_map_residual"] == {"boundary_scale"}
@@ -186,8 +175,8 @@ def test_the_boundary_scale_is_neither_listed_nor_tuned():
 
 
 def tube(n, n_theta=8, n_z=5):
-    surface = Surface.from_radius(np.full((8, 3), 0.08), np.array([0.0, 0.1, 0.2]))
-    return Voxmap.from_surface(
+    surface = tt.Surface.from_radius(np.full((8, 3), 0.08), np.array([0.0, 0.1, 0.2]))
+    return tt.Voxmap.from_surface(
         surface, shape=(2 * n + 1, n_theta, n_z), r_inner=0.04, r_outer=0.12
     )
 
@@ -284,8 +273,8 @@ LONG = small_scene("trilinear", n_poses=20)
 def test_sparse_sources_are_sparse():
     """Squares spread sources over the voxels, absolute values put them into few."""
     options = {"force_weight": 10.0, "torque_weight": 10.0}
-    spread = fit(LONG, "eq10_hard_boundary", **options)
-    few = fit(LONG, "sparse_sources", sparsity=1e-2, tolerance=1e-7, **options)
+    spread = tt.fit(LONG, "eq10_hard_boundary", **options)
+    few = tt.fit(LONG, "sparse_sources", sparsity=1e-2, tolerance=1e-7, **options)
     term = SparseSourcesTerm(LONG).rows()
 
     def active(field):
@@ -297,24 +286,24 @@ def test_sparse_sources_are_sparse():
 
 def departures(name, refinements, weight):
     """How far measured forces move rendered ones on unseen poses, per grid."""
-    surface = Surface.from_radius(np.full((60, 31), 0.09), np.linspace(0.0, 0.2, 31))
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1000)
+    surface = tt.Surface.from_radius(np.full((60, 31), 0.09), np.linspace(0.0, 0.2, 31))
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=1000)
     rng = np.random.default_rng(0)
     seen, unseen = (presses(surface, n, rng, depth=0.012) for n in (12, 10))
     found = []
     for n in refinements:  # the skin is a grid layer on each of them
-        voxmap = Voxmap.from_surface(
+        voxmap = tt.Voxmap.from_surface(
             surface, shape=(6 * n + 1, 24 * n, 10 * n + 1), r_inner=0.03, r_outer=0.12
         )
-        scene = Scene.assemble(
+        scene = tt.Scene.assemble(
             voxmap, shell, seen, inner=3.0, outer=3.0, sampling="trilinear"
         )
-        solution = fit(scene, name, force_weight=weight, torque_weight=weight)
-        before = PotentialField(
+        solution = tt.fit(scene, name, force_weight=weight, torque_weight=weight)
+        before = tt.PotentialField(
             voxmap, voxmap.grid.unflatten(scene.laplace.solve(scene.b)), "trilinear"
         )
         first, second = (
-            evaluate(field, shell, unseen).rendered_force
+            tt.evaluate(field, shell, unseen).rendered_force
             for field in (before, solution.field)
         )
         found.append(float(np.linalg.norm(second - first) / np.linalg.norm(first)))
@@ -332,11 +321,13 @@ def test_refining_the_grid_leaves_the_volume_weighted_answer():
 
 def test_squares_are_an_integral():
     """∇² r²/4 = 1 exactly on the grid: a row's square is ℓ⁴ of its volume over ℓ³."""
-    surface = Surface.from_radius(np.full((24, 9), 0.09), np.linspace(0.0, 0.2, 9))
-    voxmap = Voxmap.from_surface(surface, shape=(13, 24, 9), r_inner=0.03, r_outer=0.12)
-    shell = PointShell.ellipsoid((0.02, 0.015, 0.015), 100)
+    surface = tt.Surface.from_radius(np.full((24, 9), 0.09), np.linspace(0.0, 0.2, 9))
+    voxmap = tt.Voxmap.from_surface(
+        surface, shape=(13, 24, 9), r_inner=0.03, r_outer=0.12
+    )
+    shell = tt.PointShell.ellipsoid((0.02, 0.015, 0.015), 100)
     poses = presses(surface, 3, np.random.default_rng(0), depth=0.012)
-    scene = Scene.assemble(voxmap, shell, poses, inner=1.0, sampling="trilinear")
+    scene = tt.Scene.assemble(voxmap, shell, poses, inner=1.0, sampling="trilinear")
     grid, length = voxmap.grid, LENGTH
     p = np.broadcast_to(grid.r[:, None, None] ** 2 / 4.0, grid.shape).reshape(-1)
     found = np.abs(VolumeWeightedTerm(scene).rows().blocks["p"] @ p)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.part_noise import (
     EARLIER,

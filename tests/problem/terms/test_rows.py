@@ -10,9 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import small_scene
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.terms.rows import replaced, stacked

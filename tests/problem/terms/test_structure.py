@@ -7,13 +7,9 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.kit import InputError, small_scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.constraints.base import Constraint, LinearRows
-from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.solution import Status
-from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.laplace import (
     DragSmoothnessTerm,
     LaplaceTerm,
@@ -28,7 +24,7 @@ SCENE = small_scene("trilinear", shape=(7, 12, 8), n_poses=8)
 
 
 @dataclass(frozen=True)
-class Own(Term):
+class Own(tt.Term):
     """A user's rows, called and tagged as a user likes."""
 
     called: str = "laplace"
@@ -43,7 +39,7 @@ class Own(Term):
         scale = np.ones(self.scene.n_voxels)
         scale[::3] = self.share
         rows = sp.csr_array(sp.diags_array(scale) @ self.scene.L)
-        return AffineRows({"p": rows}, scale * self.scene.b, self.tags)
+        return tt.AffineRows({"p": rows}, scale * self.scene.b, self.tags)
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Given(Constraint):
 
 def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():
     """Read by its name, `structured` would answer another problem."""
-    declared = Formulation([Own(SCENE, share=0.1), ForceTerm(SCENE, 1.0)])
+    declared = tt.Formulation([Own(SCENE, share=0.1), ForceTerm(SCENE, 1.0)])
     program = declared.compile()
     assert program.laplace_term is None
     for name in ("structured", "amg_pcg"):
@@ -69,7 +65,7 @@ def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():
     expected = tt.fit(SCENE, declared, solver="closed_form")
     found = tt.fit(SCENE, declared)
     assert found.solver != "structured"
-    assert found.status is Status.SOLVED
+    assert found.status is tt.Status.SOLVED
     assert not found.attempts
     np.testing.assert_allclose(found.field.values, expected.field.values, atol=1e-5)
 
@@ -77,7 +73,9 @@ def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():
 def test_it_is_one_row_more_beside_the_prior():
     """With a Laplace term of another name beside, `structured` takes both."""
     prior = Own(SCENE, called="mine", tags=frozenset({LaplaceRows("p")}))
-    declared = Formulation([Own(SCENE, 0.5, share=0.1), prior, ForceTerm(SCENE, 1.0)])
+    declared = tt.Formulation(
+        [Own(SCENE, 0.5, share=0.1), prior, ForceTerm(SCENE, 1.0)]
+    )
     term = declared.compile().laplace_term
     assert term.name == "mine"
     expected = tt.fit(SCENE, declared, solver="closed_form")
@@ -88,7 +86,7 @@ def test_it_is_one_row_more_beside_the_prior():
 def test_a_constraint_called_boundary_is_not_taken_for_the_boundary():
     at = np.flatnonzero(SCENE.laplace.free)[[40, 90, 200]]
     terms = [LaplaceTerm(SCENE), ForceTerm(SCENE, 1.0)]
-    declared = Formulation(terms, [Given(SCENE, at)])
+    declared = tt.Formulation(terms, [Given(SCENE, at)])
     assert declared.compile().dirichlet is None
     refusal = solvers()["structured"].refusal(declared.compile())
     assert "boundary is neither a bound" in refusal
@@ -109,13 +107,13 @@ def test_a_constraint_called_boundary_is_not_taken_for_the_boundary():
 )
 def test_a_false_declaration_is_refused(tags, share):
     with pytest.raises(InputError, match=r"term laplace .*declares .* drop the tag"):
-        Formulation([Own(SCENE, share=share, tags=tags)]).compile()
+        tt.Formulation([Own(SCENE, share=share, tags=tags)]).compile()
 
 
 def test_what_the_shelf_declares():
-    program = Formulation([LaplaceTerm(SCENE), DragSmoothnessTerm(SCENE)]).compile()
+    program = tt.Formulation([LaplaceTerm(SCENE), DragSmoothnessTerm(SCENE)]).compile()
     assert program.laplace_term_of("p") is program.terms[0]
     assert second_field(program) == ("q", program.terms[1])
-    scaled = Formulation([VolumeWeightedTerm(SCENE)]).compile()
+    scaled = tt.Formulation([VolumeWeightedTerm(SCENE)]).compile()
     assert scaled.laplace_term is None
     assert scaled.laplace_term_of("p") is scaled.terms[0]

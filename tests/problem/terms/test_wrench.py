@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene, with_wrenches
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses, small_scene, with_wrenches
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.terms.structure import whitening
 from ttus_opt.problem.terms.wrench import (

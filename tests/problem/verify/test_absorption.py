@@ -7,7 +7,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import term
 from ttus_opt.problem.formulation import load

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.constraints.base import Bounds, Constraint
 from ttus_opt.problem.constraints.boundary import HardBoundary

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
 from ttus_opt.problem.formulation import load

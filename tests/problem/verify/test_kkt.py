@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.oracles.dense import minimiser, stacked
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import (

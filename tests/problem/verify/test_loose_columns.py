@@ -7,15 +7,13 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.fitting.test_batch import TIMES
 from tests.problem.terms.test_cvxpy_term import IDEAS, SCENE, eq10
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.fitting.verdict import judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.solution import Status
-from ttus_opt.problem.terms.cvxpy_term import CvxpyTerm
 from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.problem.verify.loose_columns import exact_rows, loose_variables
@@ -28,8 +26,8 @@ INF = np.inf
 def answered():
     """A formulation with an idea, its program, and Clarabel's answer."""
     plain = load("eq10", SCENE, force_weight=0.1, torque_weight=0.0)
-    model = plain + CvxpyTerm("x", lambda p: cp.max(p[2]), weight=1e-6)
-    answer = Fitter(model, solver="clarabel")._prepared.solve()
+    model = plain + tt.CvxpyTerm("x", lambda p: cp.max(p[2]), weight=1e-6)
+    answer = tt.Fitter(model, solver="clarabel")._prepared.solve()
     return model, model.compile(), answer
 
 
@@ -48,11 +46,11 @@ def test_a_field_that_ignores_all_data_is_not_solved(tolerance):
         assert kkt.gap >= (whole.objective(x) - best) * (1.0 - 1e-6)
         wrong = replace(answer, x=x, duals=Duals(near), claim=Claim.DONE)
         at = model, reduce(whole), "by hand", wrong, Request(tolerance), TIMES
-        assert judged(*at).status is not Status.SOLVED
+        assert judged(*at).status is not tt.Status.SOLVED
         right = replace(answer, duals=Duals(near))
         assert kkt_residuals(whole, answer.x, Duals(near)).gap_relative < 1e-5
         at = model, reduce(whole), "by hand", right, Request(1e-4), TIMES
-        assert judged(*at).status is Status.SOLVED
+        assert judged(*at).status is tt.Status.SOLVED
 
 
 MORE = {
@@ -67,11 +65,11 @@ MORE = {
 @pytest.mark.parametrize("idea", MORE)
 def test_every_idea_has_a_bound(idea):
     """Of its answer a small one, of other points one above the excess."""
-    model = eq10() + CvxpyTerm("edge", MORE[idea], 0.05)
-    solution = fit(SCENE, model)
-    assert solution.status is Status.SOLVED
+    model = eq10() + tt.CvxpyTerm("edge", MORE[idea], 0.05)
+    solution = tt.fit(SCENE, model)
+    assert solution.status is tt.Status.SOLVED
     assert solution.kkt is not None and solution.kkt.is_bound
-    answer = Fitter(model, solver=solution.solver)._prepared.solve()
+    answer = tt.Fitter(model, solver=solution.solver)._prepared.solve()
     whole = reduce(model.compile()).program
     x = answer.x
     best, rng = whole.objective(x), np.random.default_rng(0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, presses, torso
+from tests.kit import ellipsoid, presses, torso
 from tests.report.plots.drawn import half_seen
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.voxmap.field import PotentialField

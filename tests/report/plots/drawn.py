@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.conftest import torso
+from tests.kit import torso
 from ttus_opt.core.arrays import Array
 from ttus_opt.scan.surface import Surface
 

@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.conftest import ellipsoid, presses, torso
-from tests.refusals import refuses
+import ttus_opt as tt
+from tests.kit import InputError, ellipsoid, presses, refuses, torso
 from tests.report.plots.drawn import lines
-from ttus_opt.core.errors import InputError
-from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
-from ttus_opt.report.metrics import evaluate
 
 
 def test_force_lines_are_the_series(evaluations):
@@ -33,7 +30,7 @@ def test_force_lines_are_the_series(evaluations):
 def test_recordings_stand_one_after_the_other_with_a_gap(fields):
     shell = ellipsoid()
     one = presses(torso(), 10, np.random.default_rng(0))
-    both = evaluate(fields[0], shell, Trajectory.concatenate([one, one]))
+    both = tt.evaluate(fields[0], shell, tt.Trajectory.concatenate([one, one]))
     clock, values = lines(plots.force_over_time({"rendered": both}).axes[0])["rendered"]
     (gap,) = np.flatnonzero(np.isnan(values))
     assert gap == 10
@@ -43,7 +40,7 @@ def test_recordings_stand_one_after_the_other_with_a_gap(fields):
 
 def test_force_of_different_trajectories_is_refused(evaluations, fields):
     shell = ellipsoid()
-    other = evaluate(fields[0], shell, presses(torso(), 9, np.random.default_rng(1)))
+    other = tt.evaluate(fields[0], shell, presses(torso(), 9, np.random.default_rng(1)))
     with pytest.raises(InputError, match="different trajectories"):
         plots.force_over_time({"a": evaluations["fitted"], "b": other})
     refuses(InputError, "one or two", plots.force_over_time, {})

@@ -7,10 +7,8 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.report.plots.drawn import lines
-from ttus_opt.scan.frame import Axis
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 module = importlib.import_module("ttus_opt.report.plots.overview")
 
@@ -18,10 +16,10 @@ module = importlib.import_module("ttus_opt.report.plots.overview")
 def test_each_part_shows_what_was_given(fields, evaluations, monkeypatch):
     """The scan comes in its own frame, the slice from mid-height."""
     turn = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
-    axis = Axis(np.array([0.1, -0.2, 1.5]), turn)
+    axis = tt.Axis(np.array([0.1, -0.2, 1.5]), turn)
     turned = replace(fields[1].voxmap.surface, axis=axis)
-    voxmap = Voxmap.from_surface(turned, shape=fields[1].voxmap.grid.shape)
-    field = PotentialField(voxmap, fields[1].values, "trilinear")
+    voxmap = tt.Voxmap.from_surface(turned, shape=fields[1].voxmap.grid.shape)
+    field = tt.PotentialField(voxmap, fields[1].values, "trilinear")
     grid, drawn = voxmap.grid, {}
     k = grid.shape[2] // 2
 

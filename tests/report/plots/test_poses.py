@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
-from tests.conftest import ellipsoid, presses, torso
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, ellipsoid, presses, torso
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.plots import poses

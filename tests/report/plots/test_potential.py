@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 
-from tests.conftest import torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+import ttus_opt as tt
+from tests.kit import InputError, refuses, torso
 from ttus_opt.report import plots
 from ttus_opt.report.plots.canvas import COLOURS
 from ttus_opt.report.plots.potential import (
@@ -17,8 +16,6 @@ from ttus_opt.report.plots.potential import (
     local_change,
     round_up,
 )
-from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @pytest.mark.slow
@@ -36,7 +33,7 @@ def test_potential_shows_the_slice_that_changed_most(fields):
 
 def test_what_another_boundary_value_changes_everywhere_is_left_out(fields):
     before, after = fields
-    scaled = PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
+    scaled = tt.PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
     dent = np.argmax(local_change(before, scaled))
     assert dent == np.argmax(np.abs(after.values - before.values))
     inside = before.voxmap.inside
@@ -82,8 +79,8 @@ def test_colours_are_centred_at_zero(fields):
 
 
 def test_fields_on_two_grids_are_refused(fields):
-    voxmap = Voxmap.from_surface(torso(), shape=(20, 40, 12))
-    other = PotentialField(voxmap, np.zeros((20, 40, 12)), "trilinear")
+    voxmap = tt.Voxmap.from_surface(torso(), shape=(20, 40, 12))
+    other = tt.PotentialField(voxmap, np.zeros((20, 40, 12)), "trilinear")
     refuses(InputError, "one grid", plots.potential_slices, fields[0], other)
 
 

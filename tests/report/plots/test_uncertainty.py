@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from tests.conftest import presses, torso
-from tests.refusals import refuses
+from tests.kit import InputError, presses, refuses, torso
 from tests.report.plots.drawn import lines
-from ttus_opt.core.errors import InputError
 from ttus_opt.report import plots
 from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
-from tests.refusals import refuses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, presses, refuses, small_scene, torso
 from ttus_opt.report import plots
 
 WEIGHTS = [1e-3, 1e-1, 10.0]

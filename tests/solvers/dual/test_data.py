@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.oracles.dense import minimiser
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale

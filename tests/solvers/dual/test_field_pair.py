@@ -8,19 +8,15 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt as tt
-from tests.conftest import with_wrenches
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, with_wrenches
 from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.user_limits import INF, Rows, Within
-from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import DragLimit, Sign
-from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.solution import Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import options
@@ -227,12 +223,12 @@ def test_contradictions_are_named():
     deep = scene.voxmap.inside.reshape(-1) & scene.laplace.free
     below = Within(scene, np.full(V, -INF), np.where(deep, -0.5, INF))
     solution = tt.fit(scene, coulomb(scene, 1.0, below), solver="structured")
-    assert solution.status is Status.INFEASIBLE
+    assert solution.status is tt.Status.INFEASIBLE
     assert set(solution.conflict) == {"drag_sign", "drag_limit", "within"}
     more = OwnBounds(scene, np.where(deep, 1.0, -INF), np.full(V, INF))
     small = Within(scene, np.full(V, -INF), np.where(deep, 0.9, INF))
     solution = tt.fit(scene, coulomb(scene, 1.0, more, small), solver="structured")
-    assert solution.status is Status.INFEASIBLE
+    assert solution.status is tt.Status.INFEASIBLE
     assert set(solution.conflict) == {"drag_limit", "own", "within"}
     candidate = solved(coulomb(scene, 1.0, more, small).compile())
     assert candidate.claim is Claim.INFEASIBLE
@@ -298,7 +294,7 @@ def test_all_active_sets_of_a_tiny_problem(seed):
         FewRows(scene, some),
         next(c for c in whole.constraints if c.name == "mean_friction"),
     ]
-    program = Formulation(whole.terms, few).compile()
+    program = tt.Formulation(whole.terms, few).compile()
     assert not STRUCTURED.refusal(program)
     unit, last = np.eye(program.n_variables), 2 * V
     rows = [*-unit[V + at], *(unit[V + at] - share * unit[at]), -unit[last], unit[last]]
@@ -335,8 +331,8 @@ def test_case_s_with_a_share_below_what_was_put_in():
     scene = contested(0, noise=0.3, shape=(24, 72, 30))
     declared = coulomb(scene, 100.0, largest_friction=0.1)
     # `fit` would take a coefficient at its upper limit for none and fit again
-    solution = Fitter(declared, solver="structured").solve()
-    assert solution.status is Status.SOLVED
+    solution = tt.Fitter(declared, solver="structured").solve()
+    assert solution.status is tt.Status.SOLVED
     assert solution.kkt.worst_relative <= TOLERANCE
     found = np.abs(solution.duals_by_name["drag_limit"])
     assert np.count_nonzero(found > 1e-6 * found.max()) > 300

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.oracles.dense import minimiser
 from ttus_opt.problem import formulation
 from ttus_opt.problem.verify.kkt import Duals

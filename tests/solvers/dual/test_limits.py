@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from tests.conftest import small_scene, some
+from tests.kit import small_scene, some
 from tests.solvers.dual.user_limits import Rows, Steeper, Within
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone

@@ -5,8 +5,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import lsq_linear
 
-from tests.conftest import small_scene
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, small_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.solvers.dual.pair_laplace import PairBlock
 

@@ -8,8 +8,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.linalg import lstsq
 
-from tests.conftest import with_wrenches
-from tests.dragging import dragged_scene
+from tests.kit import dragged_scene, with_wrenches
 from ttus_opt.laplace.system import BlockSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.boundary import HardBoundary

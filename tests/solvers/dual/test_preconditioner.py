@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual import preconditioner
 from ttus_opt.solvers.dual.data import DualData

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
-from tests.conftest import some, torso, with_wrenches
+from tests.kit import some, torso, with_wrenches
 from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder

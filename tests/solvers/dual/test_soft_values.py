@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import soft_values

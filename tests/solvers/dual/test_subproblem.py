@@ -5,11 +5,11 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from tests.conftest import ellipsoid, presses, torso
+import ttus_opt as tt
+from tests.kit import ellipsoid, presses, torso
 from tests.oracles.dense import least_squares, stacked
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.solvers.dual.data import DualData
@@ -18,7 +18,6 @@ from ttus_opt.solvers.dual.optimality import multipliers
 from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def random_limits(scene, seed, hard):
@@ -133,11 +132,11 @@ def test_equals_eliminated_least_squares_at_other_weights(weight):
 
 def shaped(surface, shape, r_outer):
     """A scene on a surface that breaks careless solvers."""
-    voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
+    voxmap = tt.Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
     shell = ellipsoid()
     trajectory = presses(surface, 8, np.random.default_rng(2), depth=0.015)
     return louder(
-        Scene.assemble(voxmap, shell, trajectory, inner=1.0, sampling="trilinear"),
+        tt.Scene.assemble(voxmap, shell, trajectory, inner=1.0, sampling="trilinear"),
         seed=2,
     )
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.system import DualSystem

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual import options

@@ -1,13 +1,11 @@
 """Constraints as users make them, and scenes whose measurements contest them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 
-from tests.conftest import small_scene, with_wrenches
+from tests.kit import small_scene, with_wrenches
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows

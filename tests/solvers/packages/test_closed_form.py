@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.packages.closed_form import ClosedForm, Factor

@@ -1,7 +1,5 @@
 """The two shapes of a quadratic program, and signs of multipliers on the way back."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.sparse as sp
 

@@ -1,14 +1,12 @@
 """The objective over the field alone: its value, its slope, and what bounds its gap."""
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.oracles.dense import minimiser
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.program import Program

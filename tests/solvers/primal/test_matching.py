@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.departures import TikhonovTerm

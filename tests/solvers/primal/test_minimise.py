@@ -1,7 +1,5 @@
 """A dense sum of squares with few rows of any weight, against least squares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +23,7 @@ class Dense:
     d: Array
 
     @classmethod
-    def of(cls, weight: float) -> Dense:
+    def of(cls, weight: float):
         rng = np.random.default_rng(0)
         M = rng.normal(size=(V, V)) @ np.diag(np.geomspace(1.0, 30.0, V))
         D = np.sqrt(weight) * rng.normal(size=(FEW, V))

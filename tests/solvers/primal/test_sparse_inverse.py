@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.problem.terms.departures import difference_rows
 from ttus_opt.solvers.primal.sparse_inverse import (
     BYTES,

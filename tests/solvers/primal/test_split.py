@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.data import laplace_prior

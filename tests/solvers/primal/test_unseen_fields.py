@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted, Differences
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals

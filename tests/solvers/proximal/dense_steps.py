@@ -1,13 +1,11 @@
 """Newton steps by dense algebra, H d = −g on what is not given, and slopes for them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 
 import numpy as np
 
-from tests.conftest import small_scene
+from tests.kit import small_scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
 from ttus_opt.problem.terms.penalties import Slope

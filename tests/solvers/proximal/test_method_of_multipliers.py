@@ -1,7 +1,5 @@
 """The method of multipliers with Newton steps by dense algebra, against enumeration."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
