@@ -65,7 +65,7 @@ LAWS: dict[str, dict[str, float]] = {
 }
 
 
-def pushing(sampling: str, parameters: dict[str, float]) -> tt.PotentialField:
+def pushing(sampling, parameters):
     """A field positive inside that grows with depth, different everywhere."""
     grid = VOXMAP.grid
     theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
@@ -74,9 +74,7 @@ def pushing(sampling: str, parameters: dict[str, float]) -> tt.PotentialField:
     return tt.PotentialField(VOXMAP, 100 * depth * bumps, sampling, parameters)
 
 
-def normal_forces(
-    field: tt.PotentialField, shell: tt.PointShell, places: np.ndarray
-) -> np.ndarray:
+def normal_forces(field, shell, places):
     """Of every point at its place: what a probe of that point alone would feel."""
     n = len(places)
     dot = tt.PointShell(
@@ -101,13 +99,7 @@ def normal_forces(
     return felt
 
 
-def drag_by_points(
-    field: tt.PotentialField,
-    shell: tt.PointShell,
-    R: np.ndarray,
-    at: np.ndarray,
-    twist: np.ndarray,
-) -> np.ndarray:
+def drag_by_points(field, shell, R, at, twist):
     """Coulomb drag of every point against its own sliding, shape (6,)."""
     points = shell.points @ R.T + at
     pressed = np.maximum(normal_forces(field, shell, points), 0.0)
@@ -122,14 +114,7 @@ def drag_by_points(
     return np.concatenate([force.sum(axis=0), np.cross(arms, force).sum(axis=0)])
 
 
-def drag_by_hand(
-    field: tt.PotentialField,
-    shell: tt.PointShell,
-    R: np.ndarray,
-    at: np.ndarray,
-    twist: np.ndarray,
-    contact_force: np.ndarray,
-) -> np.ndarray:
+def drag_by_hand(field, shell, R, at, twist, contact_force):
     """Force and torque of drag from every point's depth, shape (6,)."""
     parameters = field.parameters
     points = shell.points @ R.T + at
@@ -167,6 +152,6 @@ def drag_by_hand(
     return by_points + np.concatenate([force, np.cross(acts - reference, force)])
 
 
-def unlimited(field: tt.PotentialField) -> tt.Renderer:
+def unlimited(field):
     """A renderer of whatever forces."""
     return tt.Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)

@@ -1,8 +1,6 @@
 """Mutations of sound files: a reader raises the package's own errors and no other."""
 
 import resource
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ NUMBERS = [
 ]
 
 
-def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+def mutated(content, rng):
     """A few bytes changed, taken out, doubled, or the end cut off."""
     data = bytearray(content)
     for _ in range(int(rng.integers(1, 5))):
@@ -42,9 +40,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def only_our_errors(
-    sources: Sequence[Path], read: Callable[[Path], object], n: int
-) -> None:
+def only_our_errors(sources, read, n):
     """Read n mutations; their number and the seed are told where one misbehaves.
 
     A file as it is must be read: else its name alone, or its place, is refused.
@@ -68,7 +64,7 @@ def only_our_errors(
             raise AssertionError(f"seed {SEED}, mutation {number} of {name}") from error
 
 
-def _anew(source: Path, content: bytes) -> Path:
+def _anew(source, content):
     """A new file: HDF5 may hold a damaged one open, and answer by it for its inode."""
     file = source.with_name(f"mutated{source.suffix}")
     file.unlink(missing_ok=True)

@@ -1,7 +1,6 @@
 """What many tests need: errors, refusals, a torso, a probe, presses, scenes."""
 
 import functools
-from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import (  # noqa: F401
     FileError,
     GeometryError,
@@ -33,7 +31,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
-def shared_data(name: str = "") -> Path:
+def shared_data(name=""):
     """A file or folder of the real and independent data, or a skip."""
     path = SHARED / name
     if not path.exists():
@@ -41,14 +39,7 @@ def shared_data(name: str = "") -> Path:
     return path
 
 
-def refuses(
-    error: type[TtusError] | tuple[type[TtusError], ...],
-    words: str,
-    call: Callable[..., object],
-    /,
-    *given: object,
-    **options: object,
-) -> str:
+def refuses(error, words, call, /, *given, **options):
     """The call raises this error; returns its message.
 
     Args:
@@ -65,7 +56,7 @@ def refuses(
     return message
 
 
-def some(values: Iterable[object], quick: int) -> list[object]:
+def some(values, quick):
     """Values for a test: all of them, slow but for the first few."""
     return [
         pytest.param(value, marks=pytest.mark.slow if i >= quick else ())
@@ -74,7 +65,7 @@ def some(values: Iterable[object], quick: int) -> list[object]:
 
 
 @functools.cache
-def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
+def torso(n_theta=90, n_z=31):
     """An elliptical torso of 0.12 × 0.09 m half axes, waisted, 0.2 m long."""
     theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
     z = np.linspace(0.0, 0.2, n_z)
@@ -84,16 +75,12 @@ def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
 
 
 @functools.cache
-def ellipsoid(
-    n_points: int = 300, semi_axes: tuple[float, float, float] = (0.02, 0.015, 0.015)
-) -> PointShell:
+def ellipsoid(n_points=300, semi_axes=(0.02, 0.015, 0.015)):
     """A probe; the same one for whoever asks for the same."""
     return PointShell.ellipsoid(semi_axes=semi_axes, n_points=n_points)
 
 
-def presses(
-    surface: Surface, n_poses: int, rng: np.random.Generator, depth: float = 0.008
-) -> Trajectory:
+def presses(surface, n_poses, rng, depth=0.008):
     """Random presses around the front of a surface, with made-up wrenches."""
     angle = rng.uniform(0.3, 2.8, n_poses)
     z = rng.uniform(0.06, 0.14, n_poses)
@@ -111,7 +98,7 @@ def presses(
     )
 
 
-def with_wrenches(scene: Scene, force: Array, torque: Array | None = None) -> Scene:
+def with_wrenches(scene, force, torque=None):
     """The scene with other forces [N] and torques [N·m], of frames or in one row."""
     given = scene.trajectory
     other = given.torque if torque is None else torque.reshape(-1, 3)
@@ -120,7 +107,7 @@ def with_wrenches(scene: Scene, force: Array, torque: Array | None = None) -> Sc
 
 
 @functools.cache
-def three_presses() -> Scene:
+def three_presses():
     """Frames in contact with one in the air after every four."""
     scene = small_scene("trilinear", n_poses=15)
     position = scene.trajectory.position.copy()
@@ -132,12 +119,7 @@ def three_presses() -> Scene:
 
 
 @functools.cache
-def small_scene(
-    sampling: str = "voxel-mean",
-    shape: tuple[int, int, int] = (9, 20, 10),
-    n_poses: int = 12,
-    seed: int = 0,
-) -> Scene:
+def small_scene(sampling="voxel-mean", shape=(9, 20, 10), n_poses=12, seed=0):
     """A scene of a couple of thousand voxels, for brute force."""
     rng = np.random.default_rng(seed)
     surface = torso()
@@ -152,13 +134,7 @@ def small_scene(
 
 
 @functools.cache
-def dragged_scene(
-    acts_at: str,
-    mu: float = 0.3,
-    viscous: float = 0.0,
-    shape: tuple[int, int, int] = (12, 30, 14),
-    n: int = 60,
-) -> Scene:
+def dragged_scene(acts_at, mu=0.3, viscous=0.0, shape=(12, 30, 14), n=60):
     """Wrenches made from the Laplace field and drag, without noise."""
     surface = torso()
     rng = np.random.default_rng(3)
@@ -187,14 +163,12 @@ DRAG = {"friction_coefficient": 0.3}
 TWIST = np.array([0.03, -0.02, 0.05, 0.4, 0.2, -0.3])
 
 
-def pressing(
-    scene: Scene, parameters: dict[str, float] | None = None
-) -> PotentialField:
+def pressing(scene, parameters=None):
     """The Laplace field of a scene, which pushes."""
     values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
     return PotentialField(scene.voxmap, values, scene.sampling, parameters or {})
 
 
-def deepest_pose(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def deepest_pose(scene):
     k = int(scene.rows.contact_points.argmax())
     return scene.trajectory.rotation[k], scene.trajectory.position[k]

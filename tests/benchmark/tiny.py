@@ -1,12 +1,9 @@
 """A tiny case, and a formulation that behaves on its stand-in only."""
 
 import textwrap
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-from ttus_opt.benchmark.cases import SMALL_SHAPE, CaseSpec, reference_cases
+from ttus_opt.benchmark.cases import SMALL_SHAPE, reference_cases
 from ttus_opt.benchmark.row import RunSpec, Settings
 from ttus_opt.benchmark.suite import Suite
 
@@ -30,7 +27,7 @@ def build(scene):
 """
 
 
-def trapped(folder: Path, deed: str, solver: str = "osqp") -> RunSpec:
+def trapped(folder, deed, solver="osqp"):
     """A run that does something in the midst of it."""
     assert TRAPPED.small().n_voxels != TRAPPED.n_voxels
     file = folder / "trap.py"
@@ -40,14 +37,7 @@ def trapped(folder: Path, deed: str, solver: str = "osqp") -> RunSpec:
     return RunSpec("solvers", TRAPPED, {**asked, "tolerance": 1e-6, "repeat": 1}, 30.0)
 
 
-def tiny_suite(
-    folder: Path,
-    cases: Sequence[CaseSpec] = (TINY,),
-    *,
-    jobs: int = 1,
-    parts: Sequence[str] = ("solvers",),
-    **settings: Any,
-) -> Suite:
+def tiny_suite(folder, cases=(TINY,), *, jobs=1, parts=("solvers",), **settings):
     """Two solvers on eq. 10, unless asked for otherwise."""
     asked = {"solvers": ["closed_form", "osqp"], "time_limit": 60.0, **settings}
     return Suite(cases, folder, Settings(**asked), parts, jobs)

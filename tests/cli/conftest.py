@@ -4,7 +4,6 @@ import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ class Answer:
     err: str
 
     @property
-    def errors(self) -> list[str]:
+    def errors(self):
         """Lines on stderr without progress bars, which a slow machine shows."""
         lines = BAR.sub("", self.err).splitlines()
         return [line.strip() for line in lines if line.strip()]
@@ -38,7 +37,7 @@ Run = Callable[[str], Answer]
 def run(capsys):
     """Runs ``ttus-opt <words>`` in this process."""
 
-    def call(words: str) -> Answer:
+    def call(words):
         with pytest.raises(SystemExit) as stop:
             main(shlex.split(words))
         told = capsys.readouterr()
@@ -63,7 +62,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def scene_words(files: Path, shape: str = "10,16,8", n_points: int = 200) -> str:
+def scene_words(files, shape="10,16,8", n_points=200):
     """The torso's files and a coarse grid, as every command on a scene takes them."""
     return (
         f"--surface {files / 'surface.nc'} --probe {PROBE} --points {n_points} "
@@ -71,7 +70,7 @@ def scene_words(files: Path, shape: str = "10,16,8", n_points: int = 200) -> str
     )
 
 
-def fit_words(files: Path, output: Path, more: str = "") -> str:
+def fit_words(files, output, more=""):
     own = scene_words(files, "16,24,12", 300)
     return f"fit {own} --inner fit --sampling trilinear -o {output} {more}"
 
@@ -85,7 +84,7 @@ def field(files):
     return files / "field.nc"
 
 
-def refused(answer: Answer, *words: str) -> None:
+def refused(answer, *words):
     """One line ``error: …`` with these words, status 2, nothing on stdout."""
     assert answer.status == 2
     assert answer.out == ""
@@ -96,7 +95,7 @@ def refused(answer: Answer, *words: str) -> None:
         assert word in line
 
 
-def empty(folder: Path) -> bool:
+def empty(folder):
     return not list(folder.iterdir())
 
 

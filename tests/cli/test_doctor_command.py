@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import Run
 from tests.kit import small_scene, torso
 from tests.probe.test_repair import broken, written
 from tests.scan.test_room import person, room
@@ -17,7 +16,7 @@ from ttus_opt import example
 
 
 @pytest.mark.slow
-def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
+def test_every_kind_of_file(run, tmp_path, files):
     """Recordings of all makers, a cloud, a surface, a depth image, intrinsics."""
     import cv2
 
@@ -53,7 +52,7 @@ def test_every_kind_of_file(run: Run, tmp_path: Path, files: Path) -> None:
     assert told["files"][0]["streams"][0]["rate_Hz"] == pytest.approx(20)
 
 
-def test_all_else_that_commands_read(run: Run, tmp_path: Path) -> None:
+def test_all_else_that_commands_read(run, tmp_path):
     """Motions, pairs, photos, messages, sessions and paths of weights."""
     import cv2
 
@@ -76,7 +75,7 @@ def test_all_else_that_commands_read(run: Run, tmp_path: Path) -> None:
         assert said in answer.out
 
 
-def test_a_session_and_its_message(run: Run, tmp_path: Path) -> None:
+def test_a_session_and_its_message(run, tmp_path):
     pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
     recording = copied(tmp_path)
     surface = tmp_path / "surface.nc"
@@ -91,7 +90,7 @@ def test_a_session_and_its_message(run: Run, tmp_path: Path) -> None:
     assert run(f"doctor {message}").status == 2
 
 
-def test_faults_and_files_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
+def test_faults_and_files_that_cannot_be_read(run, tmp_path):
     file = written(tmp_path / "press.csv", broken())
     answer = run(f"doctor {file}")
     assert answer.status == 1
@@ -108,7 +107,7 @@ def test_faults_and_files_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
     assert "fault: line 4" in answer.out  # the others are told all the same
 
 
-def test_units_of_a_cloud_and_of_columns(run: Run, tmp_path: Path) -> None:
+def test_units_of_a_cloud_and_of_columns(run, tmp_path):
     points = np.random.default_rng(0).uniform(0, 400, (500, 3))
     np.savetxt(tmp_path / "cloud.xyz", points)
     assert "likely in mm: --unit mm" in run(f"doctor {tmp_path / 'cloud.xyz'}").out
@@ -119,16 +118,14 @@ def test_units_of_a_cloud_and_of_columns(run: Run, tmp_path: Path) -> None:
     assert told.status == 0 and "units?" not in told.out
 
 
-def test_several_bodies_in_a_room_are_named_in_its_own_unit(
-    run: Run, tmp_path: Path
-) -> None:
+def test_several_bodies_in_a_room_are_named_in_its_own_unit(run, tmp_path):
     np.save(tmp_path / "two.npy", 1.2 * np.r_[room(), person(-0.6), person(0.6)])
     told = run(f"doctor {tmp_path / 'two.npy'}")
     assert told.status == 2
     assert "several bodies: crop it by --box" in " ".join(told.out.split())
 
 
-def test_one_stream_of_several(run: Run, tmp_path: Path) -> None:
+def test_one_stream_of_several(run, tmp_path):
     """Of poses and of depth images; a name that a file has not is told with those."""
     file = SAMPLES["toolbox.csv"](tmp_path / "toolbox.csv")
     answer = run(f"doctor {file} --stream Stylus")

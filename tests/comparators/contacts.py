@@ -1,23 +1,20 @@
 """Contacts at the front of the small torso, and laws to fit to them."""
 
 import math
-from typing import Any
 
 import numpy as np
 
 from tests.kit import ellipsoid, torso
-from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import Patch
-from ttus_opt.comparators.patch_law import PatchLaw, RecursiveLeastSquares
+from ttus_opt.comparators.patch_law import RecursiveLeastSquares
 from ttus_opt.comparators.patch_model import Contact, Sample
-from ttus_opt.core.arrays import Array
 
 #: For laws that look at depth, rate and place alone, at rest along the surface
 NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
 STILL = np.zeros(3)
 
 
-def contacts(n: int, rng: np.random.Generator, rate: float = 1.0) -> list[Contact]:
+def contacts(n, rng, rate=1.0):
     """Depths of 2 to 12 mm at the front, approached and left."""
     angles, heights = rng.uniform(0.5, 2.5, n), rng.uniform(0.05, 0.15, n)
     places = [
@@ -32,18 +29,16 @@ def contacts(n: int, rng: np.random.Generator, rate: float = 1.0) -> list[Contac
     ]
 
 
-def samples(found: list[Contact], forces: Array) -> list[Sample]:
+def samples(found, forces):
     return [Sample(c, float(f), STILL) for c, f in zip(found, forces, strict=True)]
 
 
-def made(kind: type[Comparator], **options: Any) -> Any:
+def made(kind, **options):
     """A comparator on the small torso."""
     return kind(surface=torso(), shell=ellipsoid(), **options)
 
 
-def after_one_sample(
-    kind: type[PatchLaw], depth: float, rate: float, force: float
-) -> Array:
+def after_one_sample(kind, depth, rate, force):
     """A law's parameters after its very first sample, without forgetting."""
     law = made(kind, forgetting=1.0)
     recursions = [RecursiveLeastSquares.start(*pair, 1.0) for pair in law.first]

@@ -1,18 +1,14 @@
 """Presses and a slide on the small torso, with forces of a power law and drag."""
 
 import functools
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.kit import ellipsoid, torso
 from ttus_opt.comparators import create
-from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.core.arrays import Array
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
 
 #: Force of a depth: 900 d^1.5 in N and cm, and Coulomb drag
 STIFFNESS, EXPONENT, DRAG = 900.0, 1.5, 0.2
@@ -23,14 +19,12 @@ COARSE = {"shape": (14, 32, 16)}
 FIELDS = {"depth_map", "depth_map_coulomb", "eq10", "laplace_only", "tuned"}
 
 
-def options(name: str) -> dict[str, Any]:
+def options(name):
     """What makes a comparator quick."""
     return COARSE if name in FIELDS else {}
 
 
-def facing(
-    surface: Surface, angle: float, z: float, depth: float
-) -> tuple[Array, Array]:
+def facing(surface, angle, z, depth):
     """Pose of the ellipsoid with its third axis along the spoke."""
     out = np.array([np.cos(angle), np.sin(angle), 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -39,7 +33,7 @@ def facing(
     return rotation, (radius + 0.015 - depth) * out + z * up
 
 
-def with_forces(trajectory: Trajectory, surface: Surface) -> Trajectory:
+def with_forces(trajectory, surface):
     """Forces of the power law at the deepest point, with drag."""
     geometry, wrench = ContactGeometry(surface, ellipsoid()), []
     moving = trajectory.velocity()
@@ -61,7 +55,7 @@ def with_forces(trajectory: Trajectory, surface: Surface) -> Trajectory:
     )
 
 
-def poses(places: list[tuple[float, float, float]], surface: Surface) -> Trajectory:
+def poses(places, surface):
     """Poses at (angle, z, depth), 20 Hz."""
     found = [facing(surface, *place) for place in places]
     tilt = Rotation.from_rotvec([0.05, -0.08, 0.03]).as_matrix()
@@ -71,7 +65,7 @@ def poses(places: list[tuple[float, float, float]], surface: Surface) -> Traject
 
 
 @functools.cache
-def recordings() -> tuple[Trajectory, Trajectory]:
+def recordings():
     """Eight presses and a slide."""
     surface = torso()
     bell = 0.008 * np.sin(np.linspace(0.0, np.pi, 12)) - 0.0005
@@ -89,7 +83,7 @@ def recordings() -> tuple[Trajectory, Trajectory]:
 
 
 @functools.cache
-def fitted(name: str) -> Comparator:
+def fitted(name):
     """A comparator fitted to both; shared, to be left as it is."""
     made = create(name, surface=torso(), shell=ellipsoid(), **options(name))
     return made.fit(recordings())

@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 
@@ -19,17 +18,17 @@ AREA, DEPTH = BLOCK[0] * BLOCK[1], 0.002
 
 
 @functools.cache
-def wall(n_theta: int = 720) -> Surface:
+def wall(n_theta=720):
     """A cylinder of 9 m."""
     return Surface.from_radius(np.full((n_theta, 5), RADIUS), np.linspace(-0.2, 0.2, 5))
 
 
 @functools.cache
-def block(n_points: int = 600) -> PointShell:
+def block(n_points=600):
     return PointShell.box(BLOCK, n_points=n_points)
 
 
-def pressed(depth: float, half: float = BLOCK[2] / 2) -> tuple[Array, Array]:
+def pressed(depth, half=BLOCK[2] / 2):
     """Pose of a probe whose third axis points outwards, at a depth."""
     R = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     return R, np.array([RADIUS + half - depth, 0.0, 0.0])

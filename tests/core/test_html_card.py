@@ -68,7 +68,7 @@ def test_short_forms_of_probe_and_trajectory():
     assert repr(SCENE.voxmap.grid) == f"CylindricalGrid({extent})"
 
 
-def test_a_trajectory_s_curve_is_its_force() -> None:
+def test_a_trajectory_s_curve_is_its_force():
     html = SCENE.trajectory._repr_html_()
     force = np.linalg.norm(SCENE.trajectory.force, axis=1)
     assert f"at most {force.max():.3g} N" in html

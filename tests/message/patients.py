@@ -12,7 +12,7 @@ from tests.kit import TtusWarning, small_scene, torso
 from ttus_opt.message import encode
 
 
-def uneven(n_theta: int = 40, n_z: int = 15) -> tt.Surface:
+def uneven(n_theta=40, n_z=15):
     """A small torso with bumps, part of it unseen, in a turned frame."""
     plain = torso(n_theta, n_z)
     theta, z = plain.theta[:, None], plain.z[None]
@@ -30,7 +30,7 @@ def uneven(n_theta: int = 40, n_z: int = 15) -> tt.Surface:
     )
 
 
-def dented(surface: tt.Surface, depth: float = 0.004) -> tt.Surface:
+def dented(surface, depth=0.004):
     """Changed over the seam of the angle."""
     radius, observed = surface.radius.copy(), surface.observed.copy()
     radius[-3:, 4:7] -= depth
@@ -40,7 +40,7 @@ def dented(surface: tt.Surface, depth: float = 0.004) -> tt.Surface:
 
 
 @functools.cache
-def fitted(sampling: str = "trilinear") -> tt.PotentialField:
+def fitted(sampling="trilinear"):
     field = tt.fit(small_scene(sampling), "eq10").field
     return replace(field, parameters={"boundary_scale": 2.0})
 
@@ -50,7 +50,7 @@ SECTOR = (0.2, 2.6)
 
 
 @functools.cache
-def over_a_sector() -> tt.PotentialField:
+def over_a_sector():
     full = small_scene("trilinear")
     voxmap = tt.Voxmap.from_surface(
         full.voxmap.surface, shape=(15, 13, 8), r_inner=0.03, sector=SECTOR
@@ -62,14 +62,14 @@ def over_a_sector() -> tt.PotentialField:
 
 
 @functools.cache
-def sent_sector() -> tuple[bytes, bytes]:
+def sent_sector():
     """The surface's message and that of the field over a sector."""
     surface = encode(over_a_sector().voxmap.surface)
     return surface, encode(over_a_sector(), base=surface)
 
 
 @functools.cache
-def sent(sampling: str = "trilinear") -> tuple[bytes, bytes]:
+def sent(sampling="trilinear"):
     """The surface's message and the field's."""
     surface = encode(fitted(sampling).voxmap.surface)
     return surface, encode(fitted(sampling), base=surface)

@@ -1,17 +1,13 @@
 """Minimisers by dense algebra and by direct factorisation; no code of a solver."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from ttus_opt.core.arrays import Array
-from ttus_opt.problem.program import Program
 
-
-def stacked(program: Program) -> tuple[Any, Array]:
+def stacked(program):
     """M, sparse, and t: the objective, of squares alone, is ‖M x − t‖²."""
     root = [np.sqrt(term.weight) for term in program.terms]
     pairs = list(zip(root, program.terms, strict=True))
@@ -19,14 +15,14 @@ def stacked(program: Program) -> tuple[Any, Array]:
     return M, np.concatenate([w * term.target for w, term in pairs])
 
 
-def least_squares(M: Any, t: Array) -> Array:
+def least_squares(M, t):
     """The minimiser of ‖M x − t‖², from the augmented system."""
     m, n = M.shape
     augmented = sp.block_array([[sp.eye_array(m), M], [M.T, None]], format="csc")
     return np.asarray(spsolve(augmented, np.concatenate([t, np.zeros(n)]))[m:])
 
 
-def minimiser(program: Program) -> Array:
+def minimiser(program):
     """The minimiser of squares, given boundary values eliminated, shape (n,)."""
     M, t = stacked(program)
     x, free = np.zeros(M.shape[1]), np.ones(M.shape[1], dtype=bool)
@@ -37,7 +33,7 @@ def minimiser(program: Program) -> Array:
     return x
 
 
-def enumerated(M: Any, t: Array, A: Any, b: Array) -> Array | None:
+def enumerated(M, t, A, b):
     """The minimiser of ‖M x − t‖² over A x ≤ b, from all active sets.
 
     The first set whose point holds all limits, with multipliers of the right sign, is

@@ -6,19 +6,13 @@ pose.
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
 from ttus_opt.benchmark.parts.rendering import plain_samples
 from ttus_opt.contact.rows import REFERENCE_AREA
-from ttus_opt.core.arrays import Array
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def plain_laplace(
-    voxmap: Voxmap, inner: float, outer: float
-) -> tuple[sp.csr_array, Array]:
+def plain_laplace(voxmap, inner, outer):
     """L and b of paper eq. 8.
 
     Args:
@@ -66,9 +60,7 @@ def plain_laplace(
     return _with_identity(full, voxmap.dirichlet.reshape(-1)), b.reshape(-1)
 
 
-def _with_ghosts(
-    M: sp.csr_array, voxmap: Voxmap, part: tuple[slice | int, ...]
-) -> sp.csr_array:
+def _with_ghosts(M, voxmap, part):
     """The matrix where b of the surface layer has p_a φ_b/φ_a + s (1 − φ_b/φ_a).
 
     φ is the depth below the surface, s what the layer holds; not in a staircase.
@@ -91,15 +83,13 @@ def _with_ghosts(
     return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=M.shape))
 
 
-def _with_identity(M: sp.csr_array, fixed: NDArray[np.bool_]) -> sp.csr_array:
+def _with_identity(M, fixed):
     """The matrix with identity rows where a value is given."""
     keep = sp.diags_array((~fixed).astype(float))
     return sp.csr_array(keep @ M + sp.diags_array(fixed.astype(float)))
 
 
-def plain_rows(
-    voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array, sampling: str
-) -> tuple[sp.csr_array, sp.csr_array]:
+def plain_rows(voxmap, shell, rotation, position, sampling):
     """N and W of paper eqs. 6 and 7.
 
     Args:

@@ -7,17 +7,15 @@ Contact Mechanics, 1985, §4.2):
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.phantom.torso import graded
 
 
-def box_mesh(x: Array, y: Array, z: Array) -> Any:
+def box_mesh(x, y, z):
     """Hexahedra (`skfem.MeshHex`) between node positions along x, y and z [m]."""
     from skfem import MeshHex
 
@@ -25,9 +23,7 @@ def box_mesh(x: Array, y: Array, z: Array) -> Any:
     return MeshHex(np.ascontiguousarray(mesh.p), np.ascontiguousarray(mesh.t))
 
 
-def soft_block(
-    size: float, pitch: float, reach: float, young: float, poisson: float
-) -> ElasticBody:
+def soft_block(size, pitch, reach, young, poisson):
     """A cube whose top face z = 0 is fine around the origin; its bottom is held.
 
     Args:
@@ -58,13 +54,13 @@ def soft_block(
     fixed = np.repeat((z < -size + 1e-9)[:, None], 3, axis=1)
     normals = np.tile([0.0, 0.0, 1.0], (len(patch), 1))
 
-    def modulus(points: Array) -> Array:
+    def modulus(points):
         return np.full(points.shape[1:], young)
 
     return ElasticBody(mesh, modulus, poisson, fixed, patch, normals, edge)
 
 
-def hertz_force(depth: float, radius: float, young: float, poisson: float) -> float:
+def hertz_force(depth, radius, young, poisson):
     """Force of a rigid sphere on an elastic half-space [N].
 
     Args:

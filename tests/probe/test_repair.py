@@ -1,7 +1,5 @@
 """Holes of a recording: all told at once, and mended where it is asked for."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,17 +14,17 @@ from ttus_opt.probe.trajectory import read_trajectory
 HEADER = "t,px,py,pz,qw,qx,qy,qz"
 
 
-def table(n: int = 40) -> list[list[object]]:
+def table(n=40):
     """Twenty poses a second along a line."""
     return [[0.05 * i, 0.001 * i, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0] for i in range(n)]
 
 
-def written(file: Path, rows: list[list[object]]) -> Path:
+def written(file, rows):
     file.write_text("\n".join([HEADER, *[",".join(map(str, r)) for r in rows]]) + "\n")
     return file
 
 
-def broken() -> list[list[object]]:
+def broken():
     """Every kind of hole: lines 4, 10 to 12, 15, 20, 25, 30."""
     rows = table()
     rows[2][1] = "nan"

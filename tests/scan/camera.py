@@ -7,9 +7,6 @@ is a z-buffer over dense surface samples, the true radius a section of the mesh.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
-from ttus_opt.core.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -20,9 +17,7 @@ class View:
     noise: float
 
 
-def sample_mesh(
-    vertices: Array, faces: NDArray[np.int64], n: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def sample_mesh(vertices, faces, n, rng):
     """Uniform surface samples (n, 3) and their outward unit normals (n, 3)."""
     a, b, c = (vertices[faces[:, m]] for m in range(3))
     cross = np.cross(b - a, c - a)
@@ -35,24 +30,14 @@ def sample_mesh(
     return points, cross[pick] / area[pick, None]
 
 
-def bed_plane(
-    centre: Array, size: tuple[float, float], n: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def bed_plane(centre, size, n, rng):
     """A bed (x and z span it) whose normal is +y: the body lies at greater y."""
     uv = rng.uniform(-0.5, 0.5, (n, 2)) * size
     points = centre + np.stack([uv[:, 0], np.zeros(n), uv[:, 1]], axis=1)
     return points, np.tile([0.0, 1.0, 0.0], (n, 1))
 
 
-def see(
-    points: Array,
-    normals: Array,
-    view: View,
-    rng: np.random.Generator,
-    *,
-    pixel: float = 0.003,
-    least_cosine: float = 0.2,
-) -> Array:
+def see(points, normals, view, rng, *, pixel=0.003, least_cosine=0.2):
     """What an orthographic camera sees: a z-buffer, then noise along the ray.
 
     Samples on the far side hide behind the nearest of their pixel's neighbourhood
@@ -79,9 +64,7 @@ def see(
     return found + view.noise * rng.standard_normal(len(found))[:, None] * ray
 
 
-def radius_by_section(
-    vertices: Array, faces: NDArray[np.int64], theta: Array, z: Array
-) -> Array:
+def radius_by_section(vertices, faces, theta, z):
     """True radius (n_theta, n_z): outermost meeting of each ray with the mesh.
 
     The mesh is in the patient frame. NaN where a ray meets nothing.

@@ -2,12 +2,8 @@
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
 
-
-def cylinder(
-    rng: np.random.Generator, radius: float = 0.15, noise: float = 0.003
-) -> Array:
+def cylinder(rng, radius=0.15, noise=0.003):
     theta = rng.uniform(0, 2 * np.pi, 60_000)
     r = radius + noise * rng.standard_normal(theta.size)
     z = rng.uniform(-0.2, 0.2, theta.size)

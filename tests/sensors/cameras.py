@@ -7,9 +7,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
-
-from ttus_opt.core.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -23,7 +20,7 @@ class Camera:
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
 
     @property
-    def matrix(self) -> Array:
+    def matrix(self):
         height, width = self.shape
         f = self.focal
         return np.array(
@@ -31,7 +28,7 @@ class Camera:
         )
 
     @property
-    def pose(self) -> Array:
+    def pose(self):
         """Camera to scan, shape (4, 4)."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
@@ -43,7 +40,7 @@ class Camera:
         return out
 
     @property
-    def rays(self) -> Array:
+    def rays(self):
         """Directions in the scan with z = 1 in the camera, shape (h, w, 3)."""
         v, u = np.indices(self.shape, dtype=float)
         K = self.matrix
@@ -52,7 +49,7 @@ class Camera:
         return own @ self.pose[:3, :3].T
 
 
-def see_ellipsoid(camera: Camera, centre: Array, semi_axes: Array) -> Array:
+def see_ellipsoid(camera, centre, semi_axes):
     """Depth z of an ellipsoid along the scan's axes, inf where it is missed [m]."""
     eye = (np.array(camera.eye) - centre) / semi_axes
     ray = camera.rays / semi_axes
@@ -64,21 +61,21 @@ def see_ellipsoid(camera: Camera, centre: Array, semi_axes: Array) -> Array:
     return np.where(z > 0, z, np.inf)
 
 
-def see_plane(camera: Camera, normal: Array, offset: float) -> Array:
+def see_plane(camera, normal, offset):
     """Depth z of the plane n·x = offset, inf where it is missed [m]."""
     with np.errstate(divide="ignore"):
         z = (offset - normal @ np.array(camera.eye)) / (camera.rays @ normal)
     return np.where(z > 0, z, np.inf)
 
 
-def see_mesh(camera: Camera, vertices: Array, faces: NDArray[np.int64]) -> Array:
+def see_mesh(camera, vertices, faces):
     """Depth z of a mesh, inf where it is missed [m]."""
     own = (vertices - camera.pose[:3, 3]) @ camera.pose[:3, :3]
     return np.asarray(_nearest(own[faces], camera.matrix, camera.shape))
 
 
 @numba.njit(cache=False)
-def _nearest(corners: Array, K: Array, shape: tuple[int, int]) -> Array:
+def _nearest(corners, K, shape):
     """Every pixel's ray against the triangles whose outline it may hit."""
     z = np.full(shape, np.inf)
     for t in range(len(corners)):
@@ -108,7 +105,7 @@ def _nearest(corners: Array, K: Array, shape: tuple[int, int]) -> Array:
     return z
 
 
-def flying(z: Array, rng: np.random.Generator) -> Array:
+def flying(z, rng):
     """Depths with the pixels at jumps mixed from both sides."""
     pad = np.pad(z, 1, mode="edge")
     h, w = z.shape
@@ -122,15 +119,13 @@ def flying(z: Array, rng: np.random.Generator) -> Array:
     return np.where(jump, mixed, z)
 
 
-def measured(
-    z: Array, std: Array | float, missing: float, rng: np.random.Generator
-) -> Array:
+def measured(z, std, missing, rng):
     """Depths with noise of a standard deviation [m] and missing pixels, NaN."""
     noisy = z + std * rng.standard_normal(z.shape)
     lost = ~np.isfinite(z) | (rng.random(z.shape) < missing)
     return np.where(lost, np.nan, noisy)
 
 
-def millimetres(depth: Array) -> NDArray[np.uint16]:
+def millimetres(depth):
     """As cameras write them: whole millimetres, 0 where there is nothing."""
     return np.nan_to_num(np.rint(1e3 * depth)).astype(np.uint16)

@@ -53,14 +53,14 @@ class Sample(NamedTuple):
     origin: str = ""
 
 
-def text(content) -> Callable[[Path], object]:
+def text(content):
     return lambda file: file.write_text(content)
 
 
-def ros(recorded, kind: str) -> Callable[[Path], object]:
+def ros(recorded, kind):
     """A recording of a test's own maker under another name."""
 
-    def make(file: Path) -> None:
+    def make(file):
         with tempfile.TemporaryDirectory() as folder:
             made = recorded(Path(folder), kind)
             if made.is_dir() and file.suffix:
@@ -148,7 +148,7 @@ ROWS = [
 ]
 
 
-def said(words: str) -> str:
+def said(words):
     """What a command of ttus-opt says on stdout."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
@@ -156,7 +156,7 @@ def said(words: str) -> str:
     return out.getvalue()
 
 
-def block(command: str, words: str = "") -> str:
+def block(command, words=""):
     return f"```console\n$ ttus-opt {command}\n{said(words or command)}```\n"
 
 
@@ -181,7 +181,7 @@ def streamed():
         yield transform(i, "NeedleToTracker")
 
 
-def recorded() -> str:
+def recorded():
     """The last device's section: a server of this process, and the file it gives."""
     from tests.sensors.test_open_igt_link import serving
 
@@ -193,7 +193,7 @@ def recorded() -> str:
         return block(command.format(18944), command.format(port))
 
 
-def page() -> str:
+def page():
     """The whole page."""
     parts = [HEAD]
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

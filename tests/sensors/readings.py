@@ -3,7 +3,6 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 
@@ -21,16 +20,16 @@ SENSOR = ForceSensor(
 
 
 def readings(
-    rotation: Array,
-    force: Array | float = 0.0,
-    torque: Array | float = 0.0,
+    rotation,
+    force=0.0,
+    torque=0.0,
     *,
-    sensor: ForceSensor = SENSOR,
-    acceleration: Array | float = 0.0,
-    mass: float = MASS,
-    position: Array | None = None,
-    noise: float = 0.0,
-) -> Trajectory:
+    sensor=SENSOR,
+    acceleration=0.0,
+    mass=MASS,
+    position=None,
+    noise=0.0,
+):
     """What a sensor reads, written out frame by frame.
 
     Force on the probe and torque about the sensor's point: axes of the poses' frame.
@@ -57,7 +56,7 @@ def readings(
     )
 
 
-def tilts(n: int = 40, size: float = 0.6) -> Array:
+def tilts(n=40, size=0.6):
     """Random turns of the probe."""
     rng = np.random.default_rng(2)
     return Rotation.from_rotvec(rng.normal(0, size, (n, 3))).as_matrix()

@@ -1,7 +1,6 @@
 """A recording as RealSense's SDK writes it: depth images, intrinsics, depth units."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ FRAME = 33_000_000
 UNIT = 1e-4
 
 
-def depth(i: int) -> np.ndarray:
+def depth(i):
     """Whole units; a hole, and a slope that grows by a unit a frame."""
     image = 5000 + 7 * np.arange(32)[None, :] + np.zeros((24, 1)) + i
     image[3, 4] = 0
@@ -46,21 +45,14 @@ class Camera(NamedTuple):
 SMALL = Camera()
 
 
-def recorded(
-    file: Path,
-    *,
-    encoding: str = "mono16",
-    unit: bool = True,
-    camera: Camera = SMALL,
-    aligned: bool = False,
-) -> Path:
+def recorded(file, *, encoding="mono16", unit=True, camera=SMALL, aligned=False):
     from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
 
     store: Any = get_typestore(Stores.ROS1_NOETIC)
     T = store.types
 
-    def header(i: int) -> Any:
+    def header(i):
         stamp = T["builtin_interfaces/msg/Time"](sec=1, nanosec=i)
         return T["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="0")
 
@@ -78,7 +70,7 @@ def recorded(
             t: writer.add_connection(t, k, typestore=store) for t, k in topics.items()
         }
 
-        def write(topic: str, time: int, message: Any) -> None:
+        def write(topic, time, message):
             kind = topics[topic]
             writer.write(open_[topic], time, store.serialize_ros1(message, kind))
 
@@ -111,7 +103,7 @@ def recorded(
     return file
 
 
-def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
+def test_the_middle_frame_in_its_own_unit(tmp_path):
     file = recorded(tmp_path / "scan.bag")
     found = read_depth(file).depth
     expected = UNIT * depth(2)
@@ -124,12 +116,12 @@ def test_the_middle_frame_in_its_own_unit(tmp_path: Path) -> None:
     assert image.depth.shape == (24, 32)
 
 
-def test_millimetres_where_no_unit_is_stated(tmp_path: Path) -> None:
+def test_millimetres_where_no_unit_is_stated(tmp_path):
     file = recorded(tmp_path / "scan.bag", encoding="16UC1", unit=False)
     np.testing.assert_allclose(read_depth(file).depth[0, 0], 5.002)
 
 
-def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
+def test_an_image_by_its_topic_and_time(tmp_path):
     """Each topic has the intrinsics beside it; times count from its first image."""
     file = recorded(tmp_path / "two.bag", aligned=True)
     data = f"{SENSOR}/Depth_0/image/data"
@@ -154,7 +146,7 @@ def test_an_image_by_its_topic_and_time(tmp_path: Path) -> None:
             read_depth(file, topic=data, at=at)
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_what_is_refused(tmp_path):
     file = recorded(tmp_path / "scan.bag", encoding="rgb8")
     refuses(FileError, "images of rgb8", read_depth, file)
     (tmp_path / "no.bag").write_text("none")
@@ -165,5 +157,5 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("n", [30, pytest.param(1000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path: Path, n: int) -> None:
+def test_mutations(tmp_path, n):
     only_our_errors([recorded(tmp_path / "scan.bag")], read_depth, n)

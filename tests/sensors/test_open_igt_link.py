@@ -337,15 +337,15 @@ def test_mutations(kind, sealed, n, monkeypatch):
 class Packed(pyigtl.messages.MessageBase):
     """A body by its bytes, after the protocol's tables; pyigtl has no such message."""
 
-    def __init__(self, kind: str, body: bytes, device: str) -> None:
+    def __init__(self, kind, body, device):
         super().__init__(timestamp=7.0, device_name=device)
         self._message_type, self.body, self._valid_message = kind, body, True
 
-    def _pack_content(self) -> bytes:
+    def _pack_content(self):
         return self.body
 
 
-def test_positions_tools_and_arrays() -> None:
+def test_positions_tools_and_arrays():
     """POSITION with a whole and a short quaternion, TDATA by tool, NDARRAY."""
     quaternion = Rotation.from_matrix(TURN).as_quat()
     whole = struct.pack(">7f", 10, 20, 30, *quaternion)
@@ -389,7 +389,7 @@ def test_positions_tools_and_arrays() -> None:
         ("NDARRAY", struct.pack(">BBH", 11, 1, 3) + bytes(16), "another size"),
     ],
 )
-def test_bodies_that_are_none(kind: str, body: bytes, fault: str) -> None:
+def test_bodies_that_are_none(kind, body, fault):
     found = received(Packed(kind, body, "A"))
     (told,) = found.dropped
     assert fault in told

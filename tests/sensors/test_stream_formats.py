@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Collection
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +31,7 @@ LOST = (3, 4)
 SEEN = np.array([i for i in range(8) if i not in LOST])
 
 
-def lines(*rows: list[object]) -> str:
+def lines(*rows):
     return "".join(",".join(map(str, row)) + "\n" for row in rows)
 
 
@@ -48,7 +47,7 @@ class Motion(NamedTuple):
 SEEN_HERE = Motion()
 
 
-def ndi_toolbox(file: Path, seen: Motion = SEEN_HERE) -> Path:
+def ndi_toolbox(file, seen=SEEN_HERE):
     """ToolBox: two tools, markers behind each, Missing frames without numbers."""
     pose = ["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"]
     markers = ["Markers", "State", "Tx", "Ty", "Tz"]
@@ -72,7 +71,7 @@ def ndi_toolbox(file: Path, seen: Motion = SEEN_HERE) -> Path:
     return file
 
 
-def ndi_api(file: Path) -> Path:
+def ndi_api(file):
     """The Combined API's sample program: frame numbers only, a header that is cut."""
     text = "#Tools,ToolInfo,Frame#,PortHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,"
     text += "Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz\n"
@@ -85,7 +84,7 @@ def ndi_api(file: Path) -> Path:
     return file
 
 
-def motive(file: Path) -> Path:
+def motive(file):
     names = ["Probe"] * 7
     head = "Format Version,1.23,Take Name,t,Rotation Type,Quaternion,Length Units,"
     head += "Millimeters,Coordinate Space,Global\n\n"
@@ -105,11 +104,11 @@ def motive(file: Path) -> Path:
 BODY = np.array([[0, 0, 0], [0.06, 0, 0], [0.01, 0.05, 0], [0.0, 0.02, 0.03]])
 
 
-def markers(i: int) -> np.ndarray:
+def markers(i):
     return np.asarray(BODY @ TURN[i].as_matrix().T + PLACE[i])
 
 
-def trc(file: Path) -> Path:
+def trc(file):
     text = "PathFileType\t4\t(X/Y/Z)\tpress.trc\n"
     text += "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\n20\t20\t8\t4\tmm\n"
     text += "Frame#\tTime\t" + "\t\t\t".join("ABCD") + "\t\t\n"
@@ -123,7 +122,7 @@ def trc(file: Path) -> Path:
     return file
 
 
-def vicon(file: Path) -> Path:
+def vicon(file):
     """Tracker's objects with quaternions, Nexus' trajectories, and a force plate."""
     text = "Objects\n20\n,,Global Angle Probe:Probe,,,,,,\n"
     text += "Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,mm,mm,mm\n"
@@ -156,7 +155,7 @@ class Felt(NamedTuple):
 FELT_HERE = Felt()
 
 
-def ati(file: Path, counts: bool = True, felt: Felt = FELT_HERE) -> Path:
+def ati(file, counts=True, felt=FELT_HERE):
     """The demo program of ATI's Net F/T, with a lost packet and an error status."""
     text = f"Start Time: 3/12/26 10:01 AM\nRDT Sample Rate: {felt.rate}\n"
     text += '"PLEASE NOTE: the rate"\n'
@@ -175,7 +174,7 @@ def ati(file: Path, counts: bool = True, felt: Felt = FELT_HERE) -> Path:
     return file
 
 
-def rtde(file: Path) -> Path:
+def rtde(file):
     """Universal Robots' record.py: blanks, rotation vectors, both in one table."""
     names = ["timestamp", *[f"actual_q_{i}" for i in range(6)]]
     names += [f"actual_TCP_{kind}_{i}" for kind in ("pose", "force") for i in range(6)]
@@ -195,7 +194,7 @@ def rtde(file: Path) -> Path:
     return file
 
 
-def tum(file: Path, header: bool = True) -> Path:
+def tum(file, header=True):
     text = "# ground truth trajectory\n# file: 'x.bag'\n" if header else ""
     text += "# timestamp tx ty tz qx qy qz qw\n" if header else ""
     for i in range(8):
@@ -205,7 +204,7 @@ def tum(file: Path, header: bool = True) -> Path:
     return file
 
 
-def euroc(file: Path) -> Path:
+def euroc(file):
     names = ["#timestamp [ns]", *[f" p_RS_R_{x} [m]" for x in "xyz"]]
     names += [f" q_RS_{x} []" for x in "wxyz"]
     rows = [
@@ -216,7 +215,7 @@ def euroc(file: Path) -> Path:
     return file
 
 
-def plotjuggler(file: Path) -> Path:
+def plotjuggler(file):
     """Names of topic and field with slashes; whole seconds and nanoseconds apart."""
     names = ["/p/header.stamp.sec", "/p/header.stamp.nanosec"]
     names += [f"/p/pose.position.{x}" for x in "xyz"]
@@ -229,13 +228,13 @@ def plotjuggler(file: Path) -> Path:
     return file
 
 
-def in_ms_and_mm() -> list[list[float]]:
+def in_ms_and_mm():
     """Times [ms], forces [N] and torques [N mm]."""
     columns = zip(1e3 * TIME, FORCE, 1e3 * TORQUE, strict=True)
     return [[t, *f, *m] for t, f, m in columns]
 
 
-def robotiq(file: Path) -> Path:
+def robotiq(file):
     """A name, an empty line, and units in brackets of both kinds."""
     names = ["Time (ms)", "Fx (N)", "Fy (N)", "Fz (N)"]
     names += ["Mx [Nmm]", "My [Nmm]", "Mz [Nmm]"]
@@ -266,7 +265,7 @@ SAMPLES = {
         ("vicon.csv", "P", 0.0),
     ],
 )
-def test_trackers(tmp_path: Path, name: str, stream: str | None, begin: float) -> None:
+def test_trackers(tmp_path, name, stream, begin):
     """Positions, rotations and times as they were written; what was lost is a gap."""
     found = read_poses(SAMPLES[name](tmp_path / name), stream)
     np.testing.assert_allclose(found.time - begin, TIME[SEEN], atol=1e-9)
@@ -276,14 +275,14 @@ def test_trackers(tmp_path: Path, name: str, stream: str | None, begin: float) -
     assert found.segment.tolist() == [0, 0, 0, 1, 1, 1]
 
 
-def test_frames_without_times_are_counted_aloud(tmp_path: Path) -> None:
+def test_frames_without_times_are_counted_aloud(tmp_path):
     with pytest.warns(TtusWarning, match="frame numbers at 60 Hz"):
         found = read_poses(ndi_api(tmp_path / "api.csv"))
     np.testing.assert_allclose(np.diff(found.time), [0.05, 0.05, 0.15, 0.05, 0.05])
     np.testing.assert_allclose(found.position, PLACE[SEEN])
 
 
-def test_several_tools_are_named(tmp_path: Path) -> None:
+def test_several_tools_are_named(tmp_path):
     file = ndi_toolbox(tmp_path / "toolbox.csv")
     refuses(
         FileError, "several tools of poses: Probe, Stylus: choose one", read_poses, file
@@ -293,7 +292,7 @@ def test_several_tools_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("counts", [True, False])
-def test_a_log_of_ati(tmp_path: Path, counts: bool) -> None:
+def test_a_log_of_ati(tmp_path, counts):
     """Counts by their own factor, sequence numbers as times, errors left out."""
     found = read_wrenches(ati(tmp_path / "ati.csv", counts))
     kept = [0, 1, 2, 5, 6, 7]
@@ -302,13 +301,13 @@ def test_a_log_of_ati(tmp_path: Path, counts: bool) -> None:
     np.testing.assert_allclose(found.torque, TORQUE[kept], atol=1e-6)
 
 
-def test_a_force_plate(tmp_path: Path) -> None:
+def test_a_force_plate(tmp_path):
     found = read_wrenches(vicon(tmp_path / "vicon.csv"))
     np.testing.assert_allclose(found.time, 0.5 * TIME)
     np.testing.assert_allclose(found.torque, TORQUE)
 
 
-def test_a_robot_of_universal(tmp_path: Path) -> None:
+def test_a_robot_of_universal(tmp_path):
     found = read_recording(rtde(tmp_path / "rtde.csv"))
     np.testing.assert_allclose(found.position, PLACE / 10)
     assert (Rotation.from_matrix(found.rotation) * TURN.inv()).magnitude().max() < 1e-7
@@ -318,7 +317,7 @@ def test_a_robot_of_universal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("header", [True, False])
-def test_tum(tmp_path: Path, header: bool) -> None:
+def test_tum(tmp_path, header):
     words = "tx,ty,tz beside a quaternion" if header else "no header: read as t px"
     with pytest.warns(TtusWarning, match=words):
         found = read_poses(tum(tmp_path / "tum.txt", header))
@@ -327,20 +326,20 @@ def test_tum(tmp_path: Path, header: bool) -> None:
     assert (Rotation.from_matrix(found.rotation) * TURN.inv()).magnitude().max() < 1e-8
 
 
-def test_euroc(tmp_path: Path) -> None:
+def test_euroc(tmp_path):
     found = read_poses(euroc(tmp_path / "euroc.csv"))
     np.testing.assert_allclose(found.time - 1.4e9, TIME, atol=1e-6)
     np.testing.assert_allclose(found.position, PLACE)
 
 
-def test_angles_of_an_unstated_kind_are_not_guessed(tmp_path: Path) -> None:
+def test_angles_of_an_unstated_kind_are_not_guessed(tmp_path):
     text = "Segments\n20\n,,Probe:Probe,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n"
     text += ",,deg,deg,deg,mm,mm,mm\n1,0,1,2,3,4,5,6\n2,0,1,2,3,4,5,6\n"
     (tmp_path / "v.csv").write_text(text)
     refuses(FileError, "Euler or helical is not stated", read_poses, tmp_path / "v.csv")
 
 
-def test_euler_angles_of_motive(tmp_path: Path) -> None:
+def test_euler_angles_of_motive(tmp_path):
     """Its rotation type names the axes; SciPy turns back."""
     file = motive(tmp_path / "m.csv")
     text = file.read_text().replace("Quaternion", "XYZ")
@@ -359,7 +358,7 @@ def test_euler_angles_of_motive(tmp_path: Path) -> None:
     assert apart.magnitude().max() < 1e-9
 
 
-def test_markers_of_a_body_that_are_seen_in_part(tmp_path: Path) -> None:
+def test_markers_of_a_body_that_are_seen_in_part(tmp_path):
     """Three of four markers give the pose too, two do not."""
     file = trc(tmp_path / "a.trc")
     rows = file.read_text().splitlines()
@@ -370,7 +369,7 @@ def test_markers_of_a_body_that_are_seen_in_part(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.position, PLACE[SEEN], atol=1e-8)
 
 
-def test_markers_of_no_rigid_body_are_told(tmp_path: Path) -> None:
+def test_markers_of_no_rigid_body_are_told(tmp_path):
     """One of four wanders by 0.1 m, so that the rigid body is off by 5 cm."""
     file = trc(tmp_path / "a.trc")
     rows = file.read_text().splitlines()
@@ -382,7 +381,7 @@ def test_markers_of_no_rigid_body_are_told(tmp_path: Path) -> None:
         read_poses(file)
 
 
-def test_two_columns_of_one_time_and_units(tmp_path: Path) -> None:
+def test_two_columns_of_one_time_and_units(tmp_path):
     """Seconds and nanoseconds are found by their names, or told; so are units."""
     found = read_poses(plotjuggler(tmp_path / "a.csv"))
     np.testing.assert_allclose(np.diff(found.time), 0.25, atol=1e-6)
@@ -399,7 +398,7 @@ def test_two_columns_of_one_time_and_units(tmp_path: Path) -> None:
         read_poses(tmp_path / "b.csv", columns={**told, "px": "tip_x[furlong]"})
 
 
-def test_units_of_the_header_and_below_it(tmp_path: Path) -> None:
+def test_units_of_the_header_and_below_it(tmp_path):
     rows = in_ms_and_mm()
     robotiq(tmp_path / "a.csv")
     bare: list[object] = ["t", "fx", "fy", "fz", "tx", "ty", "tz"]
@@ -413,7 +412,7 @@ def test_units_of_the_header_and_below_it(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.torque, TORQUE)
 
 
-def test_a_file_has_one_format(tmp_path: Path) -> None:
+def test_a_file_has_one_format(tmp_path):
     titles = {
         name: format_of(make(tmp_path / name)).title for name, make in SAMPLES.items()
     }
@@ -429,6 +428,6 @@ def test_a_file_has_one_format(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
 @pytest.mark.parametrize("n", [40, pytest.param(2000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path: Path, n: int) -> None:
+def test_mutations(tmp_path, n):
     files = [make(tmp_path / name) for name, make in SAMPLES.items()]
     only_our_errors(files, raw_recordings, n)

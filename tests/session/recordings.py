@@ -19,28 +19,28 @@ SECONDS = 5.0
 
 
 @functools.cache
-def made() -> Path:
+def made():
     """The recording, made once for a process."""
     folder = Path(tempfile.mkdtemp(prefix="ttus-session-"))
     write_recording(folder, seconds=SECONDS, shape=(12, 24, 12))
     return folder
 
 
-def copied(folder: Path) -> Path:
+def copied(folder):
     """A copy of one's own."""
     return Path(shutil.copytree(made(), folder / "recording"))
 
 
-def described(recording: Path) -> dict[str, Any]:
+def described(recording):
     content: dict[str, Any] = json.loads((recording / "session.json").read_text())
     return content
 
 
-def rewrite(recording: Path, content: dict[str, Any]) -> None:
+def rewrite(recording, content):
     (recording / "session.json").write_text(json.dumps(content))
 
 
-def changed(recording: Path, key: str, value: Any) -> None:
+def changed(recording, key, value):
     """Set one value of a description by its dotted key; None takes it out."""
     content = described(recording)
     at = content
@@ -54,7 +54,7 @@ def changed(recording: Path, key: str, value: Any) -> None:
     rewrite(recording, content)
 
 
-def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
+def calibrated(seconds=20.0, seed=0):
     """The recordings as perfect calibration has them, with the tracker's noise.
 
     In the frame of the example's surface, at the tracker's times.
@@ -84,12 +84,12 @@ def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
     }
 
 
-def begins(recording: Path) -> float:
+def begins(recording):
     """When the first stretch to fit to begins [s]."""
     return float(described(recording)["recordings"]["press_fit"]["from"])
 
 
-def jumped(recording: Path) -> None:
+def jumped(recording):
     """Let a recording's poses jump by 50 mm, two seconds after its first press."""
     poses = read_trajectory(recording / "tracker.csv")
     late = (poses.time > begins(recording) + 2.0)[:, None]

@@ -1,15 +1,12 @@
 """What single steps of a session start from."""
 
 from ttus_opt.phantom.example_data import true_surface
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.sensors.streams import WrenchStream
-from ttus_opt.session.description import Description
 from ttus_opt.session.readings import read_forces
-from ttus_opt.session.registration import Registration, probe_poses, register
+from ttus_opt.session.registration import probe_poses, register
 
 SURFACE = true_surface()
 
 
-def streams(session: Description) -> tuple[Registration, Trajectory, WrenchStream]:
+def streams(session):
     frames = register(session.tracker, SURFACE)
     return frames, probe_poses(session.tracker, frames), read_forces(session)

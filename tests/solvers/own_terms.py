@@ -17,7 +17,7 @@ class Differences(Term):
 
     name = "differences"
 
-    def rows(self) -> AffineRows:
+    def rows(self):
         rows = difference_rows(self.scene.voxmap.grid)
         return AffineRows({"p": rows}, np.zeros(rows.shape[0]))
 

@@ -1,6 +1,6 @@
 """Small programs with known primal and dual answers, for every solver."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -14,7 +14,6 @@ from ttus_opt.problem.terms.penalties import (
     Groups,
     Huber,
     Linear,
-    Penalty,
     Squares,
 )
 
@@ -22,16 +21,14 @@ INF = np.inf
 SQUARES = Squares()
 
 
-def term(
-    M: Any, t: Any, weight: float = 1.0, penalty: Penalty = SQUARES, name: str = "fit"
-) -> ProgramTerm:
+def term(M, t, weight=1.0, penalty=SQUARES, name="fit"):
     """A term over all variables."""
     rows = sp.csr_array(np.asarray(M, dtype=float))
     target = np.asarray(t, dtype=float)
     return ProgramTerm(name, weight, rows, target, penalty)
 
 
-def rows(name: str, A: Any, lower: Any, upper: Any) -> ProgramConstraint:
+def rows(name, A, lower, upper):
     """Rows between limits."""
     return ProgramConstraint(
         name,
@@ -41,18 +38,14 @@ def rows(name: str, A: Any, lower: Any, upper: Any) -> ProgramConstraint:
     )
 
 
-def bounds(name: str, lower: Any, upper: Any) -> ProgramBounds:
+def bounds(name, lower, upper):
     """Bounds on all variables."""
     return ProgramBounds(
         name, np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     )
 
 
-def program(
-    terms: Iterable[ProgramTerm],
-    constraints: Iterable[ProgramConstraint] = (),
-    limits: Iterable[ProgramBounds] = (),
-) -> Program:
+def program(terms, constraints=(), limits=()):
     """A program over one variable p, of no scene."""
     terms = tuple(terms)
     n = terms[0].matrix.shape[1]
@@ -85,7 +78,7 @@ class Reference:
     weak: bool = False
 
 
-def references() -> list[Reference]:
+def references():
     """All reference problems; every answer can be checked by hand."""
     eye2, eye3, eye4 = np.eye(2), np.eye(3), np.eye(4)
     two = [[1.0, 1.0]]
@@ -181,7 +174,7 @@ def references() -> list[Reference]:
     ]
 
 
-def bending_references() -> list[Reference]:
+def bending_references():
     """Reference problems with penalties that are no sum of squares."""
     eye1, eye2 = np.eye(1), np.eye(2)
     return [
@@ -220,18 +213,14 @@ def bending_references() -> list[Reference]:
 M = np.random.default_rng(0).normal(size=(12, 4))
 
 
-def capped(
-    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
-) -> Program:
+def capped(target, cap=0.5, weight=1.0, times=1.0):
     """Least squares below a cap on a multiple of each unknown."""
     own = np.zeros(12) + np.asarray(target)
     fit = [term(M, own), term(np.eye(4), np.ones(4), weight, name="ridge")]
     return program(fit, [rows("cap", times * np.eye(4), [-INF] * 4, [cap] * 4)])
 
 
-def minimum(
-    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
-) -> np.ndarray:
+def minimum(target, cap=0.5, weight=1.0, times=1.0):
     """The same by projected coordinate descent."""
     H = M.T @ M + weight * np.eye(4)
     g = M.T @ (np.zeros(12) + np.asarray(target)) + weight

@@ -4,11 +4,10 @@ A solver that begins to refuse a problem, or to take one, fails `test_taking` un
 change is written here; a test that asked the solver itself would pass over it.
 """
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Mapping
 
 import pytest
 
-from ttus_opt.solvers.base import Solver
 from ttus_opt.solvers.registry import solvers
 
 #: Through cvxpy: penalties that are no sum of squares as they are written
@@ -114,19 +113,17 @@ REQUIRED = {
 }
 
 
-def installed(takers: Container[str]) -> list[Solver]:
+def installed(takers):
     """Solvers of a set that are installed, by name."""
     return [s for name, s in solvers().items() if name in takers and s.installed]
 
 
-def over(takers: Container[str]) -> pytest.MarkDecorator:
+def over(takers):
     """Decorator: the test for every installed solver of a set."""
     return pytest.mark.parametrize("solver", installed(takers), ids=lambda s: s.name)
 
 
-def pairs(
-    table: Mapping[str, Container[str]], slow: Container[tuple[str, str]] = ()
-) -> list[object]:
+def pairs(table, slow=()):
     """Every row of a table with every installed solver that takes it.
 
     Args:
@@ -145,6 +142,6 @@ def pairs(
     ]
 
 
-def named(items: Iterable[str]) -> list[str]:
+def named(items):
     """Names in order, for a comparison that can be read."""
     return sorted(items)

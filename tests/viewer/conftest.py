@@ -12,7 +12,7 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 
 
 @functools.cache
-def field(scale: float = 1.0) -> tt.PotentialField:
+def field(scale=1.0):
     """A pressure of 1 N/cm² per 5 mm of depth, softer at the back."""
     voxmap = tt.Voxmap.from_surface(torso(), shape=(24, 48, 20), r_inner=0.03)
     grid = voxmap.grid
@@ -27,17 +27,17 @@ def field(scale: float = 1.0) -> tt.PotentialField:
 
 
 @functools.cache
-def probe() -> tt.PointShell:
+def probe():
     return ellipsoid()
 
 
 @functools.cache
-def recorded() -> tt.Trajectory:
+def recorded():
     """Presses in a row at one place of the front, with made-up forces."""
     scene = small_scene(n_poses=12)
     return scene.trajectory
 
 
 @pytest.fixture
-def state() -> ViewState:
+def state():
     return ViewState([field()], probe(), recorded())

@@ -1,15 +1,14 @@
 """Every part on a small case, in little time."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.benchmark.tiny import TINY as TINIER
-from ttus_opt.benchmark.parts.base import Part, parts
+from ttus_opt.benchmark.parts.base import parts
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import MEASURED, Row, Settings
+from ttus_opt.benchmark.row import MEASURED, Settings
 
 TINY = replace(TINIER, n_poses=24, n_points=1500)
 
@@ -29,7 +28,7 @@ QUICK: dict[str, dict[str, Any]] = {
 every_part = pytest.mark.parametrize("part", parts().values(), ids=lambda p: p.name)
 
 
-def measured(part: Part, folder: Path) -> list[Row]:
+def measured(part, folder):
     spec = part.plan([TINY], SETTINGS)[0]
     spec = replace(spec, options={**spec.options, **QUICK.get(part.name, {})})
     rows = part.measure(spec, Progress(folder))

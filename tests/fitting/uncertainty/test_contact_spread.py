@@ -85,7 +85,7 @@ def test_places_that_tell_the_deviation_count_by_how_far_they_differ():
     first = at[::10]
     among = matern(cdist(first, first), 0.1)
 
-    def likely(step: float, of: np.ndarray) -> float:
+    def likely(step, of):
         """Mean of ln N(y; 0, e^(2 step) K + ε) over y of covariance `of`."""
         S = np.exp(2.0 * step) * among + OWN_ERROR * np.eye(3)
         return -0.5 * (np.linalg.slogdet(S)[1] + np.trace(np.linalg.solve(S, of)))

@@ -19,7 +19,7 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
 )
 from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
-from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty, uncertainty
+from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
@@ -33,31 +33,31 @@ LEAST, STEP = 0.01, 0.01
 
 
 @functools.cache
-def scene_of(least: float) -> tt.Scene:
+def scene_of(least):
     return three_presses().resampled(f"contact-size:{least:.3g}")
 
 
 @functools.cache
-def fitted() -> tt.Solution:
+def fitted():
     return tt.fit(scene_of(LEAST), "depth_map", **WEIGHTS)
 
 
 @functools.cache
-def exact() -> Uncertainty:
+def exact():
     return uncertainty(fitted(), scene_of(LEAST))
 
 
-def rows_of(scene: tt.Scene) -> np.ndarray:
+def rows_of(scene):
     return np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
 
 
-def per_size(rows_of, values: np.ndarray) -> np.ndarray:
+def per_size(rows_of, values):
     """Change of what scenes' rows have of a field per ln ℓ₀, by differences."""
     more, less = (rows_of(scene_of(LEAST * (1.0 + s))) for s in (STEP, -STEP))
     return np.asarray((more - less) @ values / (2.0 * np.arctanh(STEP)))
 
 
-def dense(rows: np.ndarray, sized: np.ndarray) -> np.ndarray:
+def dense(rows, sized):
     """Covariance of the errors of rows, the prior's by its term's own matrix."""
     prior = next(t for t in fitted().program.terms if known_covariance(t.tags))
     R = np.sqrt(prior.weight) * prior.matrix.toarray()
@@ -99,7 +99,7 @@ def dense(rows: np.ndarray, sized: np.ndarray) -> np.ndarray:
     return np.asarray(found.variance * own + gain @ noise @ gain.T)
 
 
-def unseen_rows() -> tuple[np.ndarray, np.ndarray]:
+def unseen_rows():
     """Rows of unseen wrenches, and their change per ln ℓ₀."""
     values = exact().potential.values.ravel()
     sized = per_size(lambda scene: wrench_rows(scene, unseen()), values)
@@ -140,7 +140,7 @@ def test_draws_agree_with_it():
     assert abs(np.median(found / std) - 1.0) < 0.02
 
 
-def opposite_presses(stiffer: float) -> tt.Scene:
+def opposite_presses(stiffer):
     """The same presses on both sides of a torso, of which one is stiffer."""
     surface = torso()
     voxmap = tt.Voxmap.from_surface(surface, shape=(9, 20, 10))

@@ -19,17 +19,17 @@ from ttus_opt.problem.terms.wrench import DragForceTerm
 MU = 0.3
 
 
-def rows_of(name: str, **options: float) -> TuningRows:
+def rows_of(name, **options):
     return TuningRows.of(load(name, three_presses(), **options))
 
 
-def contact() -> np.ndarray:
+def contact():
     """Frames in contact, shape (T,)."""
     return np.asarray(three_presses().rows.contact_points > 0)
 
 
 @functools.cache
-def dense() -> tuple[np.ndarray, ...]:
+def dense():
     """Rows D of forces and torques, their covariance, and what L p = b gives."""
     scene = three_presses()
     D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
@@ -37,7 +37,7 @@ def dense() -> tuple[np.ndarray, ...]:
     return D, G.T @ G, D @ np.linalg.solve(scene.L.toarray(), scene.b)
 
 
-def used() -> np.ndarray:
+def used():
     """Rows of frames in contact, of both terms."""
     return np.flatnonzero(np.tile(np.repeat(contact(), 3), 2))
 
@@ -171,7 +171,7 @@ class HeightTerm(tt.Term):
     name: ClassVar[str] = "height"
     measures: ClassVar[bool] = True
 
-    def rows(self) -> tt.AffineRows:
+    def rows(self):
         V = self.scene.n_voxels
         parts = sp.csr_array(np.arange(7)[:, None] == np.arange(V) * 7 // V)
         return tt.AffineRows({"p": parts.astype(float)}, np.linspace(1.0, 2.0, 7))

@@ -9,7 +9,6 @@ import pytest
 from tests.laplace.multigrid.test_solver import explicit, make_grid, torso
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
-from ttus_opt.laplace.multigrid.red_black import Layout, Single
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
@@ -23,7 +22,7 @@ class Torso(NamedTuple):
 
 
 @functools.cache
-def made(shape: tuple[int, int, int]) -> Torso:
+def made(shape):
     grid = make_grid(shape)
     free = torso(grid)
     A = np.zeros((free.size, free.size))
@@ -37,12 +36,12 @@ def small(request):
     return made(request.param)
 
 
-def split(layout: Layout, values: Array) -> Single:
+def split(layout, values):
     """Voxel values in red-black order, single precision."""
     return layout.split(values.reshape(layout.shape).astype(np.float32))
 
 
-def noise(free: Mask, seed: int = 0) -> Array:
+def noise(free, seed=0):
     """Random values, zero at fixed voxels, shape (V,)."""
     values = np.random.default_rng(seed).normal(size=free.size)
     return np.where(free.reshape(-1), values, 0.0)

@@ -19,7 +19,7 @@ from ttus_opt.problem.terms.drag_estimate import alike_drag
 MU = 0.3
 
 
-def of_depth(acts_at: str) -> Scene:
+def of_depth(acts_at):
     """Forces and torques of p = 60 d² with drag, which no Laplace field explains."""
     scene = dragged_scene(acts_at)
     p = 6e3 * np.maximum(voxel_depths(scene.voxmap), 0.0) ** 2

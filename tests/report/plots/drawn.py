@@ -1,15 +1,12 @@
 """A half-seen torso, and what a picture drew."""
 
-from typing import Any
-
 import numpy as np
 
 from tests.kit import torso
-from ttus_opt.core.arrays import Array
 from ttus_opt.scan.surface import Surface
 
 
-def half_seen() -> Surface:
+def half_seen():
     full = torso()
     observed = np.broadcast_to(
         (np.sin(full.theta) > -0.2)[:, None], full.radius.shape
@@ -19,7 +16,7 @@ def half_seen() -> Surface:
     )
 
 
-def lines(axes: Any) -> dict[str, tuple[Array, Array]]:
+def lines(axes):
     return {
         str(line.get_label()): (
             np.asarray(line.get_xdata(), float),

@@ -182,7 +182,7 @@ def test_dependent_columns_share_what_they_explain():
     np.testing.assert_allclose(twice.part(residual), 0.0, atol=1e-14)
 
 
-def test_a_deadline_passes() -> None:
+def test_a_deadline_passes():
     now = time.perf_counter()
     assert not Accuracy(1e-8).late
     assert not Accuracy(1e-8, deadline=now + 60.0).late

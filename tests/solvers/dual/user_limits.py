@@ -6,11 +6,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from tests.kit import small_scene, with_wrenches
-from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.formulation import Formulation, load
+from ttus_opt.problem.formulation import load
 
 INF = np.inf
 
@@ -25,7 +24,7 @@ class Within(Constraint):
     name = "within"
     formula = "l ≤ p ≤ u"
 
-    def rows(self) -> Bounds:
+    def rows(self):
         return Bounds("p", self.lower, self.upper)
 
 
@@ -40,7 +39,7 @@ class Rows(Constraint):
     name = "mine"
     formula = "l ≤ M p ≤ u"
 
-    def rows(self) -> LinearRows:
+    def rows(self):
         return LinearRows({"p": self.matrix}, self.lower, self.upper)
 
 
@@ -52,25 +51,19 @@ class Steeper(Monotone):
 
 
 def contested(
-    seed: int = 0,
-    shape: tuple[int, int, int] = (7, 14, 7),
-    *,
-    sampling: str = "trilinear",
-    scale: float = 1.0,
-    noise: float = 2.0,
-    n_poses: int = 10,
-) -> Scene:
+    seed=0, shape=(7, 14, 7), *, sampling="trilinear", scale=1.0, noise=2.0, n_poses=10
+):
     """A scene with forces scaled (or reversed) and noise on them [N]."""
     return louder(small_scene(sampling, shape, n_poses, seed), seed, scale, noise)
 
 
-def louder(scene: Scene, seed: int, scale: float = 1.0, noise: float = 2.0) -> Scene:
+def louder(scene, seed, scale=1.0, noise=2.0):
     """A scene with its forces scaled and noise on them [N]."""
     rng = np.random.default_rng(seed + 100)
     return with_wrenches(scene, scale * scene.f + rng.normal(0.0, noise, scene.f.shape))
 
 
-def eq10(scene: Scene, weight: float, *constraints: Constraint) -> Formulation:
+def eq10(scene, weight, *constraints):
     """Eq. 10 under constraints, both weights the same."""
     declared = load("eq10", scene, force_weight=weight, torque_weight=weight)
     return declared.with_constraints(*constraints)

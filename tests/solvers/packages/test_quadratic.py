@@ -19,7 +19,7 @@ FORM = QuadraticForm(
 )
 
 
-def test_one_sided_rows_and_their_multipliers() -> None:
+def test_one_sided_rows_and_their_multipliers():
     split = OneSided.of(FORM)
     np.testing.assert_array_equal(split.A.toarray(), [[1.0, 1.0]])
     np.testing.assert_array_equal(
@@ -34,7 +34,7 @@ def test_one_sided_rows_and_their_multipliers() -> None:
     np.testing.assert_array_equal(rows, [0.5, 1.0, -3.0, -2.0])
 
 
-def test_two_sided_rows_carry_the_box() -> None:
+def test_two_sided_rows_carry_the_box():
     rows = TwoSided.of(FORM)
     np.testing.assert_array_equal(rows.A.toarray()[4:], [[1.0, 0.0]])
     assert (rows.lower[4], rows.upper[4]) == (-1.0, INF)
@@ -45,7 +45,7 @@ def test_two_sided_rows_carry_the_box() -> None:
     np.testing.assert_array_equal(rows.form.A.toarray(), rows.A.toarray())
 
 
-def test_structure_is_pattern_equalities_and_sides() -> None:
+def test_structure_is_pattern_equalities_and_sides():
     rows = TwoSided.of(FORM)
     numbers = FORM.A.copy()
     numbers.data = numbers.data * 2.0
@@ -61,7 +61,7 @@ def test_structure_is_pattern_equalities_and_sides() -> None:
     assert same == {"numbers": True, "side": False, "box": False}
 
 
-def test_a_pattern_is_shape_columns_and_rows() -> None:
+def test_a_pattern_is_shape_columns_and_rows():
     one = sp.csc_matrix([[1.0, 0.0], [0.0, 2.0]])
     assert quadratic._same_pattern(one, 3.0 * one)
     for other in ([[0.0, 2.0], [1.0, 0.0]], [[1.0, 2.0], [0.0, 0.0]], [[1.0], [2.0]]):

@@ -8,7 +8,7 @@ import pytest
 from ttus_opt.core.arrays import Array
 from ttus_opt.solvers.conjugate_gradients import inner_product
 from ttus_opt.solvers.dual.solver import Accuracy
-from ttus_opt.solvers.primal.least_squares import Goal, Minimum, minimise
+from ttus_opt.solvers.primal.least_squares import Goal, minimise
 
 V, FEW = 20, 3
 
@@ -23,37 +23,37 @@ class Dense:
     d: Array
 
     @classmethod
-    def of(cls, weight: float):
+    def of(cls, weight):
         rng = np.random.default_rng(0)
         M = rng.normal(size=(V, V)) @ np.diag(np.geomspace(1.0, 30.0, V))
         D = np.sqrt(weight) * rng.normal(size=(FEW, V))
         d = np.sqrt(weight) * rng.normal(size=FEW)
         return cls(M, rng.normal(size=V), D, d)
 
-    def residual(self, at: Array) -> Array:
+    def residual(self, at):
         p, y = at[:V], at[V:]
         r = self.M.T @ (self.t - self.M @ p) + self.D.T @ y
         return np.concatenate([r, self.d - self.D @ p - y])
 
-    def image(self, along: Array) -> Array:
+    def image(self, along):
         p, y = along[:V], along[V:]
         r = self.M.T @ (self.M @ p) - self.D.T @ y
         return np.concatenate([r, self.D @ p + y])
 
-    def pairing(self, rest: Array, along: Array) -> float:
+    def pairing(self, rest, along):
         return float(self.gradient(rest) @ along[:V])
 
-    def gradient(self, rest: Array) -> Array:
+    def gradient(self, rest):
         return np.asarray(rest[:V] + self.D.T @ rest[V:])
 
-    def value(self, at: Array) -> float:
+    def value(self, at):
         p = at[:V]
         return float(
             np.sum((self.M @ p - self.t) ** 2) + np.sum((self.D @ p - self.d) ** 2)
         )
 
     @property
-    def minimiser(self) -> Array:
+    def minimiser(self):
         M, t = np.vstack([self.M, self.D]), np.concatenate([self.t, self.d])
         return np.asarray(np.linalg.lstsq(M, t)[0])
 
@@ -65,19 +65,19 @@ class WithRows:
     function: Dense
     P: Array
 
-    def __call__(self, rest: Array) -> Array:
+    def __call__(self, rest):
         D = self.function.D
         z, columns = np.linalg.solve(self.P, rest[:V]), np.linalg.solve(self.P, D.T)
         y = np.linalg.solve(np.eye(FEW) + D @ columns, rest[V:] - D @ z)
         return np.concatenate([z + columns @ y, y])
 
 
-def preconditioner(function: Dense, exact: bool) -> WithRows:
+def preconditioner(function, exact):
     H = function.M.T @ function.M
     return WithRows(function, H if exact else np.diag(np.diagonal(H)))
 
 
-def run(function: Dense, exact: bool, max_steps: int = 200) -> Minimum:
+def run(function, exact, max_steps=200):
     start = np.zeros(V + FEW)
     largest = np.linalg.norm(function.gradient(function.residual(start)))
     goal = Goal(1e-20, 0.0, 1e-11 * float(largest), Accuracy(0.0), max_steps)
@@ -85,7 +85,7 @@ def run(function: Dense, exact: bool, max_steps: int = 200) -> Minimum:
 
 
 @pytest.mark.parametrize("weight", [1e-6, 1.0, 1e8])
-def test_equals_least_squares_at_any_weight_of_the_rows(weight: float) -> None:
+def test_equals_least_squares_at_any_weight_of_the_rows(weight):
     function = Dense.of(weight)
     found, expected = run(function, exact=False), function.minimiser
     assert found.reached
@@ -97,7 +97,7 @@ def test_equals_least_squares_at_any_weight_of_the_rows(weight: float) -> None:
     np.testing.assert_allclose(found.at[V:], left, atol=1e-6 * np.abs(left).max())
 
 
-def test_the_exact_inverse_needs_one_step() -> None:
+def test_the_exact_inverse_needs_one_step():
     found = run(Dense.of(1.0), exact=True)
     assert (found.reached, found.steps) == (True, 1)
 
@@ -110,20 +110,18 @@ class Fickle(WithRows):
     given: list[Array]
     taken: list[Array]
 
-    def __call__(self, rest: Array) -> Array:
+    def __call__(self, rest):
         other = np.exp(1.5 * self.rng.normal(size=V))
         step = WithRows(self.function, self.P * other)(rest)
         self.given.append(step[:V])
         return step
 
-    def image(self, along: Array) -> Array:
+    def image(self, along):
         self.taken.append(along[:V])
         return self.function.image(along)
 
 
-def test_directions_are_conjugate_whatever_the_preconditioner_does(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_directions_are_conjugate_whatever_the_preconditioner_does(monkeypatch):
     """To the one before, but where that takes a negative part of it: anew."""
     function = Dense.of(1.0)
     rng, P = np.random.default_rng(3), np.diag(np.sum(function.M**2, axis=0))
@@ -144,7 +142,7 @@ def test_directions_are_conjugate_whatever_the_preconditioner_does(
     assert min(signs.count(True), signs.count(False)) > 3
 
 
-def test_without_enough_steps_it_says_so() -> None:
+def test_without_enough_steps_it_says_so():
     function = Dense.of(1.0)
     found = run(function, exact=False, max_steps=4)
     assert not found.reached
@@ -153,7 +151,7 @@ def test_without_enough_steps_it_says_so() -> None:
     assert function.value(function.minimiser) < function.value(found.at) < start
 
 
-def test_nothing_is_done_past_the_deadline() -> None:
+def test_nothing_is_done_past_the_deadline():
     function = Dense.of(1.0)
     late = Goal(1e-22, 0.0, 1e-7, Accuracy(0.0, deadline=0.0))
     start = np.r_[np.ones(V), np.zeros(FEW)]
@@ -162,7 +160,7 @@ def test_nothing_is_done_past_the_deadline() -> None:
     np.testing.assert_array_equal(found.at, start)
 
 
-def test_a_goal_needs_a_small_gap_and_a_small_gradient() -> None:
+def test_a_goal_needs_a_small_gap_and_a_small_gradient():
     goal = Goal(1e-3, 1e-6, 0.1, Accuracy(0.0), 1)
     small, large = np.full(4, 0.04), np.full(4, 0.06)
     assert goal.reached(1e-3, 1.0, small)

@@ -1,12 +1,10 @@
 """Newton steps by dense algebra, H d = −g on what is not given, and slopes for them."""
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 
 from tests.kit import small_scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem import formulation
 from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
@@ -18,13 +16,13 @@ RTOL = 1e-10
 
 
 @functools.cache
-def problem_of(name: str) -> PenalisedProblem:
+def problem_of(name):
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
     program = formulation.load(name, SCENE, **weights).compile()
     return PenalisedProblem.of(program.declared or program)
 
 
-def slopes_of(problem: PenalisedProblem, seed: int, bent: float) -> list[Slope]:
+def slopes_of(problem, seed, bent):
     """Slopes as kinks leave them: some rows have none."""
     rng = np.random.default_rng(seed)
     slopes = []
@@ -37,9 +35,7 @@ def slopes_of(problem: PenalisedProblem, seed: int, bent: float) -> list[Slope]:
     return slopes
 
 
-def expected(
-    problem: PenalisedProblem, slopes: Sequence[Slope], gradient: Array
-) -> Array:
+def expected(problem, slopes, gradient):
     """−H⁻¹g by dense algebra."""
     n = len(problem.fixed)
     H = np.zeros((n, n))
@@ -53,14 +49,14 @@ def expected(
     return d
 
 
-def none_of(problem: PenalisedProblem) -> list[Array]:
+def none_of(problem):
     """No multipliers: the gradient is all there is."""
     return [np.zeros(len(b.target)) for b in problem.blocks]
 
 
-def compared(step: Array, exact: Array) -> None:
+def compared(step, exact):
     np.testing.assert_allclose(step, exact, atol=1e-7 * np.abs(exact).max())
 
 
-def gradient_of(problem: PenalisedProblem) -> Array:
+def gradient_of(problem):
     return np.random.default_rng(3).normal(size=len(problem.fixed))
