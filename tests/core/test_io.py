@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -225,9 +226,38 @@ def test_an_attribute_that_hdf5_cannot_open_is_told(tmp_path, monkeypatch):
     def damaged(*args, **options):
         raise AttributeError("NetCDF: Can't open HDF5 attribute")
 
-    monkeypatch.setattr(xr, "open_dataset", damaged)
-    with pytest.raises(FileError, match=r"field\.nc is not a readable netCDF file"):
-        io.read_dataset(file, kind="field", version=1)
+    monkeypatch.setattr(netCDF4, "Dataset", damaged)
+    told = r"field\.nc is not a readable netCDF file"
+    refuses(FileError, told, io.read_content, file, kind="field", version=1)
+
+
+#: A number that stands for a missing one, unless a file says otherwise
+FILLING = netCDF4.default_fillvals["i2"]
+
+
+@pytest.mark.parametrize(
+    ("last", "encoding"),
+    [
+        (np.nan, {"dtype": "f8"}),
+        (np.nan, {"dtype": "f4", "_FillValue": -1.0}),
+        (np.nan, {"dtype": "i2", "_FillValue": -9, "scale_factor": 0.5}),
+        (np.nan, {"dtype": "i2", "missing_value": -9, "add_offset": 2.0}),
+        (int(FILLING), {"dtype": "i2"}),
+    ],
+)
+def test_variables_are_read_as_xarray_reads_them(tmp_path, last, encoding):
+    values = np.array([[0, 1], [3, last]])  # of whole numbers where all are
+    written = xr.Dataset({"a": (("x", "y"), values, {"units": "m"}), "b": 3})
+    written["a"].encoding.update(encoding)
+    io.write_dataset(written, tmp_path / "a.nc", kind="field", version=1)
+    given = {"kind": "field", "version": 1}
+    expected = io.read_dataset(tmp_path / "a.nc", **given)
+    found = io.read_content(tmp_path / "a.nc", **given, without=("b",))
+    np.testing.assert_array_equal(found.variables["a"].values, expected["a"])
+    np.testing.assert_array_equal(expected["a"], values)
+    assert io.array_of(found, "a", ("x", "y"), "m") is found.variables["a"].values
+    assert found.attrs == expected.attrs
+    assert set(found.variables) == {"a"}
 
 
 def test_truncated_netcdf_is_refused(tmp_path):

@@ -1,10 +1,14 @@
 """The skin's mesh, its cut, and rays against analytic bodies."""
 
+import io
+
 import numpy as np
 import pytest
+import trimesh
 
 from tests.kit import torso
 from ttus_opt.scan.surface import Surface
+from ttus_opt.viewer.arrow import SECTIONS, _tube
 from ttus_opt.viewer.skin import SkinMesh, place_on_ray
 
 
@@ -25,6 +29,33 @@ def test_the_area_is_that_of_a_cylinder():
     a, b, c = (skin.vertices[skin.faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     assert area == pytest.approx(2.0 * np.pi * 0.1 * 0.3, rel=1e-3)
+    outward = skin.vertices * [10.0, 10.0, 0.0]
+    assert np.linalg.norm(skin.normals - outward, axis=1).max() < 0.03
+
+
+def test_the_file_of_the_skin_is_read_by_another_program():
+    skin = SkinMesh.of(torso())
+    drawn = skin.cut(np.array([0.0, 0.0, 1.0]), 0.1)
+    content = skin.glb(np.full((len(skin.z), 3), 9), drawn)
+    mesh = trimesh.load_mesh(io.BytesIO(content), "glb", process=False)
+    np.testing.assert_allclose(mesh.vertices, skin.vertices, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(mesh.faces, drawn)
+    assert skin.normals.astype("<f4").tobytes() in content  # which trimesh leaves out
+    whole = trimesh.Trimesh(skin.vertices, skin.faces, process=False)
+    assert np.linalg.norm(whole.vertex_normals - skin.normals, axis=1).max() < 0.05
+    material = mesh.visual.material
+    assert material.doubleSided and material.roughnessFactor == 0.95
+    assert material.metallicFactor == 0.0
+
+
+@pytest.mark.parametrize("high", [0.02, 0.0])
+def test_a_tube_is_closed_and_looks_outwards(high):
+    mesh = trimesh.Trimesh(*_tube(0.02, high, 0.1))
+    mesh.update_faces(mesh.nondegenerate_faces())  # a cone's ring at its tip
+    sector = 0.5 * SECTIONS * np.sin(2.0 * np.pi / SECTIONS)
+    share = 1.0 if high else 1.0 / 3.0
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(share * sector * 0.02**2 * 0.1)
 
 
 def test_a_cut_leaves_what_lies_behind_the_plane():

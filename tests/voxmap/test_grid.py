@@ -6,11 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.kit import GeometryError, InputError, ellipsoid, presses, refuses, torso
+from tests.kit import (
+    FileError,
+    GeometryError,
+    InputError,
+    ellipsoid,
+    presses,
+    refuses,
+    torso,
+)
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.core import io
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
-from ttus_opt.voxmap.field import PotentialField, _from_dataset
+from ttus_opt.voxmap.field import KIND, VERSION, PotentialField
 from ttus_opt.voxmap.grid import (
     CylindricalGrid,
     Sector,
@@ -181,12 +190,10 @@ def test_a_file_says_the_sector(tmp_path):
 @pytest.mark.parametrize(
     "text", ["[0.0]", "3", '"a"', "[0.0, NaN]", "[1.0, 0.5]", "[0.1, 2.0]", "[0, []]"]
 )
-def test_a_damaged_sector_is_told(text):
-    """As `PotentialField.load` tells what it catches."""
-    data = field().to_xarray()
-    data.attrs["sector"] = text
-    with pytest.raises((InputError, TypeError, ValueError)):
-        _from_dataset(data)
+def test_a_damaged_sector_is_told(tmp_path, text):
+    data = field().to_xarray().assign_attrs(sector=text)
+    io.write_dataset(data, tmp_path / "a.nc", kind=KIND, version=VERSION)
+    refuses(FileError, "damaged field", PotentialField.load, tmp_path / "a.nc")
 
 
 def around_the_sides(n):

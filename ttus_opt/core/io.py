@@ -24,9 +24,10 @@ import secrets
 import shutil
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.core.interrupts import signals_deferred as signals_deferred
@@ -43,6 +44,8 @@ LONGEST_VALUE = 40
 HEAD = 4096
 
 LOG = logging.getLogger(__name__)
+
+Read = TypeVar("Read", "Content", "xr.Dataset")
 
 #: What the file ends in: this, and the CRC-32 of all bytes before as 8 hex digits
 SEAL = b"\nttus_opt crc32 "
@@ -364,15 +367,38 @@ def write_dataset(
             ) from error
 
 
-def read_dataset(
+@dataclass(frozen=True)
+class Variable:
+    """A variable of a netCDF file.
+
+    Attributes:
+        dims: Names of its dimensions.
+        values: NaN where they are missing.
+        attrs: Its attributes.
+    """
+
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    attrs: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Content:
+    """Variables of a netCDF file, by name, and its attributes."""
+
+    variables: Mapping[str, Variable]
+    attrs: Mapping[str, Any]
+
+
+def read_content(
     path: str | os.PathLike[str],
     *,
     kind: str,
     version: int,
     foreign: bool = False,
     without: Sequence[str] = (),
-) -> xr.Dataset:
-    """Read a netCDF file of one kind into memory.
+) -> Content:
+    """Read a netCDF file of one kind into memory without xarray, which loads slowly.
 
     Args:
         path: The file.
@@ -385,41 +411,81 @@ def read_dataset(
         FileError: The file is missing, damaged, not netCDF, or of another kind or
             version.
     """
-    file, sealed = whole_file(path, kind)
-    import xarray as xr
 
+    def load(file: Path) -> Content:
+        import netCDF4
+        import numpy as np
+
+        variables = {}
+        with netCDF4.Dataset(file) as opened:
+            for name, one in opened.variables.items():
+                if name in without:
+                    continue
+                attrs = dict(one.__dict__)
+                # else a number that is the type's usual filling would be missing
+                one.set_auto_mask(bool({"_FillValue", "missing_value"} & set(attrs)))
+                values = one[...]
+                if np.ma.is_masked(values):
+                    values = values.astype(np.float64).filled(np.nan)
+                values = np.ma.getdata(values)
+                variables[name] = Variable(one.dimensions, values, attrs)
+            return Content(variables, dict(opened.__dict__))
+
+    return _read(path, load, kind, version, foreign)
+
+
+def read_dataset(
+    path: str | os.PathLike[str], *, kind: str, version: int, foreign: bool = False
+) -> xr.Dataset:
+    """As `read_content`, as an xarray Dataset."""
+
+    def load(file: Path) -> xr.Dataset:
+        import xarray as xr
+
+        with xr.open_dataset(file, engine="netcdf4") as opened:
+            return opened.load()
+
+    return _read(path, load, kind, version, foreign)
+
+
+def _read(
+    path: str | os.PathLike[str],
+    load: Callable[[Path], Read],
+    kind: str,
+    version: int,
+    foreign: bool,
+) -> Read:
+    """What a function reads of a file, which must be of a kind and whole."""
+    file, sealed = whole_file(path, kind)
     try:
         with warnings.catch_warnings():
             # numpy 2.4 warns inside netCDF4's compiled reader about array shapes
             warnings.simplefilter("ignore", DeprecationWarning)
-            with xr.open_dataset(
-                file, engine="netcdf4", drop_variables=list(without)
-            ) as opened:
-                dataset = opened.load()
+            found = load(file)
     except UNREADABLE as error:
         raise FileError(
             f"{file} is not a readable netCDF file ({type(error).__name__}): "
             f"truncated, or not a {kind} file?"
         ) from error
-    if not (foreign and "ttus_opt_kind" not in dataset.attrs):
-        _check_kind(dataset, file, kind, version)
+    if not (foreign and "ttus_opt_kind" not in found.attrs):
+        _check_kind(found.attrs, file, kind, version)
     if not sealed:
         warnings.warn(
             f"{file} has no checksum, so damage may go unnoticed: it was written by "
             "another program, or an older ttus_opt",
             TtusWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return dataset
+    return found
 
 
-def _check_kind(dataset: xr.Dataset, file: Path, kind: str, version: int) -> None:
+def _check_kind(attrs: Mapping[Any, Any], file: Path, kind: str, version: int) -> None:
     """`FileError` where a file is of another kind or version."""
     with located(file, FileError):
-        found = text_of(dataset.attrs, "ttus_opt_kind", "no ttus_opt data")
+        found = text_of(attrs, "ttus_opt_kind", "no ttus_opt data")
     if found != kind:
         raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
-    given = dataset.attrs.get("ttus_opt_version")
+    given = attrs.get("ttus_opt_version")
     if not isinstance(given, numbers.Integral):
         raise FileError(f"{file} does not state its {kind} version")
     if (given := int(given)) != version:
@@ -477,16 +543,16 @@ def shortened(value: object) -> str:
 
 
 def array_of(
-    dataset: xr.Dataset, name: str, dims: tuple[str, ...], units: str
+    content: Content, name: str, dims: tuple[str, ...], units: str
 ) -> NDArray[Any]:
     """The values of a variable, after a check of its dimensions and units.
 
     Raises:
         InputError: The variable is missing or has other dimensions or units.
     """
-    if name not in dataset.variables:
+    if name not in content.variables:
         raise InputError(f"it has no variable {name}")
-    found = dataset[name]
+    found = content.variables[name]
     if found.dims != dims:
         raise InputError(
             f"{name} has dimensions ({', '.join(map(str, found.dims))}), expected "
@@ -498,7 +564,7 @@ def array_of(
             f"{name} has units {given!r}, expected {units!r}: convert it and state "
             "the unit"
         )
-    return found.to_numpy()
+    return found.values
 
 
 def as_numbers(name: str, values: Any) -> NDArray[np.float64]:

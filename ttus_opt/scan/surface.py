@@ -213,14 +213,14 @@ class Surface:
         Raises:
             FileError: Not netCDF, another kind or version, or no usable radius.
         """
-        dataset = io.read_dataset(path, kind=KIND, version=VERSION, foreign=True)
-        if "radius" not in dataset or set(dataset["radius"].dims) != {"theta", "z"}:
+        found = io.read_content(path, kind=KIND, version=VERSION, foreign=True)
+        given, dims = found.variables, ("theta", "z")
+        if "radius" not in given or set(given["radius"].dims) != set(dims):
             raise FileError(
                 f"{path} has no variable radius(theta, z): not a surface file"
             )
-        dataset = dataset.transpose("theta", "z", ...).sortby("theta").sortby("z")
         for name in ("radius", "radius_std", "z"):
-            attributes = dataset[name].attrs if name in dataset.variables else {}
+            attributes = given[name].attrs if name in given else {}
             # only the radius must state its unit; none may state another one
             units = attributes.get("units", None if name == "radius" else "m")
             if units != "m":
@@ -228,21 +228,30 @@ class Surface:
                     f"{path}: {name} has units {units!r}, expected 'm': convert it and "
                     "state the unit"
                 )
-        std = dataset.get("radius_std")
-        observed = dataset.get("observed")
+
+        def numbers(name: str, dims: tuple[str, ...]) -> Array:
+            """A variable over dimensions that the file may have in another order."""
+            if name not in given or set(given[name].dims) != set(dims):
+                raise InputError(f"it has no variable {name}({', '.join(dims)})")
+            values = io.as_numbers(name, given[name].values)
+            return values.transpose([given[name].dims.index(dim) for dim in dims])
+
         try:
-            radius = io.as_numbers("radius", dataset["radius"])
+            theta, z = (numbers(dim, (dim,)) for dim in dims)
+            order = np.ix_(np.argsort(theta), np.argsort(z))
+            radius, std = numbers("radius", dims), np.zeros((len(theta), len(z)))
+            if "radius_std" in given:
+                std = numbers("radius_std", dims)
+            observed = np.ones(radius.shape)
+            if "observed" in given:
+                observed = numbers("observed", dims)
             return cls(
-                io.as_numbers("theta", dataset["theta"]),
-                io.as_numbers("z", dataset["z"]),
-                radius,
-                np.zeros_like(radius)
-                if std is None
-                else io.as_numbers("radius_std", std),
-                np.ones(radius.shape, dtype=bool)
-                if observed is None
-                else io.mask("observed", observed.to_numpy()),
-                Axis.from_attributes(dataset.attrs),
+                np.sort(theta),
+                np.sort(z),
+                radius[order],
+                std[order],
+                io.mask("observed", observed[order]),
+                Axis.from_attributes(found.attrs),
             )
-        except (InputError, KeyError, TypeError, ValueError) as error:
+        except (InputError, IndexError, TypeError, ValueError) as error:
             raise FileError(f"{path}: {error}") from error

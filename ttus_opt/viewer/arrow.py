@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.probe.pose import to_quaternions
 
 if TYPE_CHECKING:
@@ -37,15 +37,14 @@ class Arrow:
         self, scene: viser.SceneApi, name: str, colour: tuple[int, int, int]
     ) -> None:
         self._frame = scene.add_frame(name, show_axes=False, visible=False)
-        shaft = trimesh.creation.cylinder(SHAFT, 1.0, SECTIONS)
-        shaft.apply_translation([0.0, 0.0, 0.5])
-        head = trimesh.creation.cone(HEAD, TIP, SECTIONS)
         self._shaft, self._head = (
             scene.add_mesh_simple(
-                f"{name}/{part}", mesh.vertices, mesh.faces, color=colour,
+                f"{name}/{part}", *_tube(*sizes), color=colour,
                 cast_shadow=False, receive_shadow=False,
             )
-            for part, mesh in (("shaft", shaft), ("head", head))
+            for part, sizes in (
+                ("shaft", (SHAFT, SHAFT, 1.0)), ("head", (HEAD, 0.0, TIP))
+            )
         )  # fmt: skip
 
     def show(self, start: Array, way: Array) -> None:
@@ -80,3 +79,21 @@ def _turned(axis: Array) -> Array:
     across = np.cross(least, axis)
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(axis, across), axis], axis=1)
+
+
+def _tube(low: float, high: float, height: float) -> tuple[Array, IntArray]:
+    """Vertices and faces of a closed tube along z from a radius to another [m]."""
+    angle = np.arange(SECTIONS) * TURN / SECTIONS
+    x, y = np.cos(angle), np.sin(angle)
+    ends = [[0.0, 0.0, 0.0], [0.0, 0.0, height]]
+    rings = [
+        np.stack([r * x, r * y, z + 0.0 * x], axis=1)
+        for r, z in ((low, 0.0), (high, height))
+    ]
+    a = 2 + np.arange(SECTIONS)
+    b = np.roll(a, -1)
+    c, d, zero = a + SECTIONS, b + SECTIONS, 0 * a
+    faces = [(zero, b, a), (a, b, d), (a, d, c), (zero + 1, c, d)]
+    return np.concatenate([ends, *rings]), np.concatenate(
+        [np.stack(f, axis=1) for f in faces]
+    )

@@ -10,7 +10,6 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.pose import to_quaternions
@@ -75,7 +74,9 @@ class PatientNodes:
         self._image: Any = None
         self._marks: list[Any] = []
         scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
-        self._mesh = scene.add_glb(f"/{name}/skin", self._glb(), cast_shadow=False)
+        self._mesh = scene.add_glb(
+            f"/{name}/skin", skin.glb(self._colours, skin.faces), cast_shadow=False
+        )
         self.probe: Any = None
 
     def add_probe(self, mesh: TriangleMesh, colour: tuple[int, int, int]) -> None:
@@ -174,23 +175,7 @@ class PatientNodes:
         with self._painting:
             self._colours = self._colours if colours is None else colours
             self._faces = self._faces if faces is None else faces
-            self._mesh.glb_data = self._glb()
-
-    def _glb(self) -> bytes:
-        """The skin with its colours, as glTF: a rough material, and linear colours."""
-        share = self._colours / 255.0
-        linear = np.where(
-            share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
-        )
-        rgba = np.full((len(linear), 4), 255, dtype=np.uint8)
-        rgba[:, :3] = np.rint(255.0 * linear)
-        mesh = trimesh.Trimesh(
-            self.skin.vertices, self._faces, vertex_colors=rgba, process=False
-        )
-        out = trimesh.exchange.gltf.export_glb(
-            mesh.scene(), include_normals=True, tree_postprocessor=_rough
-        )
-        return bytes(out)
+            self._mesh.glb_data = self.skin.glb(self._colours, self._faces)
 
 
 def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNodes]:
@@ -217,12 +202,3 @@ def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNod
             for k, offset in enumerate(offsets)
         )
     return served.patients
-
-
-def _rough(tree: dict[str, Any]) -> None:
-    """Give a glTF tree a material that does not shine, seen from both sides."""
-    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.95}
-    tree["materials"] = [{"pbrMetallicRoughness": surface, "doubleSided": True}]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["material"] = 0

@@ -1,8 +1,11 @@
-"""The patient's skin as a mesh of nodes, cut open, and met by a ray."""
+"""The patient's skin as a mesh of nodes, cut open, as a file, and met by a ray."""
 
 from __future__ import annotations
 
+import json
+import struct
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +17,15 @@ from ttus_opt.scan.surface import Surface
 
 #: Distance between nodes: the skin's shape to a fraction of a millimetre [m]
 SPACING = 0.01
+
+#: A material that does not shine, seen from both sides
+MATERIAL = {
+    "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.95},
+    "doubleSided": True,
+}
+
+#: glTF's numbers of the types of numbers
+TYPES = {"uint32": 5125, "float32": 5126, "uint8": 5121}
 
 #: Steps along a ray, and bisections of the one in which it enters [–]
 RAY_STEPS, BISECTIONS = 400, 20
@@ -28,12 +40,14 @@ class SkinMesh:
         z: Height of every node, shape (n,) [m].
         vertices: The nodes, patient frame, shape (n, 3) [m].
         faces: Their indices, outward by the right-hand rule, shape (k, 3) [–].
+        normals: Outward at every node, unit vectors, shape (n, 3) [–].
     """
 
     theta: Array = field(repr=False)
     z: Array = field(repr=False)
     vertices: Array = field(repr=False)
     faces: IntArray = field(repr=False)
+    normals: Array = field(repr=False)
 
     @classmethod
     def of(cls, surface: Surface, spacing: float = SPACING) -> SkinMesh:
@@ -52,12 +66,83 @@ class SkinMesh:
         one, other = np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)
         faces = np.concatenate([one.reshape(-1, 3), other.reshape(-1, 3)])
         theta, z = angle.ravel(), height.ravel()
-        return cls(theta, z, skin_points(surface, theta, z), faces)
+        vertices = skin_points(surface, theta, z)
+        a, b, c = vertices[faces].swapaxes(0, 1)
+        normals, twice_the_area = np.zeros_like(vertices), np.cross(b - a, c - a)
+        for corner in faces.T:
+            np.add.at(normals, corner, twice_the_area)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return cls(theta, z, vertices, faces, normals)
 
     def cut(self, normal: Array, offset: float) -> IntArray:
         """Faces that lie behind a plane, n · x ≤ offset, shape (k, 3)."""
         behind: NDArray[np.bool_] = self.vertices @ normal <= offset
         return np.asarray(self.faces[behind[self.faces].any(axis=1)])
+
+    def glb(self, colours: NDArray[np.uint8], faces: IntArray) -> bytes:
+        """The skin as a binary glTF 2.0 file.
+
+        Args:
+            colours: Of the nodes: sRGB, 0 to 255, shape (n, 3).
+            faces: Those to draw, shape (k, 3) [–].
+        """
+        share = colours / 255.0
+        linear = np.where(
+            share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
+        )
+        rgba = np.full((len(linear), 4), 255, dtype=np.uint8)
+        rgba[:, :3] = np.rint(255.0 * linear)
+        arrays = {
+            "indices": faces.reshape(-1, 1).astype("<u4"),
+            "POSITION": self.vertices.astype("<f4"),
+            "NORMAL": self.normals.astype("<f4"),
+            "COLOR_0": rgba,
+        }
+        views: list[dict[str, Any]] = []
+        accessors: list[dict[str, Any]] = []
+        end = 0
+        for k, values in enumerate(arrays.values()):
+            views.append({"buffer": 0, "byteOffset": end, "byteLength": values.nbytes})
+            accessors.append(
+                {
+                    "bufferView": k,
+                    "componentType": TYPES[values.dtype.name],
+                    "normalized": values.dtype == np.uint8,
+                    "type": "SCALAR"
+                    if values.shape[1] == 1
+                    else f"VEC{values.shape[1]}",
+                    "count": len(values),
+                    "min": values.min(axis=0).tolist(),
+                    "max": values.max(axis=0).tolist(),
+                }
+            )
+            end += values.nbytes
+        where = {name: k for k, name in enumerate(arrays)}
+        drawn = {"indices": where.pop("indices"), "attributes": where, "material": 0}
+        tree = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [drawn]}],
+            "materials": [MATERIAL],
+            "accessors": accessors,
+            "bufferViews": views,
+            "buffers": [{"byteLength": end}],
+        }
+        text = json.dumps(tree).encode()
+        text += b" " * (-len(text) % 4)
+        binary = b"".join(values.tobytes() for values in arrays.values())
+        head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary))
+        return b"".join(
+            (
+                head,
+                struct.pack("<I4s", len(text), b"JSON"),
+                text,
+                struct.pack("<I4s", len(binary), b"BIN\0"),
+                binary,
+            )
+        )
 
 
 def place_on_ray(surface: Surface, origin: Array, ray: Array) -> tuple[float, float]:

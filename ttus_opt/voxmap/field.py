@@ -204,14 +204,14 @@ class PotentialField:
         Raises:
             FileError: Not a field file, another version, or damaged.
         """
-        data = io.read_dataset(path, kind=KIND, version=VERSION, without=(DRAWS,))
+        data = io.read_content(path, kind=KIND, version=VERSION, without=(DRAWS,))
         try:
-            return _from_dataset(data)
+            return _from_content(data)
         except (KeyError, InputError, TypeError, ValueError) as error:
             raise FileError(f"{path}: damaged field file: {error}") from error
 
 
-def _from_dataset(data: xr.Dataset) -> PotentialField:
+def _from_content(data: io.Content) -> PotentialField:
     """The field that `PotentialField.save` wrote.
 
     Raises:

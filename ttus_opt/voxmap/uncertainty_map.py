@@ -12,16 +12,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 #: Variable of a field file, and its dimensions
 VARIABLE, DIMS = "uncertainty", ("uncertainty_theta", "uncertainty_z")
@@ -105,7 +102,7 @@ class UncertaintyMap:
         }
 
     @classmethod
-    def of_file(cls, data: xr.Dataset) -> UncertaintyMap | None:
+    def of_file(cls, data: io.Content) -> UncertaintyMap | None:
         """The map in a field file; None without one.
 
         Raises:

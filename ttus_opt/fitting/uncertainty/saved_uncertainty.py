@@ -121,7 +121,7 @@ def read_uncertainty(
         InputError: The file has no saved uncertainty.
     """
     fitted = PotentialField.load(path)
-    data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)
+    data = io.read_content(path, kind=field_file.KIND, version=field_file.VERSION)
     if FACTS not in data.attrs or field_file.DRAWS not in data.variables:
         raise InputError(
             f"{path} has no saved uncertainty, or an older form of it: fit again with "
@@ -131,7 +131,7 @@ def read_uncertainty(
         facts = json.loads(data.attrs[FACTS])
         depth, noise = float(facts["depth"]), WrenchNoise.from_dict(facts["noise"])
         whole = io.array_of(data, field_file.DRAWS, DIMS, fitted.unit)
-        factor = np.float32(data[field_file.DRAWS].attrs["factor"])
+        factor = np.float32(data.variables[field_file.DRAWS].attrs["factor"])
         if not 0.0 < factor < np.inf:
             raise InputError(f"factor {factor:g}")
         voxels = skin_voxels(fitted.voxmap, depth)
