@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
+from tests.kit import InputError, refuses
 from ttus_opt import example
-from ttus_opt.core.errors import InputError
 from ttus_opt.phantom import skin_compliance, torso_body
 from ttus_opt.phantom.example_data import (
     DRAG,
@@ -30,8 +30,7 @@ def test_every_named_file_is_there_and_nothing_else():
 
 
 def test_unknown_name_is_refused_with_the_choices():
-    with pytest.raises(InputError, match=r"choose one of scan\.ply"):
-        example.path("scan.pcd")
+    refuses(InputError, r"choose one of scan\.ply", example.path, "scan.pcd")
 
 
 def test_probe_and_drag_are_those_of_the_physics():

@@ -18,7 +18,6 @@ from ttus_opt.contact.slip import Slip
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.phantom.recording import add_pose_noise
-from ttus_opt.problem.terms.drag import GlobalCoulomb
 
 
 def moving_by(R, at, twist):
@@ -71,7 +70,7 @@ def test_over_a_flat_patch_it_is_the_drag_of_the_patch():
 def test_a_field_with_uncertainty_has_rows_of_the_same_law(acts_at):
     """What `wrench_rows` makes of a field is what `evaluate` judges."""
     scene = small_scene("trilinear")
-    parameters = GlobalCoulomb(scene, acts_at, coefficient=0.3).parameters({})
+    parameters = tt.terms.GlobalCoulomb(scene, acts_at, coefficient=0.3).parameters({})
     field = pressing(scene, parameters)
     rows = wrench_rows(field, scene.shell, scene.trajectory)
     judged = wrenches_along(field, scene.shell, scene.trajectory)

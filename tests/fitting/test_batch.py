@@ -19,7 +19,6 @@ from ttus_opt.problem.formulation import Formulation, Search, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
-from ttus_opt.problem.terms.penalties import Absolute, Penalty
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
@@ -119,7 +118,7 @@ def test_no_claim_takes_what_is_not_finite_for_an_answer():
 
 def test_an_answer_is_not_solved_where_nothing_bounds_its_gap(monkeypatch):
     """Few squares, and a penalty that does not state its gauge: nothing bounds."""
-    monkeypatch.setattr(Absolute, "gauge", Penalty.gauge)
+    monkeypatch.setattr(tt.terms.Absolute, "gauge", tt.terms.Penalty.gauge)
     declared = load("sparse_sources", SCENE, force_weight=0.1)
     fitter = Fitter(declared, solver="clarabel")
     answer = fitter._prepared.solve()

@@ -13,7 +13,6 @@ from tests.kit import TtusWarning, ellipsoid, presses, torso
 from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.terms.departures import difference_rows
-from ttus_opt.problem.terms.laplace import LaplaceFreeSurfaceTerm
 
 #: 100°, and the wave that has no flux at its sides
 SECTOR = (np.radians(40.0), np.radians(140.0))
@@ -159,7 +158,7 @@ def test_differences_stay_within_the_sector(scene):
 
 
 def test_a_free_surface_keeps_the_wall(scene):
-    rows = LaplaceFreeSurfaceTerm(scene, 1.0, skin=0.0).rows().blocks["p"]
+    rows = tt.terms.LaplaceFreeSurfaceTerm(scene, 1.0, skin=0.0).rows().blocks["p"]
     wall = np.arange(scene.n_voxels).reshape(scene.voxmap.grid.shape)[:, -1].ravel()
     assert (rows[wall] != scene.L[wall]).nnz == 0
     dropped = np.flatnonzero(np.diff(rows.indptr) == 0)

@@ -14,10 +14,9 @@ from ttus_opt.live.model_codec import encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.simulation import Simulation
 from ttus_opt.message import decode, encode
-from ttus_opt.problem.terms.depth_profile import DepthProfile
 
 RADIUS, BALL = 0.10, 0.02
-PLAN = ModelPlan((12, 24, 12), 0.04, DepthProfile((1.3,), (2.0,)))
+PLAN = ModelPlan((12, 24, 12), 0.04, tt.terms.DepthProfile((1.3,), (2.0,)))
 
 
 class Spring:

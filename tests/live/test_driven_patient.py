@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.live.driven_patient import DrivenPatient
 from ttus_opt.live.safety import State, Supervisor
 from ttus_opt.sensors.open_igt_message import MessageReader
@@ -55,8 +55,7 @@ def test_silence_of_either_stops(silent):
 def test_refuses_what_is_no_pose(bad):
     robot = DrivenPatient(lambda *_: None)
     robot.take_pose(0.0, TURN, AT)
-    with pytest.raises(InputError):
-        robot.take_pose(0.1, *bad)
+    refuses(InputError, "", robot.take_pose, 0.1, *bad)
     np.testing.assert_array_equal(robot.here[1], AT)
 
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.live.impairment import ImpairedLink, Impairment
 from ttus_opt.live.peer import Outgoing
 
@@ -88,5 +88,4 @@ def test_duplicates_and_determinism():
     "bad", [{"delay": -1.0}, {"loss": 1.0}, {"burst": 0.5}, {"rate": 0.0}]
 )
 def test_what_no_link_does(bad):
-    with pytest.raises(InputError):
-        Impairment(**bad)
+    refuses(InputError, "", Impairment, **bad)

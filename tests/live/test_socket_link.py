@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
+from tests.kit import InputError, refuses
 from tests.live.springy import Spring, parts, path, session
-from ttus_opt.core.errors import InputError
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.operator import Operator
@@ -239,8 +239,7 @@ def test_a_datagram_that_the_system_drops_is_lost_and_ends_no_session(links, fau
 
 def test_an_unusable_address(links):
     there = links(port=0, calls=False)
-    with pytest.raises(InputError, match="cannot be used"):
-        links(port=there.port, calls=False)
+    refuses(InputError, "cannot be used", links, port=there.port, calls=False)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.core.errors import NumericalError
+from tests.kit import NumericalError, refuses
 from ttus_opt.live import swap_times
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.peer import Outgoing
@@ -52,5 +52,4 @@ def test_no_contact_is_known_before_it_can_be():
 
 def test_a_side_that_does_not_start_is_said(monkeypatch):
     monkeypatch.setattr(swap_times, "START", 0.01)
-    with pytest.raises(NumericalError, match="did not start"):
-        swap_times.measure(1.0, 0.1)
+    refuses(NumericalError, "did not start", swap_times.measure, 1.0, 0.1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.live import demo
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.recording import frames_of
@@ -82,8 +82,7 @@ def test_the_hand_begins_and_moves_between_places_lifted():
     ],
 )
 def test_unusable_trials(bad):
-    with pytest.raises(InputError):
-        Trial(**bad)
+    refuses(InputError, "", Trial, **bad)
 
 
 def test_a_long_session_keeps_few_of_its_frames(monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.core.errors import FileError, TtusWarning
+from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.recording_faults import faults
 from ttus_opt.probe.repair import repaired
@@ -93,8 +93,7 @@ def test_a_sound_recording_is_left_alone(tmp_path):
 
 def test_nothing_left_is_an_error():
     raw = RawRecording("x", np.arange(4.0), force=np.full((4, 3), np.nan))
-    with pytest.raises(FileError, match="no row is left"):
-        repaired(raw)
+    refuses(FileError, "no row is left", repaired, raw)
 
 
 @settings(max_examples=60, deadline=None)
@@ -123,5 +122,4 @@ def test_a_quaternion_whose_square_overflows_is_told(tmp_path):
     rows = table()
     rows[0][4:] = [1e200] * 4
     file = written(tmp_path / "far.csv", rows)
-    with pytest.raises(FileError, match="quaternion has length 2e\\+200"):
-        read_trajectory(file)
+    refuses(FileError, "quaternion has length 2e\\+200", read_trajectory, file)

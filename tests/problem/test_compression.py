@@ -12,7 +12,6 @@ from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem import compression
 from ttus_opt.problem.compression import Compression, compressed_rows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.penalties import Huber
 
 RNG = np.random.default_rng(3)
 
@@ -63,7 +62,7 @@ def test_only_squares_with_many_rows_are_compressed(monkeypatch):
         [
             term(padded["a"], np.ones(60), 2.0, name="a"),
             term(padded["b"], np.ones(30), name="b"),
-            term(padded["c"], np.ones(60), 1.0, Huber(0.5), name="c"),
+            term(padded["c"], np.ones(60), 1.0, tt.terms.Huber(0.5), name="c"),
             term(padded["d"], np.ones(60), name="d"),
         ],
         held,

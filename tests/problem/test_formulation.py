@@ -38,10 +38,9 @@ def test_by_name_by_path_and_as_it_is(tmp_path):
 def test_unknown_names_and_options_say_what_there_is(tmp_path):
     with pytest.raises(InputError, match="unknown formulation 'eq01', did you mean eq"):
         load("eq01", SCENE)
-    with pytest.raises(
-        InputError, match=r"there are .*anisotropic.*A file of your own"
-    ):
-        load("xyzzy", SCENE)
+    refuses(
+        InputError, r"there are .*anisotropic.*A file of your own", load, "xyzzy", SCENE
+    )
     refuses(InputError, r"no option 'lam'.*force_weight", load, "eq10", SCENE, lam=1.0)
     refuses(InputError, "not found", load, tmp_path / "none.py", SCENE)
     with pytest.raises(InputError, match="cannot be given to a finished formulation"):

@@ -115,8 +115,7 @@ def test_without_rosbags_the_extra_is_named(tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.startswith("rosbags")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
-    with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
-        read_poses(tmp_path / "r.bag")
+    refuses(MissingPackageError, r"ttus-opt\[sensors\]", read_poses, tmp_path / "r.bag")
 
 
 @pytest.mark.parametrize(
@@ -264,5 +263,4 @@ def test_a_database_without_metadata(tmp_path):
         read_poses(alone, "/odom").position, read_poses(bag, "/odom").position
     )
     alone.write_bytes(file.read_bytes()[:3000])
-    with pytest.raises(FileError, match="cannot be read as a ROS recording"):
-        read_poses(alone)
+    refuses(FileError, "cannot be read as a ROS recording", read_poses, alone)

@@ -10,10 +10,7 @@ import ttus_opt as tt
 from tests.kit import MissingPackageError, small_scene
 from tests.oracles.dense import minimiser
 from tests.solvers.own_terms import Differences, SkinGraph
-from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.terms.departures import difference_rows
-from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
@@ -49,7 +46,7 @@ class GraphLaplacian(tt.Term):
 
 def declared(scene, case, weight=1e-2):
     measured = [ForceTerm(scene, weight), TorqueTerm(scene, 0.5 * weight)]
-    held = [HardBoundary(scene)]
+    held = [tt.constraints.HardBoundary(scene)]
     prior = {
         "differences": ([Differences(scene)], held),
         "ridge": ([Ridge(scene)], []),
@@ -142,7 +139,7 @@ def test_a_missing_package_is_told_and_another_solver_goes_on(monkeypatch):
 
 
 def test_refuses_what_others_know_more_of():
-    laplace = tt.Formulation([LaplaceTerm(SCENE), Ridge(SCENE)]).compile()
+    laplace = tt.Formulation([tt.terms.LaplaceTerm(SCENE), Ridge(SCENE)]).compile()
     assert "normal_equations" in SOLVER.refusal(laplace)
-    limited = tt.Formulation([Ridge(SCENE)], [Sign(SCENE)]).compile()
+    limited = tt.Formulation([Ridge(SCENE)], [tt.constraints.Sign(SCENE)]).compile()
     assert SOLVER.refusal(limited)

@@ -10,7 +10,6 @@ import ttus_opt as tt
 from tests.kit import small_scene
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem import formulation
-from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.program import Program
@@ -151,9 +150,9 @@ TERMS = {
     "departure": _with_prior(_Departure),
 }
 LIMITS = {
-    "free": lambda s: [HardBoundary(s)],
-    "sign": lambda s: [HardBoundary(s), Sign(s)],
-    "growth": lambda s: [HardBoundary(s), Sign(s), Monotone(s)],
+    "free": lambda s: [tt.constraints.HardBoundary(s)],
+    "sign": lambda s: [tt.constraints.HardBoundary(s), Sign(s)],
+    "growth": lambda s: [tt.constraints.HardBoundary(s), Sign(s), Monotone(s)],
 }
 
 

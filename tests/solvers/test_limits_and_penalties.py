@@ -11,29 +11,26 @@ from tests.solvers.dual.user_limits import Within, contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted, Differences, SkinGraph
 from tests.solvers.test_algebraic import Ridge
 from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
-from ttus_opt.problem.terms.departures import TikhonovTerm, TotalVariationTerm
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
-from ttus_opt.problem.terms.wrench import ForceTerm, RobustForceTerm
 
 SCENE = contested(3, (5, 9, 5), scale=-1.0, noise=1.0, n_poses=8)
-FORCE = ForceTerm(SCENE, 1.0)
+FORCE = tt.terms.ForceTerm(SCENE, 1.0)
 
 OBJECTIVES = {
-    "Tikhonov": lambda s: [LaplaceTerm(s), TikhonovTerm(s, 0.1), FORCE],
+    "Tikhonov": lambda s: [LaplaceTerm(s), tt.terms.TikhonovTerm(s, 0.1), FORCE],
     "depth weighted": lambda s: [LaplaceTerm(s), DepthWeighted(s, 1.0), FORCE],
     "along z": lambda s: [LaplaceTerm(s), AlongZ(s, 1.0), FORCE],
     "skin graph": lambda s: [LaplaceTerm(s), SkinGraph(s, 1.0), FORCE],
     "differences alone": lambda s: [Differences(s, 1.0), FORCE],
     "ridge alone": lambda s: [Ridge(s, 0.1), FORCE],
-    "robust": lambda s: [LaplaceTerm(s), RobustForceTerm(s, 1.0)],
+    "robust": lambda s: [LaplaceTerm(s), tt.terms.RobustForceTerm(s, 1.0)],
     "sparse sources": lambda s: [SparseSourcesTerm(s, 0.1), FORCE],
-    "total variation": lambda s: [TotalVariationTerm(s, 0.1), FORCE],
+    "total variation": lambda s: [tt.terms.TotalVariationTerm(s, 0.1), FORCE],
 }
 LIMITS = {
     "sign": lambda s: [HardBoundary(s), Sign(s)],
-    "growth": lambda s: [HardBoundary(s), Sign(s), Monotone(s)],
+    "growth": lambda s: [HardBoundary(s), Sign(s), tt.constraints.Monotone(s)],
     "bounds": lambda s: [HardBoundary(s), Within(s, *_box(s))],
 }
 

@@ -20,8 +20,6 @@ from tests.solvers.dual.user_limits import Rows, louder
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
-from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request
@@ -36,7 +34,7 @@ def program(scene, weight, hard=False):
         "eq10", scene, force_weight=weight, torque_weight=0.5 * weight
     )
     if hard:
-        declared = declared.with_constraints(HardBoundary(scene))
+        declared = declared.with_constraints(tt.constraints.HardBoundary(scene))
     return declared.compile()
 
 
@@ -160,7 +158,7 @@ def test_refuses_what_it_cannot_take(scene, name):
 
 def test_says_what_it_cannot_take():
     scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
-    alone = formulation.Formulation([TikhonovTerm(scene)])
+    alone = formulation.Formulation([tt.terms.TikhonovTerm(scene)])
     assert STRUCTURED.refusal(alone.compile()) == "it needs a Laplace term"
     rows = Rows(scene, sp.csr_array(scene.N), scene.f - 1.0, scene.f + 1.0)
     limited = formulation.load("eq10", scene).with_constraints(rows)

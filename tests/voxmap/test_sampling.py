@@ -5,7 +5,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.drags import end_share
-from tests.kit import InputError, torso
+from tests.kit import InputError, refuses, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.voxmap.sampling import (
@@ -49,8 +49,7 @@ def test_a_length_is_written_in_three_digits():
     ],
 )
 def test_other_names_are_refused(name, told):
-    with pytest.raises(InputError, match=told):
-        check_sampling(name)
+    refuses(InputError, told, check_sampling, name)
 
 
 #: Four points in one place, 1 cm² together: a pose's x-force is the field there

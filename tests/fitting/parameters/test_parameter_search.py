@@ -10,15 +10,13 @@ from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting import batch
 from ttus_opt.fitting.parameters import parameter_search
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.wrench import ForceTerm
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7))
 SILENT = replace(SCENE, b=np.zeros_like(SCENE.b))  # then the cost grows with ‖f‖
 
 
 @dataclass(frozen=True)
-class Bowl(ForceTerm):
+class Bowl(tt.terms.ForceTerm):
     """Forces that are best explained at a value of one's own."""
 
     value: float = 0.0
@@ -37,7 +35,7 @@ class Bowl(ForceTerm):
 def declared(low=0.0, high=1.0, best=0.3, depth=1.0):
     def build(value):
         bowl = Bowl(SILENT, 0.1, value, best, depth)
-        return Formulation([LaplaceTerm(SILENT), bowl])
+        return Formulation([tt.terms.LaplaceTerm(SILENT), bowl])
 
     return build(high).with_search(Search("value", low, high, build))
 
@@ -147,7 +145,7 @@ def test_two_parameters_are_found_together():
 
     def both(a):
         def build(b):
-            return Formulation([LaplaceTerm(SILENT), Pair(SILENT, 0.1, a, b)])
+            return Formulation([tt.terms.LaplaceTerm(SILENT), Pair(SILENT, 0.1, a, b)])
 
         return build(0.0).with_search(Search("b", -1.0, 1.0, build, neutral=0.0))
 
@@ -168,7 +166,7 @@ PAIR = 50.0 * np.array([[1.0, 0.7], [0.7, 1.0]])
 
 
 @dataclass(frozen=True)
-class Pair(ForceTerm):
+class Pair(tt.terms.ForceTerm):
     a: float = 0.0
     b: float = 0.0
 

@@ -16,7 +16,6 @@ from ttus_opt.fitting.uncertainty.contact_spread import (
     warn_of_one_spot,
 )
 from ttus_opt.gaussian.matern import matern
-from ttus_opt.problem.terms.structure import UncertainMean
 
 SURFACE = torso()
 VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(9, 20, 10), r_inner=0.03)
@@ -100,7 +99,7 @@ def test_places_that_tell_the_deviation_count_by_how_far_they_differ():
 
 def test_one_place_is_widened_by_bodies_in_general_and_told():
     depth = np.full(30, 0.006)
-    mean = UncertainMean(
+    mean = tt.terms.UncertainMean(
         np.zeros((1, 0)), np.zeros(30), 1.0, 0.1, 0.4, 0.01, (0.03, 0.7)
     )
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)

@@ -14,7 +14,6 @@ from tests.kit import InputError, refuses, small_scene, three_presses, torso
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights import coarse_scene, tuning
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.wrench import ForceTerm
 
 NOISE, SCALE = 0.02, 1.4
 
@@ -110,7 +109,7 @@ def test_without_sliding_drag_is_not_taken():
 
 
 @dataclass(frozen=True)
-class OwnForceTerm(ForceTerm):
+class OwnForceTerm(tt.terms.ForceTerm):
     """A user's term, whose rows are forces in another unit."""
 
     name: ClassVar[str] = "own_force"
@@ -124,7 +123,7 @@ class OwnForceTerm(ForceTerm):
 def test_a_users_own_terms_are_tuned():
     """By their rows alone: in another unit the weight is another, the fit the same."""
     scene = tuned().scene
-    plain = tt.Formulation([LaplaceTerm(scene), ForceTerm(scene)])
+    plain = tt.Formulation([LaplaceTerm(scene), tt.terms.ForceTerm(scene)])
     own = tt.Formulation([LaplaceTerm(scene), OwnForceTerm(scene)]).named("mine")
     weights = [tt.tune(scene, each, compare=False).weights for each in (plain, own)]
     ratio = weights[0]["force"] / weights[1]["own_force"]

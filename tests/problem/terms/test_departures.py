@@ -11,7 +11,6 @@ from ttus_opt.problem.terms.departures import (
     TotalVariationTerm,
     difference_rows,
 )
-from ttus_opt.problem.terms.penalties import Groups
 
 SCENE = small_scene("trilinear")
 
@@ -76,7 +75,7 @@ def test_total_variation_of_a_gradient_is_its_length():
         program = Formulation([term]).compile()
         steps = grid.shape[0] * grid.shape[1] * (grid.shape[2] - 1)
         assert program.objective(departure) == pytest.approx(steps)
-    assert term.penalty == Groups(3)
+    assert term.penalty == tt.terms.Groups(3)
 
 
 def test_isotropic_variation_is_a_cone_program_with_a_certificate():
@@ -87,7 +86,7 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate():
         scene, "total_variation", solver="cvxpy_clarabel", isotropic=True, **options
     )
     assert solution.field is not None
-    assert solution.program.terms[0].penalty == Groups(3)
+    assert solution.program.terms[0].penalty == tt.terms.Groups(3)
     lengths = np.linalg.norm(
         solution.duals.terms["total_variation"].reshape(-1, 3), axis=1
     )

@@ -13,7 +13,6 @@ from ttus_opt.problem.terms import depth_map_drag
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.problem.terms.depth_profile import voxel_depths
-from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import alike_drag
 
 MU = 0.3
@@ -23,7 +22,7 @@ def of_depth(acts_at):
     """Forces and torques of p = 60 d² with drag, which no Laplace field explains."""
     scene = dragged_scene(acts_at)
     p = 6e3 * np.maximum(voxel_depths(scene.voxmap), 0.0) ** 2
-    drag = GlobalCoulomb(scene, acts_at, coefficient=MU).rows
+    drag = tt.terms.GlobalCoulomb(scene, acts_at, coefficient=MU).rows
     rng = np.random.default_rng(0)
     force = (scene.N - MU * drag.force) @ p
     force += rng.normal(0.0, 0.01, len(force))

@@ -16,7 +16,6 @@ from ttus_opt.problem.terms.distinct_drag import (
     distinct_drag,
     distinct_share,
 )
-from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 
 
@@ -108,7 +107,7 @@ def test_a_straight_press_tells_friction_where_it_is_released(name):
     rows = point_drag_rows(scene.voxmap, scene.shell, scene.trajectory).force
     share = distinct_drag(scene, rows)
     assert share > 0.9 if tells else share < 0.05
-    why = GlobalCoulomb(scene, "points").not_identifiable()
+    why = tt.terms.GlobalCoulomb(scene, "points").not_identifiable()
     assert why == ({} if tells else {"friction_coefficient": ONE_SENSE})
 
 
@@ -125,7 +124,7 @@ def test_a_probe_that_slides_tells_friction_in_one_sense_too():
     )
     scene = tt.Scene.assemble(tube(), scene.shell, slid, inner=3.0)
     for acts_at in ("points", "contact", "reference"):
-        model = GlobalCoulomb(scene, acts_at)
+        model = tt.terms.GlobalCoulomb(scene, acts_at)
         assert distinct_drag(scene, model.rows.force) > 0.9
         assert not model.not_identifiable()
 
@@ -177,7 +176,7 @@ def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(released):
     """Least squares finds 0.3 in either; not released, a stiffer field does too."""
     scene = frictionless(released)
     p = scene.laplace.solve(scene.b)
-    rows = GlobalCoulomb(scene, "points").rows
+    rows = tt.terms.GlobalCoulomb(scene, "points").rows
     force = scene.N @ p - 0.3 * (rows.force @ p)
     torque = scene.W @ p - 0.3 * (rows.torque @ p)
     found = estimate_drag(with_wrenches(scene, force, torque), "points")
@@ -216,5 +215,5 @@ def test_recordings_that_press_release_and_slide_tell_friction(shared):
         poses = tt.read_trajectory(recording)
         scene = tt.Scene.assemble(voxmap, shell, poses, inner=1.0)
         for acts_at in ("points", "contact", "reference"):
-            drag = GlobalCoulomb(scene, acts_at)
+            drag = tt.terms.GlobalCoulomb(scene, acts_at)
             assert distinct_drag(scene, drag.rows.force) > 1.7 * LEAST_DISTINCT

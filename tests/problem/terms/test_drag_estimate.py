@@ -6,7 +6,6 @@ import pytest
 import ttus_opt as tt
 from tests.kit import InputError, dragged_scene, with_wrenches
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import (
     LEAST_GAIN,
     LENGTHS,
@@ -37,7 +36,7 @@ def test_a_scene_is_estimated_once():
 def test_drag_of_another_coefficient_needs_no_other_rows():
     scene = dragged_scene("points")
     drag = estimate_drag(scene).drag
-    expected = GlobalCoulomb(scene, "points", coefficient=0.3)
+    expected = tt.terms.GlobalCoulomb(scene, "points", coefficient=0.3)
     found = drag.with_coefficient(0.3)
     assert found.rows is drag.rows
     difference = found.force_blocks()["p"] - expected.force_blocks()["p"]
@@ -130,7 +129,7 @@ def test_drag_is_shown_where_forces_need_it():
 @pytest.mark.parametrize(("faded", "index"), [(9.0, 1), (5.0, None)])
 def test_the_longest_of_short_bristles_needs_drag_that_sliding_shows(faded, index):
     """Else a probe on tissue that shears, such as a liver, would have friction."""
-    drag = GlobalCoulomb(dragged_scene("contact"), "contact")
+    drag = tt.terms.GlobalCoulomb(dragged_scene("contact"), "contact")
     gains = (30.0, 29.0, 20.0, 10.0, 9.0, 8.0, 7.0, 6.0)
     held = [
         DragEstimate(0.3, 1.0, "contact", 0.1, drag.with_presliding(length), gain)

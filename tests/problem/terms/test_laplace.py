@@ -26,7 +26,6 @@ from ttus_opt.problem.terms.laplace import (
     VolumeWeightedTerm,
     free_surface_layer,
 )
-from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene("trilinear")
 
@@ -93,7 +92,7 @@ def place():
 
 
 def declared(profile):
-    force, torque = ForceTerm(place(), 2.0), TorqueTerm(place(), 0.5)
+    force, torque = tt.terms.ForceTerm(place(), 2.0), tt.terms.TorqueTerm(place(), 0.5)
     return tt.Formulation(
         [LaplaceResidualTerm(place(), profile=profile), force, torque]
     )

@@ -10,13 +10,7 @@ import ttus_opt as tt
 from tests.kit import InputError, small_scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.constraints.base import Constraint, LinearRows
-from ttus_opt.problem.terms.laplace import (
-    DragSmoothnessTerm,
-    LaplaceTerm,
-    VolumeWeightedTerm,
-)
 from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags
-from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.solvers.dual.data import second_field
 from ttus_opt.solvers.registry import solvers
 
@@ -57,7 +51,7 @@ class Given(Constraint):
 
 def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():
     """Read by its name, `structured` would answer another problem."""
-    declared = tt.Formulation([Own(SCENE, share=0.1), ForceTerm(SCENE, 1.0)])
+    declared = tt.Formulation([Own(SCENE, share=0.1), tt.terms.ForceTerm(SCENE, 1.0)])
     program = declared.compile()
     assert program.laplace_term is None
     for name in ("structured", "amg_pcg"):
@@ -74,7 +68,7 @@ def test_it_is_one_row_more_beside_the_prior():
     """With a Laplace term of another name beside, `structured` takes both."""
     prior = Own(SCENE, called="mine", tags=frozenset({LaplaceRows("p")}))
     declared = tt.Formulation(
-        [Own(SCENE, 0.5, share=0.1), prior, ForceTerm(SCENE, 1.0)]
+        [Own(SCENE, 0.5, share=0.1), prior, tt.terms.ForceTerm(SCENE, 1.0)]
     )
     term = declared.compile().laplace_term
     assert term.name == "mine"
@@ -85,7 +79,7 @@ def test_it_is_one_row_more_beside_the_prior():
 
 def test_a_constraint_called_boundary_is_not_taken_for_the_boundary():
     at = np.flatnonzero(SCENE.laplace.free)[[40, 90, 200]]
-    terms = [LaplaceTerm(SCENE), ForceTerm(SCENE, 1.0)]
+    terms = [tt.terms.LaplaceTerm(SCENE), tt.terms.ForceTerm(SCENE, 1.0)]
     declared = tt.Formulation(terms, [Given(SCENE, at)])
     assert declared.compile().dirichlet is None
     refusal = solvers()["structured"].refusal(declared.compile())
@@ -111,9 +105,11 @@ def test_a_false_declaration_is_refused(tags, share):
 
 
 def test_what_the_shelf_declares():
-    program = tt.Formulation([LaplaceTerm(SCENE), DragSmoothnessTerm(SCENE)]).compile()
+    program = tt.Formulation(
+        [tt.terms.LaplaceTerm(SCENE), tt.terms.DragSmoothnessTerm(SCENE)]
+    ).compile()
     assert program.laplace_term_of("p") is program.terms[0]
     assert second_field(program) == ("q", program.terms[1])
-    scaled = tt.Formulation([VolumeWeightedTerm(SCENE)]).compile()
+    scaled = tt.Formulation([tt.terms.VolumeWeightedTerm(SCENE)]).compile()
     assert scaled.laplace_term is None
     assert scaled.laplace_term_of("p") is scaled.terms[0]

@@ -14,7 +14,6 @@ from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.fitting.verdict import judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.problem.verify.loose_columns import exact_rows, loose_variables
 from ttus_opt.solvers.base import Claim, Request
@@ -88,7 +87,7 @@ def hinge(cost=1.0):
     return program(
         [
             term([[1.0, 0.0]], [2.0]),
-            term([[0.0, cost]], [0.0], 1.0, Linear(), name="cost"),
+            term([[0.0, cost]], [0.0], 1.0, tt.terms.Linear(), name="cost"),
         ],
         [rows("above", [[-1.0, 1.0], [0.0, 1.0]], [-1.0, 0.0], [INF, INF])],
     )

@@ -13,9 +13,7 @@ from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.user_limits import INF, Rows, Within
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.signs import DragLimit, Sign
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
@@ -138,10 +136,10 @@ def test_with_given_values_sign_and_bounds(share):
     upper = np.where(where & (rng.random(V) < 0.3), rng.uniform(0.3, 2.0, V), INF)
     within = Within(scene, np.full(V, -INF), upper)
     for more in (
-        [HardBoundary(scene)],
-        [Sign(scene)],
+        [tt.constraints.HardBoundary(scene)],
+        [tt.constraints.Sign(scene)],
         [within],
-        [within, Sign(scene), HardBoundary(scene)],
+        [within, tt.constraints.Sign(scene), tt.constraints.HardBoundary(scene)],
     ):
         check(coulomb(scene, 1.0, *more, largest_friction=share), least_active=3)
 
@@ -235,13 +233,13 @@ def test_contradictions_are_named():
     assert "contradict each other" in candidate.detail
 
 
-class OtherShare(DragLimit):
+class OtherShare(tt.constraints.DragLimit):
     """A second share."""
 
     name = "other_share"
 
 
-class AtLeast(DragLimit):
+class AtLeast(tt.constraints.DragLimit):
     """The drag field is at least a share of the field."""
 
     name = "at_least"
@@ -281,7 +279,7 @@ def test_all_active_sets_of_a_tiny_problem(seed):
     upper = np.full(V, INF)
     skin = scene.voxmap.region.reshape(-1) == 0
     lower[skin], upper[skin], lower[at] = 0.0, 0.0, 0.0
-    limit = DragLimit(scene, share)
+    limit = tt.constraints.DragLimit(scene, share)
     every = limit.rows()
     where = np.flatnonzero(np.isin(every.blocks["q"].indices, at))
     some = LinearRows(

@@ -10,8 +10,6 @@ from tests.kit import ellipsoid, presses, torso
 from tests.oracles.dense import least_squares, stacked
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from ttus_opt.problem.constraints.boundary import HardBoundary
-from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
@@ -27,9 +25,9 @@ def random_limits(scene, seed, hard):
     lower, upper = rng.uniform(-1.0, 0.0, V), rng.uniform(0.0, 1.0, V)
     if hard:
         lower[~scene.laplace.free], upper[~scene.laplace.free] = -INF, INF
-    constraints = [Within(scene, lower, upper), Monotone(scene, 4.0)]
+    constraints = [Within(scene, lower, upper), tt.constraints.Monotone(scene, 4.0)]
     if hard:
-        constraints.append(HardBoundary(scene))
+        constraints.append(tt.constraints.HardBoundary(scene))
     return constraints
 
 
