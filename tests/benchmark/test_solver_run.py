@@ -1,17 +1,14 @@
 """A user's own solver: by path and as an object, to another process and back."""
 
 import json
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import ttus_opt as tt
-from tests.benchmark.tiny import TINY, tiny_suite
+from tests.benchmark.tiny import TINY
 from tests.kit import InputError, refuses
 from tests.oracles.dense import minimiser
-from tests.solvers import taking
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark import solver_run
 from ttus_opt.benchmark.cases import reference_cases, with_new_values
@@ -73,16 +70,6 @@ def test_what_cannot_travel_is_refused(tmp_path):
     clash.write_text(FILE.replace('"mine"', '"osqp"'))
     refuses(InputError, "another name", options_of, clash)
     refuses(InputError, "not found", options_of, tmp_path / "gone.py")
-
-
-@pytest.mark.slow
-def test_both_are_measured(tmp_path):
-    own = [own_file(tmp_path), Renamed()]
-    found = tiny_suite(tmp_path / "out", solvers=own).run()["solvers"]
-    assert [(row["solver"], row["status"]) for row in found] == [
-        (name, "solved") for name in ("closed_form", "mine", "renamed")
-    ]
-    assert all(row["difference_from_closed_form"] < 1e-9 for row in found)
 
 
 CASE = replace(TINY, shape=(6, 9, 6), n_poses=5, n_points=200)
@@ -234,21 +221,3 @@ def test_inequality_rows_count():
     )
     duals = Duals({"most": np.array([4.0, 2.0, 0.0])})
     assert active_limits(problem, np.array([1.0, 2.0]), duals) == 2
-
-
-@pytest.mark.slow
-@taking.over({"osqp", "scs", "clarabel"})
-def test_solvers_agree(solver):
-    name = solver.name
-    counts = {}
-    for how, weight in (("", 1e-2), ("reversed", 100.0)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            scene = replace(TINY, perturbation=how).build()
-        weights = {"force_weight": weight, "torque_weight": weight}
-        for asked in ("structured", name):
-            found = tt.fit(scene, "eq10_sign", solver=asked, **weights)
-            x = found.candidate
-            counts[how, asked] = active_limits(found.program, x, found.duals)
-    assert counts["", "structured"] == counts["", name] == 0
-    assert counts["reversed", "structured"] == counts["reversed", name] > 0

@@ -56,22 +56,6 @@ def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
         assert again.run()["solvers"] == rows
 
 
-@pytest.mark.slow
-def test_other_parts_are_not_run_twice_either(tmp_path, monkeypatch):
-    asked = tiny_suite(tmp_path, parts=["assembly"])
-    rows = asked.run()
-    assert set(rows) == set(parts())
-    stages = 1 + len(get_args(Sampling))  # L and b; rows by every sampling
-    assert [row["status"] for row in rows["assembly"]] == ["measured"] * stages
-    assert all(row["peak_memory_bytes"] > 2**26 for row in rows["assembly"])
-    assert rows["assembly"][0]["memory_by_stage"]["L, b"] > 2**26
-    assert not rows["ripple"]
-    monkeypatch.setattr(suite, "run_isolated", never)
-    interrupt(asked.rows_file)
-    with pytest.warns(TtusWarning, match="1 of 1 runs"):
-        assert tiny_suite(tmp_path, parts=["assembly"]).run() == rows
-
-
 def test_a_package_that_was_missing_is_looked_for_again(tmp_path, monkeypatch):
     def missing(spec, *others):
         return [parts()[spec.part].row(spec, "not installed", "pip install it")]

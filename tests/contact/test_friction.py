@@ -12,7 +12,6 @@ from tests.kit import (
     dragged_scene,
     ellipsoid,
     presses,
-    pressing,
     refuses,
     small_scene,
     torso,
@@ -252,60 +251,6 @@ def test_coulomb_drag_field_finds_what_was_put_in():
     assert solution.parameters["mean_friction_coefficient"] == pytest.approx(0.3)
     assert set(solution.duals_by_name) == {"drag_sign", "drag_limit", "mean_friction"}
     assert solution.duals_by_name["drag_sign"].shape == (scene.n_voxels,)
-
-
-@pytest.mark.slow
-def test_viscous_drag_finds_what_was_put_in():
-    scene = dragged_scene("contact", mu=0.0, viscous=20.0)
-    options = {"force_weight": 1.0, "torque_weight": 1.0, "acts_at": "contact"}
-    solution = tt.fit(scene, "viscous_drag", **options)
-    assert solution.parameters["viscous_coefficient"] == pytest.approx(20.0, rel=1e-3)
-    options |= {"sectors": 8, "bands": 2}
-    each = tt.fit(scene, "viscous_drag", **options)
-    regions = {k: v for k, v in each.parameters.items() if k[-1].isdigit()}
-    assert len(regions) == 16
-    # patches never touched have the mean of those that were
-    np.testing.assert_allclose(list(regions.values()), 20.0, rtol=0.05)
-    for fitted in (solution, each):
-        seen = tt.evaluate(fitted.field, scene.shell, scene.trajectory)
-        np.testing.assert_allclose(
-            seen.rendered_force, scene.trajectory.force, atol=2e-2
-        )
-
-
-@pytest.mark.slow
-def test_rendered_drag_is_that_of_the_fits_rows():
-    """What the fit explains is what rendering gives, coefficients in the field."""
-    scene = dragged_scene("reference")
-    solution = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2)
-    force, torque = (
-        solution.program.term(name).matrix @ solution.candidate
-        for name in ("force", "torque")
-    )
-    own, renderer = scene.trajectory, tt.Renderer(solution.field, scene.shell)
-    seen = tt.evaluate(solution.field, scene.shell, own)
-    frames = zip(own.rotation, own.position, own.twist(), strict=True)
-    one_by_one = np.concatenate([renderer.render(*frame).force for frame in frames])
-    np.testing.assert_allclose(one_by_one, force, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(seen.rendered_force.ravel(), force, atol=1e-12)
-    moment = seen.rendered_torque.ravel() / scene.torque_length
-    np.testing.assert_allclose(moment, torque, atol=1e-12)
-
-
-def test_coefficients_go_through_the_fields_file(tmp_path):
-    scene = small_scene("trilinear")
-    field = pressing(scene, {"boundary_scale": 2.0})
-    dragging = replace(field, parameters={"friction_coefficient": 0.4})
-    dragging.save(tmp_path / "field.nc")
-    loaded = tt.PotentialField.load(tmp_path / "field.nc")
-    first, second = (
-        tt.evaluate(f, scene.shell, scene.trajectory).rendered_force
-        for f in (dragging, loaded)
-    )
-    np.testing.assert_array_equal(first, second)
-    plain = tt.evaluate(field, scene.shell, scene.trajectory).rendered_force
-    np.testing.assert_array_equal(plain.reshape(-1), scene.N @ field.values.reshape(-1))
-    assert np.abs(first - plain).max() > 0.01
 
 
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}

@@ -228,30 +228,6 @@ def test_transposed_array(tmp_path):
     refuses(FileError, "transposed", read_cloud, path)
 
 
-def test_pcd_with_padding_and_wider_fields(tmp_path):
-    """Fields before, between and of several counts are stepped over."""
-    record = np.dtype(
-        [
-            ("n", "<f4", (3,)),
-            ("x", "<f8"),
-            ("_", "u1", (4,)),
-            ("y", "<f8"),
-            ("z", "<f8"),
-        ]
-    )
-    table = np.zeros(len(POINTS), record)
-    table["n"], table["_"] = 7.0, 255
-    for m, name in enumerate("xyz"):
-        table[name] = POINTS[:, m]
-    header = (
-        "VERSION 0.7\nFIELDS normal x _ y z\nSIZE 4 8 1 8 8\nTYPE F F U F F\n"
-        "COUNT 3 1 4 1 1\nWIDTH 20\nHEIGHT 10\nDATA binary\n"
-    )
-    path = tmp_path / "c.pcd"
-    path.write_bytes(header.encode() + table.tobytes())
-    np.testing.assert_array_equal(read_cloud(path), POINTS.astype(float))
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=300), st.sampled_from([".pcd", ".ply", ".npy", ".csv"]))
 def test_any_bytes_are_read_or_refused(tmp_path_factory, raw, suffix):

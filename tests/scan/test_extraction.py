@@ -433,14 +433,6 @@ def test_real_surface_is_smooth_and_closed():
     assert bend[[0, -1]].mean() < 2 * bend.mean()  # no seam where the lap closes
 
 
-@pytest.mark.slow
-def test_same_scan_same_surface():
-    cloud, s = real_scan()
-    axis = Axis.from_cloud(cloud, head=[1.0, 0.0, 0.0])
-    again = extract_surface(cloud, axis=axis)
-    np.testing.assert_array_equal(again.radius, s.radius)
-
-
 AXIS = Axis(np.zeros(3), np.eye(3))
 HALF = 0.17, 0.11  # trunk's semi-axes [m]
 
@@ -504,17 +496,6 @@ def test_association_weighs_by_each_deviation():
     far = associate(np.array([[d + 0.01]]), np.array([d]), np.array([P]), np.c_[0.001])
     near = associate(np.array([[d + 0.01]]), np.array([d]), np.array([P]), np.c_[0.004])
     assert not far.seen[0] and near.seen[0]
-
-
-def test_one_deviation_for_all_is_that_of_each():
-    rng = np.random.default_rng(0)
-    r = np.sort(0.15 + 0.003 * rng.standard_normal((50, 9)), axis=1)
-    r[:10, 6:] = [0.190, 0.192, np.inf]  # a second surface
-    predicted, P = np.full(50, 0.151), np.full(50, 0.01**2)
-    one = associate(r, predicted, P, 0.003)
-    each = associate(r, predicted, P, np.full(r.shape, 0.003))
-    np.testing.assert_allclose(each.y, one.y, rtol=1e-12)
-    np.testing.assert_allclose(each.variance, one.variance, rtol=1e-12)
 
 
 def test_deviations_and_offsets_follow_their_points():

@@ -25,20 +25,6 @@ def test_a_numpy_frame_is_the_rows_of_the_fit(sampling):
         )
 
 
-@pytest.mark.slow
-def test_every_way_is_timed_over_the_same_poses():
-    scene = small_scene("trilinear")
-    rows = time_rendering(scene, passes=2)
-    assert len({row["way"] for row in rows}) == 5
-    assert rows[0]["way"] == "numpy" and rows[0]["ratio_to_numpy"] == 1.0
-    for row in rows:
-        assert row["contact_points"] == np.median(scene.rows.contact_points)
-        assert row["points"] == len(scene.shell)
-        assert 0 < row["median"] <= row["percentile_99"] <= row["percentile_99_9"]
-        assert row["percentile_99_9"] <= row["longest"]
-        assert row["median"] == pytest.approx(row["ratio_to_numpy"] * rows[0]["median"])
-
-
 def test_times_are_of_every_pose_and_pass():
     called: list[float] = []
     poses = [(np.eye(3), np.array([x, 0.0, 0.0])) for x in (1.0, 2.0)]
