@@ -97,8 +97,7 @@ CORE = {
     "fitting/parameters": "parabola",
     "fitting/path": "weight_grid",
     "fitting/poses": "pose_error_step pose_refinement",
-    "fitting/recursion": "dual_recursion low_rank_kernel "
-    "measured_rows recursive triangular_factor",
+    "fitting/recursion": "dual_recursion low_rank_kernel measured_rows recursive",
     "fitting/uncertainty": "contact_spread posterior posterior_draws presses "
     "skin_uncertainty wrench_noise",
     "fitting/weights": "place_left_out tuning_rows",
@@ -135,9 +134,6 @@ FURTHER = {
     "contact/slip.py": ("contact/test_point_drag.py",),
     "fitting/batch.py": ("fitting/weights/test_tuning.py",),
     "fitting/recursion/measured_rows.py": ("fitting/recursion/test_dual_recursion.py",),
-    "fitting/recursion/triangular_factor.py": (
-        "fitting/recursion/test_low_rank_kernel.py",
-    ),
     "fitting/verdict.py": ("fitting/test_batch.py",),
     "haptic/blend.py": ("haptic/test_surface_swap.py",),
     "haptic/motion.py": ("haptic/test_blend.py",),
@@ -162,7 +158,7 @@ FURTHER = {
 }
 
 #: Compiled functions that run as plain Python, where that is fast enough
-PLAIN = ("fitting/recursion/triangular_factor.py",)
+PLAIN = ("fitting/recursion/low_rank_kernel.py",)
 
 
 def targets() -> Iterator[Target]:

@@ -211,15 +211,27 @@ class _SumColumns(Columns):
 def square_root(matrix: Array, neglected: float = 0.0) -> Array:
     """F with F Fᵀ = matrix, positive semidefinite, without rounding errors.
 
-    By Cholesky's decomposition with pivots, which ends where nothing is left: a
-    twentieth of the time of an eigendecomposition.
-
     Args:
         matrix: Shape (n, n).
         neglected: Part of the largest diagonal entry that may be left.
     """
     least = neglected * float(np.diag(matrix).max(initial=0.0)) if neglected else -1.0
+    return pivoted_root(matrix, least)[0]
+
+
+def pivoted_root(matrix: Array, least: float) -> tuple[Array, IntArray]:
+    """The same, triangular in the rows of its pivots, and these in order.
+
+    By Cholesky's decomposition with pivots, which ends where nothing is left: a
+    twentieth of the time of an eigendecomposition.
+
+    Args:
+        matrix: Shape (n, n).
+        least: Largest diagonal entry that may be left; below 0 that of rounding.
+    """
     factor, order, rank, _ = scipy.linalg.lapack.dpstrf(matrix, tol=least, lower=1)
+    if not np.diag(matrix).max(initial=0.0) > least:  # it always takes the first
+        rank = 0
     root = np.empty((len(matrix), rank))
     root[order - 1] = np.tril(factor[:, :rank])
-    return root
+    return root, order[:rank].astype(np.int64) - 1

@@ -7,8 +7,8 @@ minimiser of ‖L p - b‖² + ‖D p - t‖² is
 
 A measurement adds rows h to D. Their columns of K are D L⁻¹L⁻ᵀhᵀ: one solve with Lᵀ and
 one with L per row. This is the Sherman-Morrison-Woodbury recursion without the dense V
-× rows matrix L⁻¹L⁻ᵀDᵀ: only D (sparse) and a low-rank factor R with K ≈ R Rᵀ are kept
-(`fitting.recursion.low_rank_kernel`), and only the pivot rows of R enter a new column.
+× rows matrix L⁻¹L⁻ᵀDᵀ: only D (sparse), a low-rank factor R with K ≈ R Rᵀ and its basis
+are kept (`fitting.recursion.low_rank_kernel`).
 
 With p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every weighted row, the same
 quantities predict a measurement before it is added. With r its coordinates in the
@@ -22,9 +22,9 @@ their residual.
 R need not be exact: I + R Rᵀ is a preconditioner, and conjugate gradients refine the
 field until (I + K) y = d₀ holds.
 
-Rows may be added, faded and removed any number of times. When a pivot is removed, the
-columns of K of the rows that replace it are solved for again, so that errors of R do
-not accumulate. If R becomes ill-conditioned, it is recomputed from D.
+Rows may be added, faded and removed any number of times. When so many were removed that
+R's basis settles, the columns of K of the rows that join it are solved for, so that
+errors of R do not accumulate. If R becomes ill-conditioned, it is recomputed from D.
 """
 
 from __future__ import annotations
@@ -36,10 +36,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.core.threads import side_by_side
-from ttus_opt.fitting.recursion.low_rank_kernel import LowRankKernel, Projection
+from ttus_opt.fitting.recursion.low_rank_kernel import (
+    LowRankKernel,
+    Projection,
+    update,
+)
 from ttus_opt.fitting.recursion.measured_rows import Block, MeasuredRows
 from ttus_opt.gaussian.prior import LaplacePrior
 
@@ -67,7 +71,7 @@ class Forecast:
     Attributes:
         block: The rows h.
         projection: The rows projected on R's columns.
-        columns: Entries of K of the chosen rows with the others held, shape (p, o).
+        columns: Entries of K of the chosen rows with those held, shape (p, n).
         prior: h p₀, shape (m,).
         known: h p with the last field, shape (m,).
         mean: Predicted measurement, shape (m,).
@@ -107,7 +111,7 @@ class DualRecursion:
         self.height = height
         self._prior = LaplacePrior(laplace, np.ones(laplace.grid.n_voxels))
         self._D = MeasuredRows(laplace.grid.n_voxels, height)
-        self._kernel = LowRankKernel()
+        self._begin_factor()
         # above `DEPENDENT` where weights are too large for the solves
         self._tolerance = DEPENDENT
         # whether R must be recomputed from D
@@ -129,7 +133,8 @@ class DualRecursion:
     def memory_bytes(self) -> int:
         """Memory that grows with the measurements."""
         vectors = 3 * self._d0.nbytes + self._information.nbytes
-        return self._kernel.memory_bytes + self._D.memory_bytes + vectors
+        rows = self._D.memory_bytes + self._basis.memory_bytes
+        return self._kernel.memory_bytes + rows + vectors
 
     @property
     def n_rows(self) -> int:
@@ -188,13 +193,13 @@ class DualRecursion:
             target: Measurements, weighted as the rows, shape (m,).
         """
         rank = self.rank
-        self._kernel.append(forecast.projection, forecast.columns)
+        self._take(forecast.block, forecast.projection, forecast.columns)
         self._D.append(forecast.block)
         self._d0 = np.concatenate([self._d0, target - forecast.prior])
         surprise = target - forecast.known
         self._rest = np.concatenate([self._rest, surprise])
         if self.rank > rank:  # earlier rows have entries in new columns
-            self._information = self._kernel.adjoint(self._rest)
+            self._information = self._rest @ self._kernel.R
         else:
             self._information = self._information + surprise @ forecast.projection.held
         # the last field belongs to y = 0 in the new rows
@@ -203,7 +208,8 @@ class DualRecursion:
     def remove(self, start: int, count: int) -> None:
         """Remove blocks start to start + count.
 
-        Costs as `LowRankKernel.remove`, and a pair of solves per removed pivot at most.
+        Costs as `LowRankKernel.remove`; from time to time R's basis settles, with a
+        pair of solves at most for each of its rows that were removed since.
         """
         held = len(self)
         if count == 0:
@@ -212,8 +218,9 @@ class DualRecursion:
         self._D.keep(np.delete(np.arange(held), slice(start, start + count)))
         self._d0 = np.delete(self._d0, rows)
         if not self._stale:
-            number = self.height * count
-            self._replace(self._kernel.remove(rows.start, number, self._tolerance))
+            self._kernel.remove(rows.start, self.height * count)
+            if self._kernel.is_worn:
+                self._settle()
         self._reset_field()
 
     def fade(self, factor: float) -> None:
@@ -297,13 +304,13 @@ class DualRecursion:
         kernel, m = self._kernel, self.height
         rtol = self._accuracy(np.sum(block.values**2, axis=0))
         held, own = np.empty((m, kernel.rank)), np.empty((m, m))
-        columns = np.zeros((m, len(kernel.others)))
+        columns = np.zeros((m, len(kernel)))
 
         def compare(c: int, x: Array) -> None:
-            held[c] = kernel.coordinates(self._D.times(x, kernel.pivots)[None])[0]
+            held[c] = kernel.coordinates(self._basis.times(x)[None])[0]
             own[c] = x[block.voxels] @ block.values
             if own[c, c] - held[c] @ held[c] > 0.5 * self._tolerance:
-                columns[c] = self._D.times(x)[kernel.others]
+                columns[c] = self._D.times(x)[: len(kernel)]
 
         self._apply_inverse(
             [(block.voxels, row) for row in block.values.T], rtol, compare
@@ -311,11 +318,20 @@ class DualRecursion:
         projection = kernel.project(held, 0.5 * (own + own.T), self._tolerance)
         return projection, columns[projection.chosen]
 
-    def _replace(self, rows: IntArray) -> None:
-        """Solve again for the columns of K of some rows of D that are not pivots."""
+    def _take(self, block: Block, projection: Projection, columns: Array) -> None:
+        """Add the projected rows of a block to R, and to its basis."""
+        self._kernel.append(projection, columns)
+        for row in block.values.T[projection.chosen]:
+            self._basis.append(Block(block.voxels, row[:, None]))
+
+    def _settle(self) -> None:
+        """Replace what is in R's basis and no more in D."""
+        kernel = self._kernel
+        self._basis.keep(np.flatnonzero(kernel.basis >= 0))
+        rows = kernel.settle(self._tolerance)
         if not len(rows):
             return
-        kernel, entries = self._kernel, [self._D.row(int(i)) for i in rows]
+        entries = [self._D.row(int(i)) for i in rows]
         rtol = self._accuracy(np.array([values @ values for _, values in entries]))
         columns = np.empty((len(rows), len(kernel)))
 
@@ -328,11 +344,16 @@ class DualRecursion:
             # reported when R is needed next
             self._stale = True
             return
-        kernel.drop(rows)
-        held, own = kernel.coordinates(columns[:, kernel.pivots]), columns[:, rows]
+        held, own = kernel.coordinates(columns[:, kernel.basis]), columns[:, rows]
         projection = kernel.project(held, 0.5 * (own + own.T), self._tolerance)
-        others = columns[np.ix_(projection.chosen, kernel.others)]
-        kernel.append(projection, others, rows)
+        chosen = projection.chosen
+        kernel.extend(projection, columns[chosen], rows[chosen])
+        for voxels, row in (entries[c] for c in chosen):
+            self._basis.append(Block(voxels, row[:, None]))
+
+    def _begin_factor(self) -> None:
+        self._kernel = LowRankKernel()
+        self._basis = MeasuredRows(self._D.n_voxels, 1)
 
     def _ensure_factor(self) -> None:
         """Recompute R if it is unusable."""
@@ -342,9 +363,10 @@ class DualRecursion:
     def _rebuild(self) -> None:
         """Recompute R from D, with as many solves as for adding all blocks."""
         self._stale = True
-        self._kernel = LowRankKernel()
+        self._begin_factor()
         for s in range(len(self)):
-            self._kernel.append(*self._projected(self._D.block(s)))
+            block = self._D.block(s)
+            self._take(block, *self._projected(block))
         self._stale = False
         self._reset_field()
 
@@ -381,23 +403,16 @@ class DualRecursion:
         """Start from p₀ again after rows were removed or changed, or a failure."""
         self._rest = self._d0
         if not self._stale:
-            self._information = self._kernel.adjoint(self._d0)
+            self._information = self._d0 @ self._kernel.R
         self._shift, self._y = None, np.zeros(len(self._d0))
 
 
 def _warm_up(height: int) -> None:
     """Compile ahead of the first update."""
-    kernel = LowRankKernel()
-    for _ in range(3):
-        held = kernel.coordinates(np.zeros((height, kernel.rank)))
-        projection = kernel.project(held, np.eye(height), 0.0)
-        kernel.append(projection, np.zeros((height, len(kernel.others))))
-    kernel.solve(np.zeros(len(kernel)))
-    kernel.remove(0, 1, 0.0)
+    update(np.ones((1, 1)), np.zeros((1, height)))
     rows = MeasuredRows(1, height)
     rows.append(Block(np.zeros(1, dtype=np.int32), np.zeros((1, height))))
     rows.adjoint(rows.times(np.zeros(1)))
-    rows.times(np.zeros(1), np.zeros(1, dtype=np.int64))
 
 
 def _least(projection: Projection) -> float:

@@ -43,7 +43,7 @@ class MeasuredRows:
     """
 
     def __init__(self, n_voxels: int, height: int) -> None:
-        self._n_voxels = n_voxels
+        self.n_voxels = n_voxels
         self._height = height
         self._starts = np.zeros(1, dtype=np.int64)
         self._voxels = np.empty(ROOM, dtype=np.int32)
@@ -103,19 +103,15 @@ class MeasuredRows:
         self._values = np.empty((size, self._height))
         self._voxels[:used], self._values[:used] = voxels[:used], values[:used]
 
-    def times(self, x: Array, rows: NDArray[np.int64] | None = None) -> Array:
-        """D x for x of shape (V,), or those of its rows that are given by number."""
-        if rows is not None:
-            some = np.empty(len(rows))
-            _some_times(self._starts, self._voxels, self._values, x, rows, some)
-            return some
+    def times(self, x: Array) -> Array:
+        """D x for x of shape (V,)."""
         out = np.zeros(len(self) * self._height)
         _times(self._starts, self._voxels, self._values, x, out)
         return out
 
     def adjoint(self, y: Array) -> Array:
         """Dᵀ y for y of shape (k·m,), shape (V,)."""
-        out = np.zeros(self._n_voxels)
+        out = np.zeros(self.n_voxels)
         _adjoint(self._starts, self._voxels, self._values, y, out)
         return out
 
@@ -132,25 +128,6 @@ def _times(
             value = x[voxels[e]]
             for c in range(m):
                 sums[c] += values[e, c] * value
-
-
-@compiled(nogil=True)
-def _some_times(
-    starts: NDArray[np.int64],
-    voxels: Voxels,
-    values: Array,
-    x: Array,
-    rows: NDArray[np.int64],
-    out: Array,
-) -> None:
-    """Some rows of D x (compiled)."""
-    m = values.shape[1]
-    for i in range(len(rows)):
-        s, c = rows[i] // m, rows[i] % m
-        total = 0.0
-        for e in range(starts[s], starts[s + 1]):
-            total += values[e, c] * x[voxels[e]]
-        out[i] = total
 
 
 @compiled(nogil=True)

@@ -249,8 +249,8 @@ class RecursiveFit:
     def downdate(self, index: int) -> None:
         """Remove one measurement, as if it had never been made.
 
-        O(k²) for each of its rows; where one of them was a pivot, O(n k) more and
-        usually a pair of solves with A for its replacement.
+        O(n k + k³). Of a quarter as many removals as there are measurements held, the
+        last takes O(n k²) and a pair of solves with A at most for each of their rows.
 
         Args:
             index: Its number, `Innovation.index`.
