@@ -9,6 +9,7 @@ import trimesh
 from tests.kit import torso
 from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.arrow import SECTIONS, _tube
+from ttus_opt.viewer.looks import lit
 from ttus_opt.viewer.skin import SkinMesh, place_on_ray
 
 
@@ -36,16 +37,24 @@ def test_the_area_is_that_of_a_cylinder():
 def test_the_file_of_the_skin_is_read_by_another_program():
     skin = SkinMesh.of(torso())
     drawn = skin.cut(np.array([0.0, 0.0, 1.0]), 0.1)
-    content = skin.glb(np.full((len(skin.z), 3), 9), drawn)
+    content = skin.glb(np.full((len(skin.z), 3), 0.5), drawn)
     mesh = trimesh.load_mesh(io.BytesIO(content), "glb", process=False)
     np.testing.assert_allclose(mesh.vertices, skin.vertices, rtol=1e-6, atol=1e-9)
     np.testing.assert_array_equal(mesh.faces, drawn)
-    assert skin.normals.astype("<f4").tobytes() in content  # which trimesh leaves out
     whole = trimesh.Trimesh(skin.vertices, skin.faces, process=False)
     assert np.linalg.norm(whole.vertex_normals - skin.normals, axis=1).max() < 0.05
-    material = mesh.visual.material
-    assert material.doubleSided and material.roughnessFactor == 0.95
-    assert material.metallicFactor == 0.0
+    assert mesh.visual.material.doubleSided
+
+
+def test_light_is_what_a_rough_surface_sends():
+    """Lambert's law, of an even light and two from the sides of the front."""
+    grey, front = np.full((3, 3), 188, np.uint8), np.array([0.0, 1.0, 0.0])
+    normals = np.array([front, -front, [1.0, 0.0, 0.0]])
+    one = np.array([[0.7, 1.0, -0.5]]) / np.sqrt(0.49 + 1.0 + 0.25)
+    cosines = np.array([2.0 * one[0, 1], 0.0, one[0, 0]])
+    expected = 0.5 * 2.1 / np.pi * (1.0 + 0.35 * cosines)  # 188 is half of the light
+    found = lit(grey, normals, front)
+    np.testing.assert_allclose(found, np.tile(expected[:, None], 3), rtol=7e-3)
 
 
 @pytest.mark.parametrize("high", [0.02, 0.0])

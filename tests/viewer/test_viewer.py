@@ -12,6 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
+from tests.kit import torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
@@ -19,7 +20,9 @@ from ttus_opt.viewer import colouring
 from ttus_opt.viewer.arrow import STEP, TIP
 from ttus_opt.viewer.colour_map import node_colours
 from ttus_opt.viewer.colouring import Colouring
+from ttus_opt.viewer.first_camera import FirstCamera, front_of
 from ttus_opt.viewer.guarded_server import guarded_server
+from ttus_opt.viewer.looks import lit
 from ttus_opt.viewer.page import along_line
 from ttus_opt.viewer.patient_nodes import PatientNodes, patients_on
 from ttus_opt.viewer.viewer import Viewer, probe_of
@@ -42,7 +45,7 @@ def vertex_colours(glb):
     accessor = tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
     about = tree["accessors"][accessor]
     start = 28 + length + tree["bufferViews"][about["bufferView"]]["byteOffset"]
-    data = np.frombuffer(glb, np.uint8, 4 * about["count"], start)
+    data = np.frombuffer(glb, np.uint16, 4 * about["count"], start)
     return data.reshape(-1, 4)[:, :3]
 
 
@@ -62,12 +65,14 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer):
         viewer.page.stage.nodes, skin.colourings("Stiffness"), strict=True
     ):
         mesh = trimesh.load_mesh(io.BytesIO(nodes._mesh.glb_data), "glb", process=False)
-        sent = vertex_colours(nodes._mesh.glb_data) / 255.0
+        white = np.full((len(mesh.vertices), 3), 255, np.uint8)
+        light = lit(white, viewer.page.stage.skin.normals, front_of(torso()))
+        sent = vertex_colours(nodes._mesh.glb_data) / 65_535 / light
         shown = np.where(
             sent < 0.0031308, 12.92 * sent, 1.055 * sent ** (1 / 2.4) - 0.055
         )
         expected = node_colours(found, span) / 255.0
-        np.testing.assert_allclose(shown, expected, atol=0.06)  # 8 bits, linear
+        np.testing.assert_allclose(shown, expected, atol=0.01)  # of 1, no more is sent
         np.testing.assert_allclose(
             mesh.vertices, viewer.page.stage.skin.vertices, atol=1e-6
         )
@@ -113,7 +118,7 @@ def test_a_skin_is_drawn_once_and_before_its_probe():
 
 def test_arrows_are_drawn_from_what_can_be_felt(viewer):
     skin, touch = viewer.page.stage.skin, viewer.state.touches[0]
-    at = np.zeros(3), np.array([0.0, 1.0, 0.0])
+    at = np.zeros(3), FirstCamera.of(torso(), 0.2)
     # apart from those that the page moves
     nodes = PatientNodes(viewer._served.server.scene, "alone", skin, *at)
     nodes.add_probe(TriangleMesh(probe().points, np.arange(3)[None]), (0, 0, 0))

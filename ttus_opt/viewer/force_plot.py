@@ -37,7 +37,9 @@ ON_CLICK = """
 """
 
 
-def series(names: Sequence[str], *, measured: bool, marker: bool = False) -> Any:
+def series(
+    names: Sequence[str], *, measured: bool = False, marker: bool = False
+) -> Any:
     """Time, then the measured force, every field's and the present frame's."""
     out: list[dict[str, Any]] = [{"label": "t [s]"}]
     line = {"points": {"show": False}}

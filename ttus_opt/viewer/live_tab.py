@@ -13,7 +13,7 @@ from ttus_opt.core.errors import TtusError
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
-from ttus_opt.viewer.readout import TABLE
+from ttus_opt.viewer.readout import TABLE, small
 from ttus_opt.viewer.stage import Stage, by_hand
 
 #: Longest round trip [ms], most loss [%] and range of a prior's factor of the inputs
@@ -57,9 +57,12 @@ class LiveTab:
             "the simulated hand presses", True, hint="a drag of the probe takes over"
         )
         self.plot = add_plot(gui, self._columns(), series(["felt"], measured=True))
-        gui.add_markdown(
-            "Felt and measured force at the pose of the measurement, whatever the "
-            "delay. The patient is simulated; felt is what the operator's model gives."
+        gui.add_html(
+            small(
+                "Felt and measured force at the pose of the measurement, whatever the "
+                "delay. The patient is simulated; felt is what the operator's model "
+                "gives."
+            )
         )
         self.prior = gui.add_slider(
             "prior too stiff by", min=PRIORS[0], max=PRIORS[1], step=0.1,

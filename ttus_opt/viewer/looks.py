@@ -7,6 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.page_script import COARSE, run_on_pages
 
 if TYPE_CHECKING:
@@ -14,6 +18,9 @@ if TYPE_CHECKING:
 
 #: Intensity of the even light; π shows a surface in its own colour
 LIGHT = 2.1
+
+#: Intensity of each of two lights, of that
+SIDE = 0.35
 
 #: Width of the panel [px]
 WIDTH = 360
@@ -43,7 +50,28 @@ def dress(server: viser.ViserServer) -> list[Any]:
     scene.add_light_ambient("/light/even", intensity=LIGHT)
     return [
         scene.add_light_directional(
-            f"/light/from{k}", intensity=0.35 * LIGHT, position=(x, 1.0 + y, z)
+            f"/light/from{k}", intensity=SIDE * LIGHT, position=(x, 1.0 + y, z)
         )
         for k, (x, y, z) in enumerate(SIDES)
     ]
+
+
+def lit(colours: NDArray[np.uint8], normals: Array, front: Array) -> Array:
+    """Light that a rough surface sends under these lights, which move with the front.
+
+    A page that draws by software would compute it at every pixel of every frame.
+
+    Args:
+        colours: sRGB, 0 to 255, shape (n, 3).
+        normals: Unit vectors, shape (n, 3) [–].
+        front: Direction that is up, shape (3,) [–].
+
+    Returns:
+        Linear, 1 for white in full light, shape (n, 3) [–].
+    """
+    share = colours / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    towards = front + np.array(SIDES)
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    sides = np.maximum(normals @ towards.T, 0.0).sum(axis=1, keepdims=True)
+    return np.asarray(LIGHT / np.pi * (1.0 + SIDE * sides) * linear)

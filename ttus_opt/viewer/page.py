@@ -81,8 +81,8 @@ class Page:
         self.probe: ProbeTab | None = None
         self.recording: RecordingTab | None = None
         if shell is not None:
-            with tabs.add_tab("Probe"):
-                self.probe = ProbeTab(self.stage)
+            with (tab := tabs.add_tab("Probe")):
+                self.probe = ProbeTab(self.stage, tab)
             self._listen(self.probe)
         with tabs.add_tab("Skin"):
             self.skin = SkinTab(self.stage, legend, stated)

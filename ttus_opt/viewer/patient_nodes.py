@@ -18,7 +18,7 @@ from ttus_opt.viewer.arrow import Arrow
 from ttus_opt.viewer.colour_map import MARK, MEASURED, UNKNOWN, Pixels, section_pixels
 from ttus_opt.viewer.first_camera import FirstCamera
 from ttus_opt.viewer.guarded_server import Served
-from ttus_opt.viewer.looks import SIDES
+from ttus_opt.viewer.looks import SIDES, lit
 from ttus_opt.viewer.skin import SkinMesh
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class PatientNodes:
         name: Of the nodes.
         skin: Nodes of the skin.
         offset: Where the patient's origin is in the scene, shape (3,) [m].
-        towards: Direction to the first camera, which looks into a cut, shape (3,).
+        first: Of the pages; the camera looks into a cut.
     """
 
     def __init__(
@@ -64,9 +64,9 @@ class PatientNodes:
         name: str,
         skin: SkinMesh,
         offset: Array,
-        towards: Array,
+        first: FirstCamera,
     ) -> None:
-        self._scene, self._name, self._towards = scene, name, towards
+        self._scene, self._name, self._first = scene, name, first
         self.skin, self.offset = skin, offset
         self._colours = np.full((len(skin.theta), 3), UNKNOWN, dtype=np.uint8)
         self._faces: IntArray = skin.faces
@@ -75,7 +75,7 @@ class PatientNodes:
         self._marks: list[Any] = []
         scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
         self._mesh = scene.add_glb(
-            f"/{name}/skin", skin.glb(self._colours, skin.faces), cast_shadow=False
+            f"/{name}/skin", self._glb(), cast_shadow=False, receive_shadow=False
         )
         self.probe: Any = None
 
@@ -113,7 +113,9 @@ class PatientNodes:
         """Draw a section and cut the skin open there; None closes it."""
         faces = self.skin.faces
         if shown is not None:
-            normal = shown.normal * (1.0 if shown.normal @ self._towards > 0 else -1.0)
+            normal = shown.normal * (
+                1.0 if shown.normal @ self._first.away > 0 else -1.0
+            )
             faces = self.skin.cut(normal, float(shown.origin @ normal))
         if not np.array_equal(faces, self._faces):
             self._paint(None, faces)
@@ -175,7 +177,11 @@ class PatientNodes:
         with self._painting:
             self._colours = self._colours if colours is None else colours
             self._faces = self._faces if faces is None else faces
-            self._mesh.glb_data = self.skin.glb(self._colours, self._faces)
+            self._mesh.glb_data = self._glb()
+
+    def _glb(self) -> bytes:
+        light = lit(self._colours, self.skin.normals, self._first.front)
+        return self.skin.glb(light, self._faces)
 
 
 def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNodes]:
@@ -198,7 +204,7 @@ def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNod
             light.position = first.front + side
         first.show_on(server)
         served.patients.extend(
-            PatientNodes(server.scene, f"patient{k}", skin, offset, first.away)
+            PatientNodes(server.scene, f"patient{k}", skin, offset, first)
             for k, offset in enumerate(offsets)
         )
     return served.patients

@@ -9,6 +9,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.force_plot import add_plot, series
+from ttus_opt.viewer.readout import small
 from ttus_opt.viewer.stage import Stage, by_hand
 from ttus_opt.viewer.state import LEAST, MOST
 
@@ -36,9 +37,9 @@ TURNS = {
 }
 
 HELP = (
-    "Drag the probe over the skin, with *shift* into it, or click on the skin. "
-    "Keys: J L around, I K along, U O lift and press by 1 mm; with *shift* they tilt "
-    "and turn by 1°."
+    "Drag the probe over the skin, with <i>shift</i> into it, or click on the skin. "
+    "Keys: J L around, I K along, U O lift and press by 1 mm; with <i>shift</i> they "
+    "tilt and turn by 1°."
 )
 
 
@@ -47,10 +48,11 @@ class ProbeTab:
 
     Args:
         stage: The page.
+        tab: Where they are.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage, gui = stage, stage.server.gui
+    def __init__(self, stage: Stage, tab: Any) -> None:
+        self._stage, self._tab, gui = stage, tab, stage.server.gui
         self._points: deque[tuple[float, list[float]]] = deque()
         self._depth = gui.add_slider(
             "depth [mm]", min=1e3 * LEAST, max=1e3 * MOST, step=0.1, initial_value=0.0
@@ -68,12 +70,8 @@ class ProbeTab:
         self.free = gui.add_checkbox(
             "handle", False, hint="arrows and rings at the probe, for any pose"
         )
-        told = series(stage.names, measured=False)
-        self.plots = tuple(
-            add_plot(gui, columns, told, quantity=quantity)
-            for columns, quantity in zip(self.columns(), QUANTITIES, strict=True)
-        )
-        gui.add_markdown(HELP)
+        gui.add_html(small(HELP))
+        self.plots: tuple[Any, ...] = ()
         self._listen()
         self.show()
 
@@ -103,15 +101,24 @@ class ProbeTab:
             points.popleft()
 
     def draw(self) -> None:
-        """Draw the running plots."""
+        """Draw the running plots, once something has moved."""
+        if len(self._points) < 2:
+            return
+        if not self.plots:
+            gui, told = self._stage.server.gui, series(self._stage.names)
+            with self._tab:
+                self.plots = tuple(
+                    add_plot(gui, columns, told, quantity=quantity)
+                    for columns, quantity in zip(
+                        self.columns(), QUANTITIES, strict=True
+                    )
+                )
         for plot, columns in zip(self.plots, self.columns(), strict=True):
             plot.data = columns
 
     def columns(self) -> tuple[tuple[Array, ...], ...]:
         """Of every plot: time [s] and every field's, force [N] and torque [mN m]."""
         fields = len(self._stage.names)
-        if len(self._points) < 2:
-            return (tuple(np.zeros((fields + 1, 2))),) * 2
         times, sizes = zip(*self._points, strict=True)
         time = np.maximum(np.array(times) - times[-1], -SHOWN)
         felt = np.array(sizes).T

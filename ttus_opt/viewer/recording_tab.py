@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.viewer.force_plot import add_plot, go_on_click, series
+from ttus_opt.viewer.readout import small
 from ttus_opt.viewer.recording import Recording
 from ttus_opt.viewer.stage import Stage, by_hand
 
@@ -39,7 +40,7 @@ class RecordingTab:
         most = max(float(np.nanmax(one, initial=0.1)) for one in recording.sizes)
         self.plot = add_plot(gui, self._columns(None), told, (0.0, 1.05 * most))
         grey = "Grey is the measured force. " if self.has_force else ""
-        gui.add_markdown(f"{grey}A click on the plot goes to that pose.")
+        gui.add_html(small(f"{grey}A click on the plot goes to that pose."))
         go_on_click(stage.server, self.plot, self.frame)
         by_hand(self.frame, self._go, stage.tell)
         by_hand(self.playing, self._start, stage.tell)

@@ -18,14 +18,18 @@ from ttus_opt.scan.surface import Surface
 #: Distance between nodes: the skin's shape to a fraction of a millimetre [m]
 SPACING = 0.01
 
-#: A material that does not shine, seen from both sides
+#: A material whose colours are drawn as they are, seen from both sides
 MATERIAL = {
-    "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.95},
+    "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+    "extensions": {"KHR_materials_unlit": {}},
     "doubleSided": True,
 }
 
 #: glTF's numbers of the types of numbers
-TYPES = {"uint32": 5125, "float32": 5126, "uint8": 5121}
+TYPES = {"uint32": 5125, "float32": 5126, "uint16": 5123}
+
+#: What a colour of 1 is stored as
+MOST = 2**16 - 1
 
 #: Steps along a ray, and bisections of the one in which it enters [–]
 RAY_STEPS, BISECTIONS = 400, 20
@@ -79,23 +83,18 @@ class SkinMesh:
         behind: NDArray[np.bool_] = self.vertices @ normal <= offset
         return np.asarray(self.faces[behind[self.faces].any(axis=1)])
 
-    def glb(self, colours: NDArray[np.uint8], faces: IntArray) -> bytes:
+    def glb(self, light: Array, faces: IntArray) -> bytes:
         """The skin as a binary glTF 2.0 file.
 
         Args:
-            colours: Of the nodes: sRGB, 0 to 255, shape (n, 3).
+            light: That the nodes send, linear, 0 to 1, shape (n, 3).
             faces: Those to draw, shape (k, 3) [–].
         """
-        share = colours / 255.0
-        linear = np.where(
-            share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
-        )
-        rgba = np.full((len(linear), 4), 255, dtype=np.uint8)
-        rgba[:, :3] = np.rint(255.0 * linear)
+        rgba = np.full((len(light), 4), MOST, dtype=np.uint16)
+        rgba[:, :3] = np.rint(MOST * np.minimum(light, 1.0))
         arrays = {
             "indices": faces.reshape(-1, 1).astype("<u4"),
             "POSITION": self.vertices.astype("<f4"),
-            "NORMAL": self.normals.astype("<f4"),
             "COLOR_0": rgba,
         }
         views: list[dict[str, Any]] = []
@@ -107,7 +106,7 @@ class SkinMesh:
                 {
                     "bufferView": k,
                     "componentType": TYPES[values.dtype.name],
-                    "normalized": values.dtype == np.uint8,
+                    "normalized": values.dtype == np.uint16,
                     "type": "SCALAR"
                     if values.shape[1] == 1
                     else f"VEC{values.shape[1]}",
@@ -121,6 +120,7 @@ class SkinMesh:
         drawn = {"indices": where.pop("indices"), "attributes": where, "material": 0}
         tree = {
             "asset": {"version": "2.0"},
+            "extensionsUsed": ["KHR_materials_unlit"],
             "scene": 0,
             "scenes": [{"nodes": [0]}],
             "nodes": [{"mesh": 0}],

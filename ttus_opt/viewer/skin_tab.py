@@ -10,6 +10,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours, skin_legend
 from ttus_opt.viewer.colouring import Colouring
+from ttus_opt.viewer.readout import small
 from ttus_opt.viewer.stage import Stage, by_hand
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class SkinTab:
 
     def show(self, name: str) -> None:
         """Colour the skin, soon."""
-        self._legend.content = _plain("computing …")
+        self._legend.content = small("computing …")
         self._stage.jobs.post("colours", lambda: self._paint(name))
 
     def forget(self) -> None:
@@ -76,10 +77,10 @@ class SkinTab:
         try:
             found = self.colourings(name)
         except InputError as error:
-            self._legend.content = _plain(str(error))
+            self._legend.content = small(escape(str(error)))
             return
         except Exception:
-            self._legend.content = _plain("not computed")
+            self._legend.content = small("not computed")
             raise
         lows, highs = zip(*(one.span for one in found), strict=True)
         span = min(lows), max(highs)
@@ -120,7 +121,3 @@ class SkinTab:
         if callable(self._stated):
             self._stated = self._stated()
         return self._stated
-
-
-def _plain(text: str) -> str:
-    return f'<div style="font-size:12px;padding:2px 12px 8px">{escape(text)}</div>'

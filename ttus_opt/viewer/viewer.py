@@ -17,7 +17,6 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.viewer.guarded_server import PORT, Served, guarded_server
 from ttus_opt.viewer.page import Page
 from ttus_opt.viewer.state import ViewState
-from ttus_opt.viewer.touch import Touch
 from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class Viewer:
         with self._served.server.atomic():  # drawn once, not part by part
             self.page = Page(self._served, state, names, mesh, uncertainty)
         self._closing = threading.Event()
-        self._drawn: tuple[Touch, ...] | None = None
+        self._drawn = state.touches
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
         atexit.register(self.close)  # before viser's own end of a forgotten server
