@@ -170,29 +170,3 @@ def test_bad_input_is_one_line(scans, tmp_path, monkeypatch, capsys, given, told
     assert "\n" not in error
     assert __import__("re").search(told, error), error
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_a_person_before_a_wall_is_cropped_and_faces_the_camera(tmp_path, capsys):
-    """A front too flat for a circle, whose side only the camera's place tells."""
-    camera = Camera((0.3, 2.4, 0.1), (0.0, 0.0, 0.0), shape=(240, 320), focal=300.0)
-    body = see_ellipsoid(camera, np.zeros(3), np.array([0.2, 0.035, 0.45]))
-    wall = plane(camera, np.array([0.0, 1.0, 0.0]), -1.0)
-    depth = measured(np.minimum(body, wall), 0.001, 0.02, np.random.default_rng(0))
-    assert cv2.imwrite(str(tmp_path / "room.png"), millimetres(depth))
-    told = {"K": camera.matrix.tolist(), "width": 320, "height": 240}
-    (tmp_path / "camera.json").write_text(json.dumps(told))
-    pose = camera.pose
-    q = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
-    line = ",".join(f"{v:.9f}" for v in [0, *pose[:3, 3], *q])
-    (tmp_path / "pose.csv").write_text(f"t,px,py,pz,qw,qx,qy,qz\n{line}\n")
-    given = ["surface", str(tmp_path / "room.png"), "--no-support", "--head", "0,0,1"]
-    given += ["--intrinsics", str(tmp_path / "camera.json")]
-    given += ["-o", str(tmp_path / "s.nc")]
-    assert run(*given, "--poses", str(tmp_path / "pose.csv"), "--json") == 0
-    told = capsys.readouterr()
-    assert "room.png shows a room: only the body that stands alone" in told.err
-    frame = np.array(json.loads(told.out)["axis_rotation"])
-    assert frame[:, 1] @ [0.0, 1.0, 0.0] > 0.97  # to the front, not to the wall
-    # one image's points are in the camera's own frame, and so is its place
-    assert run(*given[:-4], "0,-1,0", *given[-4:], "--seen-from", "0,0,-1") == 2

@@ -96,17 +96,3 @@ def test_evidence_finds_what_the_data_were_made_with():
     assert law.noise == pytest.approx(0.1, rel=0.3)
     assert 0.015 < law.length < 0.06
     assert 0.2 < law.deviation < 0.6
-
-
-@pytest.mark.slow
-def test_unseen_places_are_predicted_better_than_by_one_stiffness():
-    data = palpation(200, 0.05)
-    seen = Palpation(data.depth[::2], data.place[::2], data.force[::2])
-    found = made(seen)
-    own, single = [], []
-    for h, s, f in zip(
-        data.depth[1::2], data.place[1::2], data.force[1::2], strict=True
-    ):
-        own.append(found._normal_force(Contact(h, 0.0, s, STILL, NO_PATCH)) - f)
-        single.append(found.mean_stiffness * h**found.law.exponent - f)
-    assert np.abs(own).mean() < 0.4 * np.abs(single).mean()

@@ -136,19 +136,6 @@ def test_force_starts_from_zero(name, grid, sampling):
         assert np.abs(press.push(rows, p)).max() < 1e-5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("grid", ["coarse", "S", "anisotropic"])
-def test_trilinear_presses_are_continuous(grid):
-    """Half the step, half the largest jump; also with both ends of the press."""
-    at = fields(surface_folder("example"), GRIDS[grid], "trilinear")
-    press = Press.of(at.voxmap.surface, PLACES)
-    jumps = []
-    for n in (401, 801):
-        rows = press.rows(at, depths(len(PLACES), -0.004, 0.004, n))
-        jumps.append(np.abs(np.diff(press.push(rows, at.eq10), axis=1)).max())
-    assert jumps[1] < 0.55 * jumps[0]
-
-
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("r_inner", [0.10, 0.03])
 def test_beyond_the_inner_layer_the_force_keeps_its_direction(r_inner, sampling):

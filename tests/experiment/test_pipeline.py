@@ -9,17 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import ttus_opt as tt
 from tests.kit import FileError, InputError, MissingPackageError, refuses
 from ttus_opt import experiment
-from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.experiment import patients as phantoms
 from ttus_opt.experiment import pipeline
 from ttus_opt.experiment.boundary import FACTORS
-from ttus_opt.experiment.fits import FITTED
-from ttus_opt.experiment.patients import PROBE_SPEC, patients
+from ttus_opt.experiment.patients import patients
 from ttus_opt.experiment.pipeline import ITSELF, _wanted
-from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.experiment.tables import title
 from ttus_opt.fitting.path.task_pool import task_pool
@@ -49,34 +45,6 @@ def test_rows_are_there_for_every_setting_and_recording(done):
     assert {name for name, _, _ in told} == settings | {ITSELF}
     assert len(stages) <= experiment.n_stages(PLAN)
     assert [row.factor for row in result.boundary] == list(FACTORS)
-
-
-@pytest.mark.slow
-def test_drag_of_every_point_is_nearer_to_the_phantoms_than_that_of_the_patch(done):
-    """Its skin drags node by node: on a new press, against the true wrenches."""
-    examination = done[1].patients[0].examination
-    shell = tt.PointShell.from_spec(PROBE_SPEC)
-    fitted = [examination.measured[name] for name in FITTED]
-    scene = ScenePlan(PLAN.shape, inner="fit").build(examination.surface, shell, fitted)
-
-    def score(acts_at):
-        solution = tt.fit(
-            scene,
-            "coulomb_global",
-            force_weight=1.0,
-            torque_weight=1.0,
-            acts_at=acts_at,
-        )
-        new = examination.true["press_test"]
-        return Score.of(tt.evaluate(solution.field, shell, new))
-
-    points, patch = score("auto"), score("contact")
-    for name, share in (
-        ("force_magnitude_error_N", 0.95),
-        ("force_angle_error_deg", 0.95),
-        ("torque_angle_error_deg", 0.8),
-    ):
-        assert getattr(points, name) < share * getattr(patch, name)
 
 
 @pytest.mark.slow

@@ -160,32 +160,6 @@ def test_stored_energy_at_the_start_is_the_volume_integral(new):
     assert renderer.blend.stored_gap == pytest.approx(expected, rel=0.04)
 
 
-@pytest.mark.slow
-def test_stored_energy_follows_the_motion():
-    """Observed along a walk, ΔU stays the volume integral, and ends at zero."""
-    walk = Walk.make(5)
-    old, new = field_of(1.0), field_of(1.7)
-    renderer = Renderer(old, shell(4000))
-    start = 300
-    renderer.render(walk.rotation[start], walk.position[start])
-    renderer.update(new)
-    difference = field_of(0.7)
-    scale = max(
-        stored_energy(difference, walk.rotation[k], walk.position[k])
-        for k in range(start, 1000, 100)
-    )
-    checked = 0
-    for k in range(start, 1000):
-        contact = renderer.render(walk.rotation[k], walk.position[k]).contact_points
-        if contact == 0 or renderer.blend.progress == 1.0:
-            break
-        if k % 50 == 0:
-            expected = stored_energy(difference, walk.rotation[k], walk.position[k])
-            assert abs(renderer.blend.stored_gap - expected) < 0.05 * scale
-            checked += 1
-    assert checked > 2
-
-
 #: Sampling, reserve and seed: all of them, three that are quick to have
 WALKS = [
     pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.slow])

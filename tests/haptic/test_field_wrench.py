@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing
-from ttus_opt import example
 from ttus_opt.cli import main
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.field_wrench import wrenches_along
@@ -69,33 +68,6 @@ def test_the_command_writes_what_evaluate_judges(law, tmp_path):
     np.testing.assert_allclose(written.torque, judged.rendered_torque, atol=1e-12)
     assert judged.errors.force_vector_rmse_N < 1e-11
     assert judged.errors.frames_in_contact > 15
-
-
-@pytest.mark.slow
-def test_a_frame_of_the_bundled_drag_sweep():
-    """Rendered as evaluated: without drag it was 1.3 N beside it."""
-    surface = tt.Surface.load(example.path("surface.nc"))
-    shell = tt.PointShell.from_spec(example.PROBE)
-    recorded = tt.read_trajectory(example.path("sweep_drag_fit.csv"))
-    scene = tt.Scene.assemble(
-        tt.Voxmap.from_surface(surface, shape=(12, 36, 16), r_inner=0.03),
-        shell,
-        recorded.select(slice(None, None, 4)),
-        inner="fit",
-        sampling="trilinear",
-    )
-    field = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2).field
-    judged = tt.evaluate(field, shell, recorded)
-    k = 90
-    np.testing.assert_allclose(recorded.force[k], [0.49, 4.64, -1.68], atol=5e-3)
-    pose = recorded.rotation[k], recorded.position[k]
-    whole = tt.Renderer(field, shell).render(*pose, recorded.twist()[k])
-    np.testing.assert_allclose(whole.force, judged.rendered_force[k], atol=1e-11)
-    np.testing.assert_allclose(whole.torque, judged.rendered_torque[k], atol=1e-12)
-    with pytest.warns(tt.TtusWarning, match="friction_coefficient"):
-        bare = tt.Renderer(field, shell).render(*pose)
-    assert np.linalg.norm(bare.force - recorded.force[k]) > 1.2
-    assert np.linalg.norm(whole.force - recorded.force[k]) < 0.6
 
 
 def test_evaluate_counts_points_beyond_the_inner_layer():

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.kit import InputError, refuses, small_scene, torso
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.wrench import render_frame
 
@@ -37,38 +36,6 @@ def test_render_is_the_row_of_the_fit(scene):
         np.testing.assert_allclose(wrench.force, force[t], rtol=0, atol=1e-12)
         np.testing.assert_allclose(wrench.torque, torque[t], rtol=0, atol=1e-13)
     assert touched > 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-def test_the_law_at_five_thousand_points(sampling):
-    """Random poses, from the air to half sunk and over the ends of the grid."""
-    rng = np.random.default_rng(7)
-    surface = torso(180, 61)
-    voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
-    shell = tt.PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=5000)
-    values = rng.normal(size=voxmap.grid.shape)
-    renderer = tt.Renderer(tt.PotentialField(voxmap, values, sampling), shell)
-    rotation = Rotation.random(60, rng=rng).as_matrix()
-    angle, z = rng.uniform(0, 2 * np.pi, 60), rng.uniform(-0.02, 0.22, 60)
-    r = surface.radius_at(angle, z) + rng.uniform(-0.02, 0.03, 60)
-    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-    rows = contact_rows(voxmap, shell, rotation, position, sampling=sampling)
-    force = (rows.N @ values.reshape(-1)).reshape(-1, 3)
-    torque = (rows.W @ values.reshape(-1)).reshape(-1, 3)
-    assert (rows.contact_points > 500).sum() > 20
-    assert (rows.contact_points == 0).sum() > 2
-    out = np.empty(6)
-    for t in range(60):
-        wrench = renderer.render(rotation[t], position[t])
-        assert wrench.contact_points == rows.contact_points[t]
-        assert wrench.in_grid == rows.in_grid[t]
-        assert wrench.beyond_inner == rows.beyond_inner[t]
-        np.testing.assert_allclose(wrench.force, force[t], rtol=0, atol=2e-12)
-        np.testing.assert_allclose(wrench.torque, torque[t], rtol=0, atol=1e-13)
-        count = renderer.render_into(rotation[t], position[t], out)
-        assert count == (wrench.contact_points if wrench.in_grid else -1)
-        np.testing.assert_array_equal(out, [*wrench.force, *wrench.torque])
 
 
 def least_memory(frame):

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.live.springy import BALL, PLAN, RADIUS, Spring, parts, path
+from tests.live.springy import BALL, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.hand import Hand
@@ -23,7 +23,6 @@ from ttus_opt.live.haptic_process import (
     LoopPlan,
 )
 from ttus_opt.live.messages import ModelMessage
-from ttus_opt.live.model import LiveModel
 from ttus_opt.live.model_codec import decode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.real_time import Metronome, run_operator
@@ -117,23 +116,6 @@ def test_whatever_ends_the_loop_no_force_is_shown_last(how, tmp_path):
     assert shown[-1] == 0.0
     if how == "end":  # not at once
         assert any(0.0 < force < 0.9 * max(shown) for force in shown[-60:])
-
-
-@pytest.mark.slow
-def test_a_field_of_another_size_is_felt():
-    model, given = plan()
-    with HapticProcess(given).begin(model.field) as loop:
-        until(lambda: np.linalg.norm(loop.shown) > 0.5, loop)
-        before = np.linalg.norm(loop.shown)
-        finer = dataclasses.replace(PLAN, shape=(14, 30, 14))
-        other = LiveModel(model.surface, model.shell, finer)
-        half = other.field
-        half.values[:] *= 0.5
-        loop.update(half)
-        until(lambda: np.linalg.norm(loop.shown) < 0.6 * before, loop)
-        half.values[:] *= 2.0
-        loop.update(half)
-        until(lambda: np.linalg.norm(loop.shown) > 0.8 * before, loop)
 
 
 def test_frames_that_were_missed_are_not_made_up_for():

@@ -1,7 +1,6 @@
 import os
 
 import numpy as np
-import pytest
 
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.live.sealing import SealedChannel, new_key, read_key, write_key
@@ -134,11 +133,6 @@ def fuzzed(count):
 
 def test_fuzzed_packets_are_refused():
     fuzzed(2000)
-
-
-@pytest.mark.slow
-def test_a_hundred_thousand_fuzzed_packets_are_refused():
-    fuzzed(100_000)
 
 
 def test_key_files(tmp_path):

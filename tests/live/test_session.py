@@ -43,13 +43,6 @@ links = st.builds(
 
 
 @pytest.mark.slow
-@settings(max_examples=2, deadline=None)
-@given(links)
-def test_whatever_the_link_does(impairment):
-    goes_well(impairment)
-
-
-@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(links)
 def test_whatever_many_links_do(impairment):
@@ -250,7 +243,7 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
     assert reaches(simulation, State.NORMAL, "follower", 0.5)
 
 
-@pytest.mark.parametrize("seed", some(range(4), 2))
+@pytest.mark.parametrize("seed", some(range(4), 1))
 def test_silence_stops_after_500_ms_and_not_before(seed):
     simulation = session(Impairment(delay=0.1, loss=0.3, burst=10.0, seed=seed))
     heard, operator = 0.0, simulation.operator

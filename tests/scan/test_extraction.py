@@ -47,70 +47,6 @@ def test_noisy_cylinder_is_unbiased_and_its_deviation_honest():
     assert 0.4 < np.sqrt(np.mean(np.concatenate(scores) ** 2)) < 1.3
 
 
-@pytest.mark.slow
-def test_bed_left_in_is_rejected_by_the_weights():
-    """A bed 4 cm behind half of the skin, not taken out as a plane."""
-    rng = np.random.default_rng(0)
-    cloud = cylinder(rng)
-    bed = np.stack(
-        [
-            np.full(40_000, -0.19),
-            rng.uniform(-0.15, 0.15, 40_000),
-            rng.uniform(-0.2, 0.2, 40_000),
-        ],
-        axis=1,
-    )
-    s = plain(np.concatenate([cloud, bed]))
-    error = s.radius - 0.15
-    assert np.abs(error).max() < 0.006
-    assert abs(error.mean()) < 1e-4
-
-
-@pytest.mark.slow
-def test_step_is_followed():
-    """A shoulder: the radius jumps by 6 cm within a spoke and back."""
-    theta = np.random.default_rng(0).uniform(0, 2 * np.pi, 80_000)
-    z = np.random.default_rng(1).uniform(-0.2, 0.2, theta.size)
-    r = np.where((theta > 1.0) & (theta < 2.5), 0.18, 0.12)
-    cloud = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1)
-    s = plain(cloud)
-    plateau = s.radius[(s.theta > 1.2) & (s.theta < 2.3)]
-    np.testing.assert_allclose(plateau, 0.18, atol=0.002)
-    low = s.radius[(s.theta > 2.8) | (s.theta < 0.7)]
-    np.testing.assert_allclose(low, 0.12, atol=0.002)
-
-
-@pytest.mark.slow
-def test_unseen_part_is_marked_filled_and_less_certain():
-    cloud = cylinder(np.random.default_rng(0), noise=0.001)
-    seen = cloud[cloud[:, 0] > -0.05]
-    s = plain(seen)
-    share = 1 - np.arccos(0.05 / 0.15) / np.pi
-    assert s.observed.mean() == pytest.approx(share, abs=0.02)
-    np.testing.assert_allclose(s.radius, 0.15, atol=0.005)
-    back = s.radius_std[len(s.theta) // 2]
-    assert (back > 5 * s.radius_std[0]).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("n_theta", "n_z"), [(9, 2), (36, 20), (181, 40), (90, 150)])
-def test_any_resolution(n_theta, n_z):
-    cloud = cylinder(np.random.default_rng(0))
-    s = plain(cloud, n_theta=n_theta, n_z=n_z)
-    assert s.radius.shape == (n_theta, n_z)
-    assert abs(s.radius[s.observed].mean() - 0.15) < 3e-4
-
-
-@pytest.mark.slow
-def test_given_heights_and_frame():
-    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    axis = Axis(np.array([1.0, 2, 3]), turn)
-    cloud = axis.to_scan(cylinder(np.random.default_rng(0)))
-    s = extract_surface(cloud, axis=axis, z_range=(-0.1, 0.05), support=None)
-    assert (s.z[0], s.z[-1]) == (-0.1, 0.05)
-    assert np.abs(s.radius - 0.15).max() < 0.004
-
-
 @pytest.mark.parametrize(
     ("slices", "option", "reach"),
     [
@@ -392,16 +328,6 @@ def test_real_scan_is_followed():
 
 
 @pytest.mark.slow
-def test_real_shoulders_are_not_a_side():
-    """The last slices fell by up to 59 mm from one to the next, marked as seen."""
-    _, s = real_scan()
-    both = s.observed[:, 1:] & s.observed[:, :-1]
-    steps = np.abs(np.diff(s.radius, axis=1)) * both
-    assert steps.max() < 2.0 * (s.z[1] - s.z[0])
-    assert 0.15 < s.observed[:, -5:].mean() < 0.35
-
-
-@pytest.mark.slow
 def test_real_table_is_never_skin():
     cloud, s = real_scan()
     plane = find_supporting_plane(cloud)
@@ -421,16 +347,6 @@ def test_real_table_is_never_skin():
     assert len(table) > 4000
     gap, _ = cKDTree(table).query(s.axis.to_scan(nodes[s.observed]))
     assert gap.min() > 0.008
-
-
-@pytest.mark.slow
-def test_real_surface_is_smooth_and_closed():
-    _, s = real_scan()
-    assert np.isfinite(s.radius).all() and (s.radius_std > 0).all()
-    r = np.concatenate([s.radius[-1:], s.radius, s.radius[:1]])
-    bend = np.abs(r[2:] - 2 * r[1:-1] + r[:-2])
-    assert np.percentile(bend, 99) < 0.004
-    assert bend[[0, -1]].mean() < 2 * bend.mean()  # no seam where the lap closes
 
 
 AXIS = Axis(np.zeros(3), np.eye(3))

@@ -111,13 +111,6 @@ def test_turning_the_examples_scan_keeps_its_frame():
 
 
 @pytest.mark.slow
-def test_many_turns_of_the_examples_scan():
-    angle, distance = turned_around(tt.read_cloud(example.path("scan.ply")), 40)
-    assert angle < 0.5
-    assert distance < 2e-3
-
-
-@pytest.mark.slow
 def test_head_and_front_of_a_real_torso():
     """A CT's skin: x to the right, y to the front and z to the head (RAS)."""
     path = shared_data("torso/ct_skin_mm.ply")

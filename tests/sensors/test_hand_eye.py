@@ -54,18 +54,6 @@ def test_noise_shows_in_the_loop():
     assert found.loop.worst > found.loop.gap
 
 
-@pytest.mark.slow
-def test_the_real_pairs(shared):
-    A, B = read_pose_pairs(shared / "markers" / "handeye" / "pose_samples.json")
-    found = hand_eye(A, B, "fixed")
-    assert found.pairs == 50
-    assert found.spread < 1e-3
-    for candidate in found.candidates.values():
-        assert candidate.loop.gap == pytest.approx(4.3e-3, abs=0.1e-3)
-        assert np.rad2deg(candidate.loop.twist) == pytest.approx(0.084, abs=0.005)
-    refuses(InputError, r"4\.3 mm with camera='fixed'", hand_eye, A, B, "moving")
-
-
 @pytest.mark.parametrize("which", ["marker", "hand"])
 def test_inverted_poses_are_noticed(which):
     A, B = pairs("moving")

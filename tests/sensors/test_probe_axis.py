@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.kit import GeometryError, InputError, refuses, shared_data
+from tests.kit import GeometryError, InputError, refuses
 from ttus_opt.sensors.probe_axis import axis_from_probe
 
 #: Probe to a scan whose axes are right, front, head: x to the left, y to the feet
@@ -75,29 +75,6 @@ def test_turned_and_shifted_with_the_scan(seed):
     np.testing.assert_allclose(turned.rotation, R @ still.rotation, atol=1e-6)
     # the plane of the bed is found by trials
     np.testing.assert_allclose(turned.origin, R @ still.origin + t, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_on_a_real_torso():
-    """A CT's skin: x to the right, y to the front, z to the head; a bed below it."""
-    path = shared_data("torso/ct_skin_mm.ply")
-    rng = np.random.default_rng(0)
-    skin = tt.read_cloud(path, unit="mm")
-    low, high = skin.min(axis=0), skin.max(axis=0)
-    middle = (low + high) / 2
-    bed = rng.uniform(-0.45, 0.45, (60_000, 3)) + middle
-    bed[:, 1] = low[1] + 0.001 * rng.standard_normal(60_000)
-    cloud = np.concatenate([skin, bed])
-    above = skin[np.hypot(skin[:, 0] - middle[0], skin[:, 2] - middle[2]) < 0.01]
-    at = np.array([middle[0], above[:, 1].max() + 0.02, middle[2]])
-    axis = axis_from_probe(probe(at=at), cloud)
-    np.testing.assert_allclose(axis.rotation, np.eye(3), atol=0.01)
-    half = (above[:, 1].max() + low[1]) / 2
-    np.testing.assert_allclose(axis.origin, [middle[0], half, middle[2]], atol=0.006)
-    found = tt.Axis.from_cloud(cloud)
-    assert np.diag(found.rotation.T @ axis.rotation).min() > np.cos(np.deg2rad(8))
-    surface = tt.extract_surface(cloud, axis=axis, n_theta=90, n_z=30)
-    assert surface.observed.mean() > 0.8
 
 
 @pytest.mark.slow

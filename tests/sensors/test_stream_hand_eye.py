@@ -208,6 +208,7 @@ def test_a_real_arm_with_a_colour_camera():
     assert Rotation.from_matrix(off[:3, :3]).magnitude() < np.deg2rad(0.4)
 
 
+@pytest.mark.slow
 def test_halves_of_a_real_recording_agree_within_their_covariance():
     """Squared differences are χ² of six degrees: above 20 once in 400."""
     seen, carried = real()

@@ -149,17 +149,6 @@ def test_the_recording_goes_into_a_folder_of_its_own(tmp_path):
     assert described(made())["title"] == "Synthetic recording"
 
 
-@pytest.mark.slow
-@pytest.mark.long
-def test_forces_as_good_as_with_perfect_calibration(tmp_path):
-    """The whole recording, 48 × 120 × 60 voxels: within a fifth."""
-    truth = write_recording(tmp_path / "recording")
-    result = tt.run_session(tmp_path / "recording", tmp_path / "out")
-    own, best = forces_unseen(result), forces_perfect(result, 20.0)
-    assert truth.offset == pytest.approx(result.timing.offset, abs=0.002)
-    assert own < 1.2 * best
-
-
 def without(recording, stream, lost):
     """Take rows out of the tracker's or the sensor's file, by their times."""
     if stream == "tracker":

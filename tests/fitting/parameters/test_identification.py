@@ -14,7 +14,6 @@ from tests.oracles.dense import least_squares, stacked
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.fitting.parameters.identification import PlaceRows, noise_variance
 from ttus_opt.problem.formulation import load
-from ttus_opt.solvers.dual.limited import Limited
 
 SMALL = (8, 18, 9)
 WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
@@ -352,18 +351,6 @@ def test_forces_that_are_all_zero_do_not_trouble_it(name):
         assert solution.parameters[parameter] == 0.0
 
 
-@pytest.mark.slow
-def test_a_standard_error_is_that_of_a_cold_start(monkeypatch):
-    """Only the way to the fits with pseudo-measurements is shorter."""
-    scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(1))
-    warm = tt.fit(scene, "coulomb_drag", acts_at="contact", **WEIGHTS)
-    monkeypatch.setattr(Limited, "_begin", lambda *_: None)
-    cold = tt.fit(scene, "coulomb_drag", acts_at="contact", **WEIGHTS)
-    assert set(warm.standard_errors) == set(cold.standard_errors)
-    for name, error in cold.standard_errors.items():
-        assert warm.standard_errors[name] == pytest.approx(error, rel=1e-4)
-
-
 def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use():
     scene = small_scene("trilinear", n_poses=30)
     fitted = tt.Scene.assemble(
@@ -411,21 +398,6 @@ def left_out(terms, kept, n):
 
 def jackknifed(found):
     return float(np.sqrt(len(found) - 1) * np.std(found))
-
-
-@pytest.mark.slow
-def test_viscous_drag_varies_as_without_a_place():
-    scene = unlike_places(viscous=True, shared=0.1)
-    solution = tt.fit(scene, "viscous_drag", acts_at="contact", **WEIGHTS)
-    terms, V = list(solution.program.terms), scene.n_voxels
-    place = scene.places
-    assert place.max() > 8
-    found = [left_out(terms, place != k, V + 1)[V] for k in np.unique(place)]
-    told = solution.standard_errors["viscous_coefficient"]
-    assert told == pytest.approx(jackknifed(found), rel=0.25)
-    alone = unlike_places(viscous=True, shared=0.0)
-    plain = tt.fit(alone, "viscous_drag", acts_at="contact", **WEIGHTS)
-    assert told > 2.0 * plain.standard_errors["viscous_coefficient"]
 
 
 @pytest.mark.slow

@@ -133,21 +133,6 @@ def test_what_was_taken_off_is_told():
     np.testing.assert_array_equal(second.position, refined().trajectory.position[120:])
 
 
-@pytest.mark.slow
-def test_a_field_for_refined_poses_predicts_no_worse():
-    """Forces at exact poses; a depth map itself allows for errors of depth (8.5)."""
-    scene, true = examined()
-    exact = replace(true, force=scene.trajectory.force, torque=scene.trajectory.torque)
-    errors = []
-    for recorded in (scene.trajectory, refined().trajectory):
-        plan = tt.contact.scene.ScenePlan(SHAPE, sampling=pose_refinement.SAMPLING)
-        solution = tt.fit(plan.build(torso(), ellipsoid(), recorded), "depth_map")
-        errors.append(
-            tt.evaluate(solution.field, ellipsoid(), exact).errors.force_vector_rmse_N
-        )
-    assert errors[1] < 1.02 * errors[0]
-
-
 def test_exact_poses_stay_as_reported():
     scene, true = examined(0.0, 60)
     with pytest.warns(TtusWarning, match=r"show no errors of poses of 0.5 mm and 0.5°"):

@@ -22,7 +22,6 @@ from ttus_opt.problem.terms.laplace import (
     LaplaceResidualTerm,
     LaplaceTerm,
     ScreenedTerm,
-    SparseSourcesTerm,
     VolumeWeightedTerm,
     free_surface_layer,
 )
@@ -263,24 +262,6 @@ def test_values_that_are_none():
     for bad in ((1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0)):
         term = AnisotropicTerm(SCENE, conductivities=bad)
         refuses(InputError, "three positive numbers", term.rows)
-
-
-LONG = small_scene("trilinear", n_poses=20)
-
-
-@pytest.mark.slow
-def test_sparse_sources_are_sparse():
-    """Squares spread sources over the voxels, absolute values put them into few."""
-    options = {"force_weight": 10.0, "torque_weight": 10.0}
-    spread = tt.fit(LONG, "eq10_hard_boundary", **options)
-    few = tt.fit(LONG, "sparse_sources", sparsity=1e-2, tolerance=1e-7, **options)
-    term = SparseSourcesTerm(LONG).rows()
-
-    def active(field):
-        source = np.abs(term.blocks["p"] @ field.values.reshape(-1) - term.target)
-        return int((source > 1e-4 * source.max()).sum())
-
-    assert 0 < active(few.field) < 0.2 * active(spread.field)
 
 
 def departures(name, refinements, weight):
