@@ -186,25 +186,6 @@ def test_never_forms_q():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("sampling", "shape"),
-    [
-        ("trilinear", (16, 48, 20)),
-        *(
-            pytest.param(sampling, (24, 72, 30), marks=pytest.mark.long)
-            for sampling in ("voxel-mean", "trilinear")
-        ),
-    ],
-)
-def test_200_poses_equal_the_closed_form(sampling, shape):
-    """Against SuperLU on Q, which takes minutes on case S."""
-    scene = small_scene(sampling, shape, n_poses=200)
-    loaded = program(scene, 1e-2)
-    reference = registry.solvers()["closed_form"].prepare(loaded, TIGHT).solve()
-    assert relative(solved(loaded).x, reference.x) < 1e-8
-
-
-@pytest.mark.slow
 def test_a_weight_beyond_single_precision_is_no_crash():
     """1e8 times what is usual: the preconditioner errs, residuals must not run away."""
     case = reference_cases("S")[0].perturbed("noise")

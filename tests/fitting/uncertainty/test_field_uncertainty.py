@@ -131,28 +131,6 @@ def test_covariance_is_that_of_dense_algebra():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(KEPT_SHARE)
-@pytest.mark.parametrize("sized", [1.0, 0.0])
-def test_another_torque_length_with_its_weight_is_the_same_fit(sized):
-    """Also where every measured torque is zero, which tells no length."""
-    scene = three_presses()
-    scene = with_wrenches(scene, scene.f, sized * scene.tau)
-    lengths = [
-        uncertainty(tt.fit(scene, "eq10", force_weight=FORCE, **options), scene)
-        for options in (
-            {"torque_length": scene.torque_length, "torque_weight": TORQUE},
-            {"torque_length": 3.0 * scene.torque_length, "torque_weight": 9 * TORQUE},
-        )
-    ]
-    assert lengths[1].variance == pytest.approx(lengths[0].variance, rel=1e-3)
-    for name in PRIORS:
-        own, other = (getattr(one.noise, name) for one in lengths)
-        assert own == pytest.approx(other, rel=1e-3)
-    own, other = (one.std(unseen()).covariance for one in lengths)
-    np.testing.assert_allclose(own, other, atol=1e-3 * np.abs(other).max())
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings(KEPT_SHARE)
 def test_draws_agree_with_it():
     drawn = uncertainty(fitted(), three_presses(), method="samples")
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size

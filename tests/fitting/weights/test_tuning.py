@@ -150,17 +150,6 @@ def test_a_users_file_is_tuned(tmp_path):
     assert "mine with the weights chosen predicts" in solution.chosen[-1]
 
 
-@pytest.mark.slow  # as of its rows, but from end to end
-def test_any_squares_are_a_prior():
-    """With next to no Tikhonov term the factorised prior is eq. 10's."""
-    scene = tuned().scene
-    found = tt.tune(scene, "tikhonov", compare=False, ridge=1e-9)
-    plain = tt.tune(scene, "eq10", compare=False)
-    for name, weight in plain.weights.items():
-        assert found.weights[name] == pytest.approx(weight, rel=0.3)
-    assert found.check.chosen_error == pytest.approx(plain.check.chosen_error, rel=0.02)
-
-
 def test_forces_alone_are_tuned():
     own = drawn()
     silent = replace(own.trajectory, torque=None)
