@@ -12,6 +12,7 @@ import typer
 from ttus_opt.cli import command as command_module
 from ttus_opt.cli.app import app
 from ttus_opt.cli.command import add_command
+from ttus_opt.cli.console import to_machine
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT
 from ttus_opt.message.field_message import MOST_VOXELS
 
@@ -30,7 +31,7 @@ class Tide:
     wind: Annotated[float, typer.Option(metavar="KNOTS")] = 0.0
 
 
-def own_command(tide: Tide, file: Path, deep: bool = False, json: bool = False) -> None:
+def own_command(tide: Tide, file: Path, deep: bool = False) -> None:
     """Say it.
 
     Args:
@@ -41,7 +42,7 @@ def own_command(tide: Tide, file: Path, deep: bool = False, json: bool = False) 
         own-command --file
         a.txt
     """
-    typer.echo(f"{tide.height} {file.name} {deep} {json}")
+    typer.echo(f"{tide.height} {file.name} {deep} {to_machine()}")
 
 
 #: Words of typer's own, of two options
@@ -186,10 +187,10 @@ def test_every_command_takes_short_help_a_log_and_quiet(run, name):
 def test_a_log_and_quiet_are_taken_before_a_command_too(run, monkeypatch, words, heard):
     got = []
 
-    def listen(verbose, *, quiet):
+    def listen(verbose, *, quiet, json):
         return contextlib.nullcontext(got.append((verbose, quiet)))
 
-    monkeypatch.setattr(command_module, "logging_to_stderr", listen)
+    monkeypatch.setattr(command_module, "speaking", listen)
     assert run(words).status == 0
     assert got == [heard]
 

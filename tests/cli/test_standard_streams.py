@@ -108,6 +108,6 @@ def test_no_bar_where_quiet(capsys):
     from ttus_opt.cli import console
 
     for quiet in (True, False):
-        with console.logging_to_stderr(0, quiet=quiet), console.Stages(1) as begin:
+        with console.speaking(0, quiet=quiet, json=False), console.Stages(1) as begin:
             begin("work")
             assert begin._thread.is_alive() is not quiet

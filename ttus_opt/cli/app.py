@@ -92,9 +92,9 @@ REGISTER: dict[Callable[..., None], dict[str, Any]] = {
     hand_eye: {},
 }
 LIVE: dict[Callable[..., None], dict[str, Any]] = {
-    live_commands.demo: {"time_limit": None},
+    live_commands.demo: {"time_limit": None, "folder": True},
     live_commands.page: {"time_limit": None},
-    live_commands.report: {},
+    live_commands.report: {"written": ("recording",)},
     live_commands.replay: {},
     live_commands.key: {"time_limit": None},
     live_commands.follower: {"time_limit": None},

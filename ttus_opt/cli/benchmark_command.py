@@ -100,7 +100,6 @@ def benchmark(
     memory: bool = False,
     export: Path | None = None,
     parts: str = "solvers",
-    json: bool = False,
 ) -> None:
     """Compare solvers by time, memory and verified residual, one process per run.
 
@@ -163,9 +162,9 @@ def benchmark(
         None if memory_limit is None else int(memory_limit * 2**30),
     )
     if export is not None:
-        _export(suite, export, json)
+        _export(suite, export)
     else:
-        _run(suite, machine, json)
+        _run(suite, machine)
 
 
 class _Watched:
@@ -197,7 +196,7 @@ class _Watched:
         self._bar.set_postfix_str(words)
 
 
-def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
+def _run(suite: Suite, machine: dict[str, str]) -> None:
     """Run with a bar on stderr, write the report, tell the figures."""
     from tqdm import tqdm
 
@@ -233,7 +232,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
         for name, own in found.items()
         if own
     ]
-    tell({**rows, "report": str(report)}, *texts, str(report), json=json)
+    tell({**rows, "report": str(report)}, *texts, str(report))
     if not any(
         r["status"] in ("solved", MEASURED) for own in found.values() for r in own
     ):
@@ -241,7 +240,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _export(suite: Suite, folder: Path, json: bool) -> None:
+def _export(suite: Suite, folder: Path) -> None:
     """Write the solvers' problems, each once.
 
     Raises:
@@ -262,4 +261,4 @@ def _export(suite: Suite, folder: Path, json: bool) -> None:
     for name, spec in runs.items():
         program = declared(spec, spec.scene_case.build()).compile()
         written += map(str, export_program(program, folder, name))
-    tell({"files": written}, *written, json=json)
+    tell({"files": written}, *written)

@@ -12,20 +12,23 @@ import copy
 import dataclasses
 import functools
 import inspect
+import os
 import re
 import textwrap
 import typing
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from ttus_opt.cli.console import logging_to_stderr
+from ttus_opt.cli.console import speaking
 from ttus_opt.cli.standard_streams import standard_streams
 from ttus_opt.cli.time_limit import compiled_code_interrupted, time_limited
-from ttus_opt.core.errors import InputError, MistakeWarning
+from ttus_opt.core import io
+from ttus_opt.core.errors import FileError, InputError, MistakeWarning
 
 #: Options that say the same in every command
 COMMON = {
@@ -47,6 +50,7 @@ KEYWORD = inspect.Parameter.KEYWORD_ONLY
 
 #: Options that every command has, with their defaults
 EVERYWHERE: dict[str, tuple[Any, Any]] = {
+    "json": (bool, False),
     "verbose": (
         Annotated[int, typer.Option("-v", "--verbose", count=True, show_default=False)],
         0,
@@ -69,7 +73,7 @@ class _Command(TyperCommand):
                 raise InputError(f"missing: {names}: see {ctx.command_path} --help")
         rest = list(super().parse_args(ctx, args))
         before = ctx.find_root().params  # ttus-opt -v surface, too
-        for name in EVERYWHERE:
+        for name in ("verbose", "quiet"):
             if name in ctx.params and name in before:
                 ctx.params[name] += before[name]
         return rest
@@ -85,6 +89,9 @@ def add_command(
     written: Sequence[str] = (),
 ) -> None:
     """Make a function a command of its name.
+
+    That each output can be written, and replaces no input, is checked before it runs:
+    of --output, of pictures, and of ``written``. With an input there is --force.
 
     Args:
         app: Gets the command.
@@ -104,9 +111,19 @@ def add_command(
             parameters += _of_group(groups[name])
         else:
             parameters.append(_option(name, parameter.annotation, parameter, words))
+    outputs = [
+        name
+        for name in (p.name for p in parameters)
+        if "picture" in name or name in ("output", *written)
+    ]
+    if folder:
+        outputs.clear()
+    reads = (p for p in parameters if p.name not in outputs and _paths(p.annotation))
+    forced = bool(outputs) and any(reads) and "force" not in signature.parameters
     own_limit = "time_limit" in signature.parameters
     limited_here = time_limit is not None and not own_limit
     added: dict[str, tuple[Any, Any]] = {
+        **({"force": (bool, False)} if forced else {}),
         **({"strict": (bool, False)} if judges else {}),
         **({"time_limit": (float, time_limit)} if limited_here else {}),
         **EVERYWHERE,
@@ -117,10 +134,14 @@ def add_command(
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
+        json, verbose, quiet = (given.pop(name) for name in EVERYWHERE)
         with (
-            logging_to_stderr(given.pop("verbose"), quiet=given.pop("quiet")),
-            standard_streams(given, folder=folder, written=written),
+            speaking(verbose, quiet=quiet, json=json),
+            standard_streams(given, folder=folder, written=written, json=json),
         ):
+            _check_outputs(
+                given, outputs, force=given.pop("force") if forced else False
+            )
             _grouped(given, groups)
             limit = None
             if time_limit is not None:
@@ -139,6 +160,45 @@ def add_command(
     name = function.__name__.replace("_", "-")
     epilog = f"Example: {example}"
     app.command(name, cls=_Command, help=about, epilog=epilog)(run)
+
+
+def _paths(annotation: Any) -> bool:
+    """Whether an option is a file or several."""
+    return annotation is Path or any(map(_paths, typing.get_args(annotation)))
+
+
+def _check_outputs(
+    given: Mapping[str, Any], names: Sequence[str], *, force: bool
+) -> None:
+    """Check every output before work begins.
+
+    Args:
+        given: All options by name.
+        names: Those of files that will be written, or pictures.
+        force: Allow an output to replace an input.
+
+    Raises:
+        FileError: One cannot be written, replaces an input, or two are the same.
+        InputError: A picture whose name ends otherwise.
+    """
+    outputs = {name: given[name] for name in names if given[name] is not None}
+    for name, file in outputs.items():
+        if "picture" in name:
+            from ttus_opt.report.plots.canvas import require_picture_suffix
+
+            require_picture_suffix(file)
+    inputs = [
+        value
+        for name, values in given.items()
+        if name not in names
+        for value in (values if isinstance(values, list) else [values])
+        if isinstance(value, str | Path) and os.path.isfile(value)
+    ]
+    files = list(outputs.values())
+    for file in files:
+        io.check_output(file, inputs=inputs, force=force)
+    if len(set(map(os.path.realpath, files))) < len(files):
+        raise FileError(f"{files[0]} is given for two outputs: give two names")
 
 
 def _grouped(given: dict[str, Any], groups: dict[str, Any]) -> None:

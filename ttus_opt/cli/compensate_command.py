@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json as json_module
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ttus_opt.cli.console import tell
-from ttus_opt.cli.options import check_outputs, numbers
+from ttus_opt.cli.options import numbers
 from ttus_opt.cli.recording_options import ProbeOptions
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ def compensate(
     inertia: bool = False,
     stream: str | None = None,
     repair: bool = False,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Remove bias, weight and inertia from the readings of a force sensor.
 
@@ -61,7 +59,6 @@ def compensate(
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated
 
-    check_outputs([output, model], [recording, free, probe.probe], force=force)
     sensor = _sensor(axes, point, sign)
     direction = numbers(down, 3, "--down")
     raw = read_recording(recording, stream, repair=repair)
@@ -80,7 +77,7 @@ def compensate(
     }
     clean.save(output)
     if model is not None:
-        io.write_text(model, json_module.dumps(facts, indent=2) + "\n")
+        io.write_text(model, json.dumps(facts, indent=2) + "\n")
     centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
     lines = [
         f"{output}: {len(clean)} frames; load {load.mass:.4g} ± {load.mass_std:.2g} "
@@ -89,7 +86,7 @@ def compensate(
     ]
     if not load.handedness_told:
         lines.append("the free poses cannot reveal a left-handed sensor")
-    tell(facts, *lines, json=json)
+    tell(facts, *lines)
 
 
 def _sensor(axes: str, point: str, sign: str) -> ForceSensor:

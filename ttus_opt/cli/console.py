@@ -96,6 +96,7 @@ def print_json(content: Mapping[str, Any]) -> None:
 class _Words:
     """Where words go: to stderr where a result takes stdout; a folder is not named."""
 
+    json: bool = False
     to_stderr: bool = False
     unnamed: str = ""
 
@@ -103,9 +104,9 @@ class _Words:
 _words = _Words()
 
 
-def tell(facts: Mapping[str, Any], *lines: str, json: bool) -> None:
-    """Say what was done: facts for machines, lines for people."""
-    if json:
+def tell(facts: Mapping[str, Any], *lines: str) -> None:
+    """Say what was done: facts for machines with --json, lines for people."""
+    if _words.json:
         print_json(facts)
     elif lines:
         text = "\n".join(lines)
@@ -142,12 +143,13 @@ def wrapped(text: str) -> str:
 
 
 @contextlib.contextmanager
-def logging_to_stderr(verbose: int, *, quiet: bool) -> Iterator[None]:
+def speaking(verbose: int, *, quiet: bool, json: bool) -> Iterator[None]:
     """Show what the package logs, above a bar, with the seconds since the beginning.
 
     Args:
         verbose: 0 for nothing, 1 for what is read, chosen and solved, 2 for more.
         quiet: Show no bars (`bars_shown`).
+        json: `tell` facts to a machine.
     """
     begun, before = time.monotonic(), PACKAGE.level
     handler = logging.Handler()
@@ -161,11 +163,18 @@ def logging_to_stderr(verbose: int, *, quiet: bool) -> Iterator[None]:
     levels = (logging.WARNING, logging.INFO, logging.DEBUG)
     PACKAGE.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
     PACKAGE.addHandler(handler)
+    _words.json = json
     try:
         yield
     finally:
+        _words.json = False
         PACKAGE.removeHandler(handler)
         PACKAGE.setLevel(before)
+
+
+def to_machine() -> bool:
+    """Whether JSON is wanted."""
+    return _words.json
 
 
 def bars_shown() -> bool:

@@ -12,7 +12,6 @@ def demo(
     output: Path = Path("demo"),
     shape: str = "48,120,60",
     weights: str = "auto",
-    json: bool = False,
 ) -> None:
     """Run the whole method on the bundled example, from scan to errors.
 
@@ -32,4 +31,4 @@ def demo(
             output, shape=voxel_counts(shape), weights=weights, progress=begin
         )
     line = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
-    tell(result.as_dict(), fitted(error_table(result.comparisons)), line, json=json)
+    tell(result.as_dict(), fitted(error_table(result.comparisons)), line)

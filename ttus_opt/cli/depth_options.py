@@ -64,11 +64,6 @@ class DepthOptions:
     stream: str | None = None
     at: float | None = None
 
-    @property
-    def files(self) -> list[Path]:
-        """What is read beside the images."""
-        return [*(self.intrinsics or []), *(p for p in (self.rays, self.poses) if p)]
-
     def are_given(self, scans: list[Path]) -> bool:
         """Whether the scans are depth images.
 

@@ -9,7 +9,6 @@ import typer
 
 from ttus_opt.cli.console import Stages, as_options, tell
 from ttus_opt.cli.examination import Asked, Found, examined
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
@@ -26,8 +25,6 @@ def doctor(
     unit: str | None = None,
     stream: str | None = None,
     picture: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Say what files hold: streams, rates, gaps, faults, units, ranges, noise.
 
@@ -48,7 +45,6 @@ def doctor(
     Example:
         ttus-opt doctor tracker.csv force.csv scan.ply --picture streams.png
     """
-    check_outputs([], list(files), force=force, pictures=[picture])
     asked = Asked(columns, unit, stream)
     facts, lines, drawn, unreadable, faulty = [], [], {}, False, False
     outcomes: list[Found | TtusError] = []
@@ -75,7 +71,7 @@ def doctor(
     if picture is not None:
         _draw(picture, drawn)
         lines.append(f"picture: {picture}")
-    tell({"files": facts}, *lines, json=json)
+    tell({"files": facts}, *lines)
     if unreadable or faulty:
         raise typer.Exit(2 if unreadable else 1)
 

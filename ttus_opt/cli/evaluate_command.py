@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt.cli.console import Stages, fitted, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
 from ttus_opt.cli.sources import seen, warn_of_another_probe
@@ -162,8 +161,6 @@ def evaluate(
     picture: Path | None = None,
     uncertainty: bool = False,
     calibration_picture: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Compare rendered with measured force and torque.
 
@@ -186,9 +183,6 @@ def evaluate(
     from ttus_opt.voxmap.field import PotentialField
 
     pictures = [picture, calibration_picture]
-    check_outputs(
-        [], [field, probe.probe, *recordings.files], force=force, pictures=pictures
-    )
     uncertainty = uncertainty or calibration_picture is not None
     with Stages(2 if pictures == [None, None] else 3) as begin:
         begin("reading field and recordings")
@@ -235,7 +229,7 @@ def evaluate(
             "renderer gives by default; they are judged without its limits"
         )
     told = [*_lines(errors, recorded.has_torque), *_table(each, far, deep)]
-    tell(facts, *known, *told, *each_own, json=json)
+    tell(facts, *known, *told, *each_own)
 
 
 def _extrapolated(

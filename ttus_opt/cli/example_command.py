@@ -13,7 +13,6 @@ from ttus_opt.cli.console import Stages, tell
 def example(
     folder: Annotated[Path, typer.Argument()],
     force: bool = False,
-    json: bool = False,
 ) -> None:
     """Write scan, probe, recordings and sensor files of a simulated patient to try.
 
@@ -35,4 +34,4 @@ def example(
     width = max(map(len, FILES))
     lines = [f"{name:{width}}  {about}" for name, about in FILES.items()]
     last = f"\ncd {folder}, then sh commands.sh, or one command after the other"
-    tell({"folder": str(folder), "files": FILES}, *lines, last, json=json)
+    tell({"folder": str(folder), "files": FILES}, *lines, last)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.cli.console import Stages, as_options, fitted, tell
+from ttus_opt.cli.console import Stages, as_options, fitted, tell, to_machine
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.core.errors import InputError
 
@@ -24,7 +24,6 @@ def experiment(
     dask: str = "",
     uncertainty: bool = False,
     refine: bool = False,
-    json: bool = False,
 ) -> None:
     """Simulate three patients, fit with and without forces, and report all errors.
 
@@ -78,6 +77,6 @@ def experiment(
         except InputError as error:
             raise InputError(as_options(str(error), unit="--torso-unit")) from error
     facts = {**result.as_dict(), "report": str(output / "report.md")}
-    said = "" if json else fitted(*summary(result))
+    said = "" if to_machine() else fitted(*summary(result))
     where = f"\nreport.md, report.html, results.json and figures in {output}/"
-    tell(facts, said, where, json=json)
+    tell(facts, said, where)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import fitted_contacts, sources
+from ttus_opt.core import io
 from ttus_opt.core.errors import InputError, MistakeWarning, warn
 
 if TYPE_CHECKING:
@@ -99,8 +99,6 @@ def fit(
     picture: Path | None = None,
     uncertainty: bool = False,
     uncertainty_picture: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Fit a potential field to measured forces and torques.
 
@@ -139,14 +137,7 @@ def fit(
     conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
-    pictures = [picture, uncertainty_picture]
-    check_outputs(
-        [output],
-        [surface, probe.probe, *recordings.files],
-        force=force,
-        pictures=pictures,
-        size=size,
-    )
+    io.check_output(output, size=size)
     with Stages(5 + (word != OWN) + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
@@ -205,7 +196,6 @@ def fit(
             "sanity": None if report is None else report.as_dict(),
         },
         *lines,
-        json=json,
     )
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
 

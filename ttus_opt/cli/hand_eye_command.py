@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, as_options, tell
-from ttus_opt.cli.options import begin_apart, check_outputs
+from ttus_opt.cli.options import begin_apart
 from ttus_opt.core.errors import InputError
 
 
@@ -26,8 +26,6 @@ def hand_eye(
     together: bool = False,
     largest_offset: float = 5.0,
     repair: bool = False,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Find where a camera or tracker is, from two recordings of one motion.
 
@@ -64,7 +62,6 @@ def hand_eye(
     from ttus_opt.sensors.stream_files import read_poses
     from ttus_opt.sensors.stream_hand_eye import stream_hand_eye
 
-    check_outputs([output], [seen, carried], force=force)
     with Stages(2) as begin:
         begin("reading")
         first = read_poses(seen, stream, read_column_map(columns), repair=repair)
@@ -127,5 +124,4 @@ def hand_eye(
         "pairs left out",
         f"the hand's clock moved by {found.offset:.4f} "
         + (f"± {found.offset_std:.4f} s" if offset is None else "s, as given"),
-        json=json,
     )

@@ -21,7 +21,7 @@ TAKES = {
 }
 
 
-def solvers(json: bool = False) -> None:
+def solvers() -> None:
     """List the solvers, installed or not, and the problems each can solve.
 
     Example:
@@ -51,10 +51,10 @@ def solvers(json: bool = False) -> None:
         f"problem, from {', '.join(order)}",
     ]
     listed = fitted(Table(["solver", "takes", "about"], body))
-    tell(facts, listed, *(f"\n{wrapped(p)}" for p in paragraphs), json=json)
+    tell(facts, listed, *(f"\n{wrapped(p)}" for p in paragraphs))
 
 
-def formulations(json: bool = False) -> None:
+def formulations() -> None:
     """List the formulations that come with the package, and their options.
 
     Example:
@@ -76,7 +76,7 @@ def formulations(json: bool = False) -> None:
         f"All with measurements take {', '.join(map(str, usual))}. Name your own file, "
         "with a function build(scene, **options), by its path."
     )
-    tell({"formulations": rows}, listed, f"\n{own}", json=json)
+    tell({"formulations": rows}, listed, f"\n{own}")
 
 
 def _letters(solver: Solver) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.cli.console import Stages, fitted, tell
+from ttus_opt.cli.console import Stages, fitted, tell, to_machine
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.optional import load
 from ttus_opt.example import PROBE
@@ -35,7 +35,6 @@ def demo(
     prior: float = 1.6,
     loss: float = 0.02,
     no_page: bool = False,
-    json: bool = False,
 ) -> None:
     """Compare four kinds of feedback on a simulated patient, in virtual time.
 
@@ -63,8 +62,8 @@ def demo(
             output, prior=prior, loss=loss, processes=at_once, progress=begin
         )
     line = f"{found.seconds:.0f} s; report.html, live.png and session.mcap in {output}/"
-    tell(found.as_dict(), fitted(found.table), "", line, json=json)
-    if not (no_page or json) and sys.stdout.isatty() and find_spec("viser"):
+    tell(found.as_dict(), fitted(found.table), "", line)
+    if not (no_page or to_machine()) and sys.stdout.isatty() and find_spec("viser"):
         page(prior=prior)
 
 
@@ -76,7 +75,6 @@ def page(
     probe_axes: str = HELD,
     port: int = 8050,
     no_browser: bool = False,
-    json: bool = False,
 ) -> None:
     """Show a simulated session in the browser, with sliders and the stop button.
 
@@ -108,7 +106,7 @@ def page(
         trial, _subject(surface, probe, probe_axes), mesh=mesh, port=port
     ) as shown:
         url = shown.viewer.url
-        tell({"url": url}, url, "open this link; Ctrl-C ends it", json=json)
+        tell({"url": url}, url, "open this link; Ctrl-C ends it")
         sys.stdout.flush()
         if not no_browser:
             open_browser(url)
@@ -131,7 +129,6 @@ def report(
     seed: int = 0,
     picture: Path | None = None,
     recording: Path | None = None,
-    json: bool = False,
 ) -> None:
     """Simulate one session in virtual time and report what the hand felt.
 
@@ -159,11 +156,9 @@ def report(
     from ttus_opt.live.demo import comparison
     from ttus_opt.live.recording import Description, Recorder
     from ttus_opt.live.trial import Trial, run
-    from ttus_opt.report.plots.canvas import require_picture_suffix, save_picture
+    from ttus_opt.report.plots.canvas import save_picture
     from ttus_opt.report.plots.live import live_picture
 
-    if picture is not None:
-        require_picture_suffix(picture)
     trial = Trial(
         comparator,
         1e-3 * delay,
@@ -192,10 +187,10 @@ def report(
             f"no error: it counts in contact, from {trial.settled:g} s on; take more "
             "--seconds"
         )
-    tell(found.as_dict(), *lines, json=json)
+    tell(found.as_dict(), *lines)
 
 
-def replay(recording: Path, json: bool = False) -> None:
+def replay(recording: Path) -> None:
     """Render a recorded session again and compare every force bit by bit.
 
     Args:
@@ -210,10 +205,10 @@ def replay(recording: Path, json: bool = False) -> None:
     line = f"{found.identical} of {found.frames} frames are identical bit by bit"
     if found.identical < found.frames:
         line += f"; the others differ by up to {found.largest_difference:.2g} N"
-    tell(found.as_dict(), line, json=json)
+    tell(found.as_dict(), line)
 
 
-def key(output: Path, json: bool = False) -> None:
+def key(output: Path) -> None:
     """Make a session key, which operator and follower share.
 
     Args:
@@ -225,7 +220,7 @@ def key(output: Path, json: bool = False) -> None:
     from ttus_opt.live.sealing import write_key
 
     write_key(output)
-    tell({"key": str(output)}, f"{output}: give it to both sides", json=json)
+    tell({"key": str(output)}, f"{output}: give it to both sides")
 
 
 def follower(
@@ -239,7 +234,6 @@ def follower(
     surface: Path | None = None,
     probe: str = PROBE,
     seconds: float = math.inf,
-    json: bool = False,
 ) -> None:
     """Be the patient's side of a link, with a simulated patient or a recording.
 
@@ -301,7 +295,7 @@ def follower(
         )
     finally:
         opened.close()
-    _tell_end("follower", ended, side.peer, json)
+    _tell_end("follower", ended, side.peer)
 
 
 def operator(
@@ -314,7 +308,6 @@ def operator(
     probe: str = PROBE,
     probe_axes: str = HELD,
     recording: Path | None = None,
-    json: bool = False,
 ) -> None:
     """Be the operator's side of a link, with a simulated hand that presses.
 
@@ -348,7 +341,7 @@ def operator(
         side, ended = _operate(opened, link, who, seconds, probe, recording)
     finally:
         opened.close()
-    _tell_end("operator", ended, side.peer, json, side.view(side.clock).as_dict())
+    _tell_end("operator", ended, side.peer, side.view(side.clock).as_dict())
 
 
 def _operate(
@@ -412,7 +405,7 @@ def _say(name: str, link: str, peer: Any) -> Callable[[str, str], None]:
 
 
 def _tell_end(
-    name: str, ended: Any, peer: Any, json: bool, view: dict[str, Any] | None = None
+    name: str, ended: Any, peer: Any, view: dict[str, Any] | None = None
 ) -> None:
     """How a side's loop ended."""
     late, cause = ended.lateness, f" ({ended.cause})" if ended.cause else ""
@@ -432,7 +425,6 @@ def _tell_end(
         f"{name}: {ended.state}{cause}; {late.frames} frames at {late.rate:.1f} Hz, "
         f"99 % within {1e3 * late.p99:.2f} ms, {100 * late.late:.2f} % late; round "
         f"trip {1e3 * quality.round_trip:.1f} ms",
-        json=json,
     )
 
 

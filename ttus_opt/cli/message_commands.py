@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.core import io
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ def encode(
     output: Path,
     base: list[Path] | None = None,
     max_error: float | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Write a surface or a field as a short message.
 
@@ -46,7 +43,6 @@ def encode(
     from ttus_opt.message.codec import encode as encoded
 
     bases = base or []
-    check_outputs([output], [file, *bases], force=force)
     with Stages(3) as begin:
         begin("reading")
         what = _read(file)
@@ -70,7 +66,7 @@ def encode(
         f"{output}: {_name(what)} in {len(message):,} bytes, largest error "
         f"{factor * error:.3g} {unit}"
     )
-    tell(facts, line, json=json)
+    tell(facts, line)
 
 
 def decode(
@@ -78,8 +74,6 @@ def decode(
     output: Path,
     base: list[Path] | None = None,
     max_voxels: int = 400_000,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Read a message and write its surface or field file.
 
@@ -99,7 +93,6 @@ def decode(
     from ttus_opt.message.codec import decode as decoded
 
     bases = base or []
-    check_outputs([output], [file, *bases], force=force)
     with Stages(2) as begin:
         begin("decoding")
         message = _bytes(file)
@@ -108,7 +101,7 @@ def decode(
         begin("writing")
         what.save(output)
     facts = {"output": str(output), "holds": _name(what), "bytes": len(message)}
-    tell(facts, f"{output}: {_name(what)} from {len(message):,} bytes", json=json)
+    tell(facts, f"{output}: {_name(what)} from {len(message):,} bytes")
 
 
 def _read(file: Path) -> Surface | PotentialField:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, fitted, tell
-from ttus_opt.cli.options import check_outputs, numbers
+from ttus_opt.cli.options import numbers
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions, sector_of
@@ -37,8 +37,6 @@ def next_press(
     spacing: float = 0.02,
     output: Path | None = None,
     picture: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Name the places where the next presses reduce the uncertainty most.
 
@@ -71,8 +69,6 @@ def next_press(
     sector = sector_of(angles, "--angles")
     limits = None if box is None else numbers(box, 6, "--box")
     word = word_for(None, problem.formulation, problem.further)
-    inputs = [surface, probe.probe, *recordings.files]
-    check_outputs([output], inputs, force=force, pictures=[picture])
     with Stages(5) as begin:
         known = measured(surface, probe, recordings, grid.plan, begin)
         begin("fitting")
@@ -99,7 +95,7 @@ def next_press(
             written = known.reading[1]
             reference = known.shell.reference
             written.as_recorded(found.poses, reference, place).save(output)
-    tell({**found.as_dict(), "model": list(choice.lines)}, *_lines(found), json=json)
+    tell({**found.as_dict(), "model": list(choice.lines)}, *_lines(found))
 
 
 def _lines(found: NextPresses) -> list[str]:

@@ -1,14 +1,11 @@
-"""Options several commands share, and the numbers and files they name."""
+"""Numbers and words that options name."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ttus_opt.core import io
-from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.core.arrays import Array
@@ -85,36 +82,3 @@ def begin_apart(
     if abs(first[0] - second[0] - around) <= largest:
         return ""
     return "; give --together if both began at about the same time"
-
-
-def check_outputs(
-    outputs: Sequence[Path | None],
-    inputs: Sequence[Path | str],
-    *,
-    force: bool,
-    pictures: Sequence[Path | None] = (),
-    size: int = 0,
-) -> None:
-    """Check every output before work begins.
-
-    Args:
-        outputs: Files that will be written; None where an option was not given.
-        inputs: Files that are read; a probe may also be a primitive's description.
-        force: Allow an output to replace an input.
-        pictures: As in ``outputs``, which will be pictures.
-        size: Bytes the largest takes, about.
-
-    Raises:
-        FileError: One cannot be written, replaces an input, or two are the same.
-        InputError: A picture whose name ends otherwise.
-    """
-    for picture in pictures:
-        if picture is not None:
-            from ttus_opt.report.plots.canvas import require_picture_suffix
-
-            require_picture_suffix(picture)
-    given = [output for output in (*outputs, *pictures) if output is not None]
-    for output in given:
-        io.check_output(output, inputs=inputs, force=force, size=size)
-    if len({os.path.realpath(output) for output in given}) < len(given):
-        raise FileError(f"{given[0]} is given for two outputs: give two names")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json as json_module
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, bars_shown, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
+from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,8 +45,6 @@ def path(
     picture: Path | None = None,
     jobs: int = 1,
     dask: str = "",
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Solve for many weights at the cost of a few, and evaluate each.
 
@@ -78,16 +76,9 @@ def path(
     if len({file.name for file in others}) < len(others):
         raise InputError("two --held-out files have the same name: rename one")
     extras = ["potential"] * fields + ["criteria"] * criteria
-    size = math.prod(len(values) for values in weights.values())
-    bytes_needed = 8 * size * math.prod(plan.shape) if fields else 0
-    pictures = [picture]
-    check_outputs(
-        [output],
-        [surface, probe.probe, *recordings.files, *others],
-        force=force,
-        pictures=pictures,
-        size=bytes_needed,
-    )
+    if fields:
+        points = math.prod(len(values) for values in weights.values())
+        io.check_output(output, size=8 * points * math.prod(plan.shape))
     run = PathRun(output, jobs, dask, bars_shown())
     with Stages(2) as begin:
         known = measured(surface, probe, recordings, plan, begin)
@@ -109,7 +100,7 @@ def path(
     found.attrs |= {
         "probe": probe.name,
         "trajectories": ", ".join(recordings.names),
-        "conventions": json_module.dumps(asdict(recordings.conventions)),
+        "conventions": json.dumps(asdict(recordings.conventions)),
     }
     found = _with_names(found, [one.stem for one in recordings.trajectory])
     write_solution_path(found, output)
@@ -118,7 +109,7 @@ def path(
 
         plots.save_picture(plots.weight_path(found), picture)
     best = best_weights(found)
-    tell(_summary(found, best, output), *_lines(found, best, output), json=json)
+    tell(_summary(found, best, output), *_lines(found, best, output))
     if found.attrs["points_done"] < found.attrs["points"]:
         raise typer.Exit(INTERRUPTED)
     if not _solved(found):

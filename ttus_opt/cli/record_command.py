@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import as_options, bars_shown, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, warn
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ def record(
     pose_device: str | None = None,
     sensor: Annotated[str | None, typer.Option("--wrench-device")] = None,
     seconds: float | None = None,
-    json: bool = False,
 ) -> None:
     """Record a tracker's poses and a force sensor's readings over OpenIGTLink.
 
@@ -48,7 +46,6 @@ def record(
 
     if poses is None and wrenches is None:
         raise InputError("no output file: give --poses or --wrenches")
-    check_outputs([poses, wrenches], [], force=False)
     host, _, port = server.partition(":")
     if port and not port.isdigit():
         raise InputError(f"SERVER must be HOST or HOST:PORT, got {server!r}")
@@ -63,7 +60,7 @@ def record(
     facts, lines, missing = files.write(received)
     if missing:
         raise InputError("; ".join([*missing, *(f"written {line}" for line in lines)]))
-    tell(facts, *lines, json=json)
+    tell(facts, *lines)
 
 
 @dataclass(frozen=True)

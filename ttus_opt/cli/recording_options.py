@@ -106,12 +106,6 @@ class RecordingOptions:
         """Names of the files."""
         return [path.name for path in self.trajectory]
 
-    @property
-    def files(self) -> list[Path | str]:
-        """What is read, for the check of outputs."""
-        motion = self.base_to_scan
-        return [*self.trajectory, *([motion] if Path(motion).is_file() else [])]
-
     @cached_property
     def conventions(self) -> Conventions:
         """How recordings are written.

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import SceneOptions
@@ -26,8 +25,6 @@ def refine_poses(
     position_noise: float = 0.5,
     rotation_noise: float = 0.5,
     correlation: float = 1.0,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Take the tracker's errors off recorded poses, as far as the forces tell them.
 
@@ -48,7 +45,6 @@ def refine_poses(
     from ttus_opt.fitting.poses import pose_refinement
     from ttus_opt.probe.tracker_noise import TrackerNoise
 
-    check_outputs([output], [surface, *recordings.files], force=force)
     size = 1e-3 * position_noise, math.radians(rotation_noise)
     noise, plan = TrackerNoise(*size, correlation), grid.plan
     with Stages(2 + pose_refinement.MOST_STEPS) as begin:
@@ -57,7 +53,7 @@ def refine_poses(
             scene, noise, progress=lambda: begin("refining")
         )
     found.trajectory.save(output)
-    tell(_summary(found, output), *_lines(found, output), json=json)
+    tell(_summary(found, output), *_lines(found, output))
 
 
 def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:

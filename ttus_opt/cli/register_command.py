@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import check_outputs
 
 if TYPE_CHECKING:
     from ttus_opt.core.arrays import Array
@@ -24,8 +23,6 @@ def board(
     marker: float,
     gap: float,
     output: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Find the pose of a board of ArUco or AprilTag markers in a photo.
 
@@ -47,14 +44,13 @@ def board(
     from ttus_opt.sensors.intrinsics import read_intrinsics
     from ttus_opt.sensors.marker_pose import Board, board_pose, read_image
 
-    check_outputs([output], [image, intrinsics], force=force)
     grid = Board(columns, rows, marker, gap, dictionary)
     camera = read_intrinsics(intrinsics)
     found = board_pose(read_image(image), grid, camera)
     if output is not None:
         write_rigid_motion(output, found.pose)
     facts = {"output": output and str(output), "board_to_camera": _facts(found)}
-    tell(facts, f"board to camera: {_sentence(found)}", json=json)
+    tell(facts, f"board to camera: {_sentence(found)}")
 
 
 def markers(
@@ -62,7 +58,6 @@ def markers(
     intrinsics: Path,
     dictionary: str,
     marker: float,
-    json: bool = False,
 ) -> None:
     """Find the poses of single ArUco or AprilTag markers in a photo.
 
@@ -83,7 +78,7 @@ def markers(
     found = marker_poses(read_image(image), marker, dictionary, camera)
     facts = {"markers_to_camera": [_facts(pose) for pose in found]}
     lines = [f"marker {p.markers[0]} to camera: {_sentence(p)}" for p in found]
-    tell(facts, *lines, json=json)
+    tell(facts, *lines)
 
 
 def hand_eye(
@@ -92,8 +87,6 @@ def hand_eye(
     output: Path | None = None,
     largest_gap: float = 0.010,
     largest_twist: float = 1.0,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Find where a camera is from pairs of poses, by seven solvers.
 
@@ -118,7 +111,6 @@ def hand_eye(
     from ttus_opt.probe.rigid_motion import write_rigid_motion
     from ttus_opt.sensors import hand_eye as calibration
 
-    check_outputs([output], [pairs], force=force)
     in_camera, in_base = calibration.read_pose_pairs(pairs)
     with Stages(1) as begin:
         begin("comparing solvers")
@@ -156,7 +148,7 @@ def hand_eye(
         f"average, solvers differ by {1e3 * found.spread:.2f} mm; read as marker to "
         "camera and hand to base"
     )
-    tell(facts, *lines, json=json)
+    tell(facts, *lines)
 
 
 def _place(pose: Array) -> str:

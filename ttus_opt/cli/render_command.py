@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.evaluate_command import warn_of_poses
-from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import warn_of_another_probe
 
@@ -22,8 +21,6 @@ def render(
     torque_limit: float = 4.0,
     presliding_length: float | None = None,
     flat: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Render force and torque for every pose of a trajectory.
 
@@ -54,7 +51,6 @@ def render(
     from ttus_opt.voxmap.field import PotentialField
 
     conventions = recordings.conventions
-    check_outputs([output, flat], [field, probe.probe, *recordings.files], force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
         as_written = recordings.as_written()
@@ -112,4 +108,4 @@ def render(
         + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )
     flat_line = [] if flat is None else [f"{flat}: field and probe for examples/c"]
-    tell(facts, line, *flat_line, json=json)
+    tell(facts, line, *flat_line)

@@ -14,7 +14,6 @@ def session(
     folder: Annotated[Path, typer.Argument()],
     output: Path,
     trust: bool = False,
-    json: bool = False,
 ) -> None:
     """Process a recording folder into surface, trajectories, field and report.
 
@@ -50,4 +49,4 @@ def session(
     facts = {"output": str(output), **result.figures, "report": f"{output}/report.md"}
     said = fitted(*summary(result)[2:])
     where = f"\nreport.md, report.html, session.json and all steps in {output}/"
-    tell(facts, said, where, json=json)
+    tell(facts, said, where)

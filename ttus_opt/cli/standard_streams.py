@@ -37,7 +37,7 @@ BEGINNINGS = {
 
 @contextlib.contextmanager
 def standard_streams(
-    given: dict[str, Any], *, folder: bool, written: Sequence[str] = ()
+    given: dict[str, Any], *, folder: bool, written: Sequence[str], json: bool
 ) -> Iterator[None]:
     """Put files in the place of ``-`` among a command's options.
 
@@ -45,6 +45,7 @@ def standard_streams(
         given: Options by name, changed in place. ``output`` is written, others read.
         folder: Whether the output is a folder, which no stream can be.
         written: Options that are written too, as pictures are, which no stream can be.
+        json: Whether facts go to stdout.
 
     Raises:
         InputError: An option cannot be a stream, or two want the same.
@@ -62,7 +63,7 @@ def standard_streams(
         raise InputError(f"only --output can go to stdout: name a file for {option}")
     if writes and folder:
         raise InputError("--output is a folder here, which cannot go to stdout")
-    if writes and given.get("json"):
+    if writes and json:
         raise InputError("--output - and --json both write to stdout: choose one")
     with tempfile.TemporaryDirectory(prefix="ttus-opt-") as place:
         for name in reads:

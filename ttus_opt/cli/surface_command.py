@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ttus_opt.cli.cloud_options import AxisOptions, CloudOptions
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.depth_options import DepthOptions, stitched_facts, stitched_lines
-from ttus_opt.cli.options import check_outputs, numbers
+from ttus_opt.cli.options import numbers
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ def surface(
     z_range: str | None = None,
     update: Path | None = None,
     picture: Path | None = None,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Extract the patient's surface from a depth scan.
 
@@ -52,8 +50,6 @@ def surface(
     """
     from ttus_opt.scan.extraction import extract_surface
 
-    inputs = [*cloud.scans, *depth.files, *(f for f in (axis.axis_from, update) if f)]
-    check_outputs([output], inputs, force=force, pictures=[picture])
     heights = None if z_range is None else numbers(z_range, 2, "--z-range")
     with Stages(3 if picture is None else 4) as begin:
         begin("reading the scan")
@@ -103,7 +99,7 @@ def surface(
         "patient frame: x right, y front, z head; the head lies towards "
         f"({along}) in the scan" + (guess if axis.guesses and update is None else "")
     )
-    tell(facts, *lines, json=json)
+    tell(facts, *lines)
 
 
 def _updated(

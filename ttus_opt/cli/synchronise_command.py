@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ttus_opt.cli.console import as_options, tell
-from ttus_opt.cli.options import begin_apart, check_outputs
+from ttus_opt.cli.options import begin_apart
 from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ def synchronise(
     largest_offset: float = 5.0,
     largest_gap: float = 0.1,
     repair: bool = False,
-    force: bool = False,
-    json: bool = False,
 ) -> None:
     """Resample wrenches at the times of poses, after aligning both clocks.
 
@@ -76,8 +74,6 @@ def synchronise(
     from ttus_opt.sensors.stream_files import read_poses, read_wrenches
     from ttus_opt.sensors.streams import with_wrenches
 
-    inputs = [poses, wrenches, *([surface] if surface else [])]
-    check_outputs([output], inputs, force=force)
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
     if by == "contact" and surface is None:
@@ -124,7 +120,7 @@ def synchronise(
         f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
         f"wrenches moved by {offset:.4f}{how}"
     )
-    tell(facts, line, json=json)
+    tell(facts, line)
 
 
 class _Place(NamedTuple):

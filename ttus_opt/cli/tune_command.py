@@ -32,7 +32,6 @@ def tune(
     grid: SceneOptions,
     formulation: list[str] | None = None,
     option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
-    json: bool = False,
 ) -> None:
     """Choose weights, boundary scale and friction from the recordings.
 
@@ -56,7 +55,7 @@ def tune(
     with Stages(2 + len(candidates)) as begin:
         scene = measured(surface, probe, recordings, plan, begin).scene
         found = tune_scene(scene, candidates, progress=begin, **options)
-    tell(_summary(found), *_lines(found), json=json)
+    tell(_summary(found), *_lines(found))
     reason = too_little(scene)
     if reason:
         warn(f"ttus-opt fit would not choose these weights: {reason}")

@@ -59,7 +59,6 @@ def view(
     example: bool = False,
     port: int = 8050,
     no_browser: bool = False,
-    json: bool = False,
     *,
     tool: ShownProbe,
     recordings: ShownRecordings,
@@ -95,7 +94,6 @@ def view(
         {"url": served.url},
         served.url,
         "open this link on this machine; Ctrl-C ends it",
-        json=json,
     )
     sys.stdout.flush()
     if not no_browser:

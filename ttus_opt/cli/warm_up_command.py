@@ -18,7 +18,7 @@ from ttus_opt.cli.console import Stages, tell
 SHAPE, POINTS, FRAMES, N_STAGES = (16, 24, 12), 300, slice(20, 60), 6
 
 
-def warm_up(json: bool = False) -> None:
+def warm_up() -> None:
     """Compile everything ahead of its first use.
 
     Example:
@@ -31,7 +31,7 @@ def warm_up(json: bool = False) -> None:
     folder = cache_folder()
     facts = {"seconds": seconds, "folder": None if folder is None else str(folder)}
     kept = "not kept" if folder is None else f"kept in {folder}"
-    tell(facts, f"compiled in {seconds:.0f} s, {kept}", json=json)
+    tell(facts, f"compiled in {seconds:.0f} s, {kept}")
 
 
 def compile_all(progress: Callable[[str], object] = lambda stage: None) -> float:
