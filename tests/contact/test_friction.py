@@ -20,7 +20,6 @@ from ttus_opt.contact.contact_size import patch_factors, patches_of
 from ttus_opt.contact.friction import (
     DEADBAND,
     Sliding,
-    coulomb_rows,
     pressing_axis,
     viscous_rows,
 )
@@ -39,15 +38,6 @@ def slide(velocity, n=9, spin=None, deep=0.005):
     turn = np.zeros(3) if spin is None else spin
     rotation = Rotation.from_rotvec(time[:, None] * turn).as_matrix()
     return tt.Trajectory(time, position, rotation)
-
-
-def test_patch_of_a_sphere_is_where_it_touches():
-    sliding = Sliding.of(VOXMAP, SHELL, slide(np.array([0.0, 0.0, 0.01])))
-    np.testing.assert_allclose(sliding.normal, [[1.0, 0, 0]] * 9, atol=0.03)
-    np.testing.assert_allclose(sliding.arm[:, 0], -0.0135, atol=0.001)
-    np.testing.assert_allclose(sliding.arm[:, 1:], 0.0, atol=5e-4)
-    np.testing.assert_allclose(sliding.velocity[:, 2], 0.01, rtol=1e-2)
-    np.testing.assert_allclose(sliding.axis, [1.0, 0, 0], atol=0.02)
 
 
 def test_patches_all_around_a_torso_equal_a_loop_over_points():
@@ -104,14 +94,6 @@ def test_a_spinning_sphere_slides_at_its_patch_only():
     assert not tool.arm.any()
 
 
-def test_sliding_is_along_the_patch():
-    velocity = np.array([-0.02, 0.004, 0.003])
-    sliding = Sliding.of(VOXMAP, SHELL, slide(velocity, n=3))
-    along = np.einsum("ti,ti->t", sliding.velocity, sliding.normal)
-    np.testing.assert_allclose(along, 0.0, atol=1e-12)
-    np.testing.assert_allclose(sliding.velocity[:, 1:], [[0.004, 0.003]] * 3, atol=1e-3)
-
-
 def test_a_plunge_along_the_probes_own_axis_is_no_sliding():
     """However the probe leans on the skin; without an axis of its own, the mean."""
     lean = np.deg2rad(25.0)
@@ -153,29 +135,6 @@ def test_the_deadband_is_a_ramp_to_rest():
         Sliding.of(VOXMAP, SHELL, trajectory).direction(0.0)
     with pytest.raises(InputError, match="acts_at must be one of contact, reference"):
         Sliding.of(VOXMAP, SHELL, trajectory, "handle")
-
-
-@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-@pytest.mark.parametrize("acts_at", ["contact", "reference"])
-def test_coulomb_rows_are_drag_of_the_normal_force(sampling, acts_at):
-    """Against the normal direction, as long as n̂·N p, dissipating, with its arm."""
-    scene = small_scene(sampling)
-    sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, acts_at)
-    rows = coulomb_rows(sliding, scene.rows)
-    p = scene.laplace.solve(scene.b)
-    drag = -(rows.force @ p).reshape(-1, 3)
-    torque = -(rows.torque @ p).reshape(-1, 3)
-    force = (scene.N @ p).reshape(-1, 3)
-    touching = scene.rows.contact_points > 0
-    direction = sliding.direction()
-    size = np.einsum("ti,ti->t", force, sliding.normal)
-    if sampling == "trilinear":  # voxel means on a coarse grid may pull a little
-        assert (size[touching] > 0.0).all()
-    np.testing.assert_allclose(drag, -size[:, None] * direction, atol=1e-12)
-    np.testing.assert_allclose(torque, np.cross(sliding.arm, drag), atol=1e-12)
-    power = np.einsum("ti,ti->t", drag, sliding.velocity)
-    assert (power[touching & (size > 0.0)] < 0.0).all()
-    assert not drag[~touching].any()
 
 
 def test_viscous_rows_put_each_pose_into_its_region():

@@ -3,30 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tests.contact.test_friction import SHELL, VOXMAP, slide
 from ttus_opt.contact.friction import Sliding
-from ttus_opt.probe.point_shell import PointShell
-
-
-def test_the_patch_is_weighted_by_area_and_depth():
-    """Against plain numpy, for a probe that leans and whose points are uneven."""
-    rng = np.random.default_rng(8)
-    probe = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=600)
-    uneven = replace(probe, areas=probe.areas * rng.uniform(0.2, 5.0, 600))
-    lean = Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()
-    still = slide(np.zeros(3))
-    pose = replace(still, rotation=np.repeat(lean[None], 9, axis=0))
-    seen = Sliding.of(VOXMAP, uneven, pose)
-    points = uneven.points @ lean.T + pose.position[0]
-    depth = np.maximum(0.09 - np.hypot(points[:, 0], points[:, 1]), 0.0)
-    weight = uneven.areas * depth
-    normal = weight @ (uneven.normals @ lean.T)
-    np.testing.assert_allclose(seen.normal[0], normal / np.linalg.norm(normal))
-    np.testing.assert_allclose(seen.position[0], weight @ points / weight.sum())
-    flat = uneven.areas * (depth > 0)  # what neither depth nor area would give
-    assert np.abs(flat @ points / flat.sum() - seen.position[0]).max() > 2e-4
 
 
 def test_a_turning_probe_slides_about_its_own_reference():

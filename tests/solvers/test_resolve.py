@@ -9,7 +9,6 @@ from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Request
-from ttus_opt.solvers.packages import closed_form
 from ttus_opt.solvers.registry import solvers
 
 #: Who keeps something; highs keeps nothing, and each solve takes it seconds
@@ -57,25 +56,6 @@ def test_splitting_starts_from_its_last_answer(solver):
     cold = prepared.solve().iterations
     prepared.update(compiled(True, factor=-2.0001))
     assert prepared.solve().iterations < cold
-
-
-def test_closed_form_factorises_once_per_matrix(monkeypatch):
-    made = []
-    original = closed_form.ClosedForm.factorise
-
-    def counting(self, Q):
-        made.append(Q)
-        return original(self, Q)
-
-    monkeypatch.setattr(closed_form.ClosedForm, "factorise", counting)
-    prepared = solvers()["closed_form"].prepare(compiled(False), Request())
-    prepared.solve()
-    prepared.update(compiled(False, factor=1.5))
-    prepared.solve()
-    assert len(made) == 1
-    prepared.update(compiled(False, weight=2.0))
-    prepared.solve()
-    assert len(made) == 2
 
 
 def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(monkeypatch):

@@ -23,7 +23,6 @@ def path():
         "eq10",
         small_scene("trilinear"),
         weights={("force", "torque"): WEIGHTS},
-        held_out={"unseen": unseen()},
         extras=["potential"],
     )
 
@@ -38,48 +37,8 @@ def test_every_point_is_a_fit(path):
         size = np.abs(alone.field.values).max()
         off = np.abs(at["potential"].to_numpy() - alone.field.values).max()
         assert off < 1e-6 * size
-        for term in ("force", "torque"):
-            value = float(at["term_value"].sel(term=term))
-            assert value == pytest.approx(alone.costs[term] / weight, rel=1e-6)
-        off_force = (scene.N @ alone.candidate - scene.f).reshape(-1, 3)
-        rms = np.sqrt((off_force**2).sum(axis=1).mean())
-        assert float(at["force_residual"].sel(recording="0")) == pytest.approx(rms)
-        errors = tt.evaluate(alone.field, scene.shell, unseen()).errors
-        held = at.sel(held_out="unseen")
-        for name, figure in (
-            ("held_out_force_magnitude_error", errors.force_magnitude_error_N),
-            ("held_out_force_angle_error", errors.force_angle_error_deg),
-            ("held_out_torque_magnitude_error", 1e3 * errors.torque_magnitude_error_Nm),
-            ("held_out_torque_angle_error", errors.torque_angle_error_deg),
-        ):
-            assert float(held[name]) == pytest.approx(figure, rel=1e-5), name
     assert path.attrs["solver"] == "structured"
     assert path.attrs["points_done"] == path.attrs["points"] == len(WEIGHTS)
-
-
-@pytest.mark.slow
-def test_a_grid_with_limits_carries_working_sets_over():
-    scene = small_scene("trilinear")
-    weights = {"force": [1e-2, 1.0], "torque": [1e-1, 10.0]}
-    path = tt.solution_path("eq10_sign", scene, weights=weights)
-    assert path["status"].shape == (2, 2) and (path["status"] == 0).all()
-    for force in weights["force"]:
-        for torque in weights["torque"]:
-            alone = tt.fit(scene, "eq10_sign", force_weight=force, torque_weight=torque)
-            at = path.sel(force_weight=force, torque_weight=torque)
-            assert float(at["objective"]) == pytest.approx(alone.objective, rel=1e-6)
-    assert path.attrs["solver"] == "structured"
-
-
-def test_what_structured_does_not_take_is_solved_by_another():
-    scene = small_scene("trilinear", shape=(6, 8, 5), n_poses=4)
-    declared = tt.load_formulation("robust", scene)
-    path = tt.solution_path(
-        declared, weights={"torque": [1e-2, 1.0]}, solver="clarabel"
-    )
-    assert path.attrs["solver"] == "clarabel" and (path["status"] == 0).all()
-    alone = tt.fit(scene, "robust", torque_weight=1.0, solver="clarabel")
-    assert float(path["objective"][1]) == pytest.approx(alone.objective, rel=1e-5)
 
 
 def test_a_drag_coefficient_is_a_variable():
@@ -125,25 +84,6 @@ def test_an_interrupt_keeps_what_is_done(monkeypatch):
     assert np.isfinite(path["objective"].to_numpy()).tolist() == [1, 1, 0, 0]
     assert path.attrs["points_done"] == 2
     assert "missing" in path["status"].attrs["flag_meanings"].split()[0]
-
-
-def test_a_point_that_fails_leaves_nan_and_its_status(monkeypatch):
-    def fails(declared):
-        request = path_solvers.Request(1e-14)
-        return path_solvers._InTurn("structured", request)(declared)
-
-    stumbling(monkeypatch, fails)
-    scene = small_scene("trilinear")
-    path = tt.solution_path(
-        "eq10", scene, weights={"force": WEIGHTS}, extras=["potential"]
-    )
-    meanings = path["status"].attrs["flag_meanings"].split()
-    values = path["status"].attrs["flag_values"]
-    told = meanings[list(values).index(int(path["status"][3]))]
-    assert told == tt.Status.INACCURATE.name.lower()
-    assert np.isnan(path["objective"][2:]).all()
-    assert np.isnan(path["potential"][2:]).all()
-    assert (path["kkt_residual"][2:] > 1e-15).all()
 
 
 @pytest.mark.parametrize(
