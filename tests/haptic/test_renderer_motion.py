@@ -114,6 +114,7 @@ def test_drag_of_an_estimated_motion(place):
     assert change.max() < 0.1  # while it comes to rest
 
 
+@pytest.mark.slow
 def test_drag_of_an_estimated_motion_takes_energy():
     """Of a hand that turns back again and again, seen with errors, nine tenths."""
     scene = small_scene("trilinear")
@@ -137,20 +138,3 @@ def test_drag_of_an_estimated_motion_takes_energy():
         whole += float((contact - exact.render(R, noisy, twist).force) @ v) * 1e-3
     assert whole > 1e-3
     assert 0.9 * whole < taken < whole
-
-
-def test_the_force_limit_shortens_the_wrench(scene):
-    field, pose = pressing(scene, DRAG), deepest_pose(scene)
-    free = Renderer(field, scene.shell).render(*pose, TWIST)
-    size = float(np.linalg.norm(free.force))
-    assert not free.saturated
-    cut = Renderer(field, scene.shell, force_limit=0.4 * size).render(*pose, TWIST)
-    assert cut.saturated
-    np.testing.assert_allclose(cut.force, 0.4 * free.force, rtol=1e-12)
-    np.testing.assert_allclose(cut.torque, 0.4 * free.torque, rtol=1e-12)
-    whole = Renderer(field, scene.shell, force_limit=1.01 * size).render(*pose, TWIST)
-    assert not whole.saturated
-    np.testing.assert_array_equal(whole.force, free.force)
-    for limit in (0.0, -1.0, float("nan"), None):
-        with pytest.raises(InputError, match="force_limit must be positive"):
-            Renderer(field, scene.shell, force_limit=limit)

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from ttus_opt.contact.row_kernels import REFERENCE_AREA
+from tests.kit import InputError
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, over_limits
 from ttus_opt.haptic.wrench import BY_FORCE, _cut, mixed
@@ -31,29 +30,6 @@ def made():
 FIELD, SHELL = made()
 
 
-def by_hand(R, at):
-    """Σ (a/A₀) n̂ p and Σ (a/A₀) r × n̂ p with p = slope · depth."""
-    x = SHELL.points @ R.T + at
-    depth = RADIUS - np.hypot(x[:, 0], x[:, 1])
-    p = SLOPE * np.maximum(depth, 0.0) * SHELL.areas / REFERENCE_AREA
-    normals = SHELL.normals @ R.T
-    arms = (SHELL.points - SHELL.reference) @ R.T
-    return p @ normals, p @ np.cross(arms, normals)
-
-
-@pytest.mark.parametrize("depth", [-0.001, 0.002, 0.006])
-def test_a_press_by_hand(depth):
-    R = Rotation.from_rotvec([0.2, -0.1, 0.4]).as_matrix()
-    at = np.array([RADIUS + 0.01 - depth, 0.0, 0.1])
-    wrench = tt.Renderer(FIELD, SHELL).render(R, at)
-    force, torque = by_hand(R, at)
-    np.testing.assert_allclose(wrench.force, force, atol=1e-10)
-    np.testing.assert_allclose(wrench.torque, torque, atol=1e-11)
-    assert (wrench.contact_points > 0) == (depth > 0.0)
-    if depth > 0.0:
-        assert wrench.force[0] > 0.9 * np.linalg.norm(wrench.force)  # outwards
-
-
 def test_a_limit_shortens_the_wrench_as_a_whole_and_the_smaller_one_counts():
     R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
     whole = tt.Renderer(FIELD, SHELL).render(R, at)
@@ -66,6 +42,9 @@ def test_a_limit_shortens_the_wrench_as_a_whole_and_the_smaller_one_counts():
         assert cut.limited_by == name and cut.saturated
         np.testing.assert_allclose(cut.force, share * whole.force, rtol=1e-12)
         np.testing.assert_allclose(cut.torque, share * whole.torque, rtol=1e-12)
+    for limit in (0.0, -1.0, math.nan, None):
+        with pytest.raises(InputError, match="force_limit must be positive"):
+            tt.Renderer(FIELD, SHELL, force_limit=limit)
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "contact-size", "contact-size:0.02"])

@@ -261,13 +261,3 @@ def test_hostile_parameters(text, monkeypatch):
 def test_the_longest_message_holds_any_surface():
     # 32 bits a node at most, and the mask
     assert LONGEST > 2**20 * 4.2
-
-
-def test_what_is_rendered_hardly_differs():
-    received = decode(sent()[1], base=sent()[0])
-    poses = small_scene("trilinear").trajectory
-    before = tt.Renderer(fitted(), ellipsoid())
-    after = tt.Renderer(received, ellipsoid())
-    for pose in zip(poses.rotation, poses.position, strict=True):
-        b, a = before.render(*pose), after.render(*pose)
-        np.testing.assert_allclose(a.force, b.force, atol=0.05)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from tests.kit import InputError, refuses
 from ttus_opt.problem.terms.penalties import (
@@ -72,17 +72,6 @@ def test_a_slope_is_the_matrix_it_stands_for(size):
     np.testing.assert_array_equal(plain, np.diag(factor))
 
 
-@pytest.mark.parametrize(
-    "phi", [Squares(), Huber(0.5), Absolute(), Groups(2), Linear()], ids=repr
-)
-def test_smooth_is_what_has_one_slope_everywhere(phi):
-    """Along a line through zero; quadratic penalties need not say so."""
-    along = np.array([1.0, -0.7])
-    r = np.linspace(-1.5, 1.5, 3002)[:, None] * along
-    jumps = np.abs(np.diff([phi.subgradient(each) for each in r], axis=0)).max()
-    assert (jumps < 0.01) == (phi.smooth or phi.quadratic)
-
-
 @pytest.mark.parametrize("step", [1e-3, 1.0, 1e3])
 @each_penalty
 def test_a_resolvent_splits_v_into_a_residual_and_its_subgradient(penalty, step):
@@ -115,12 +104,6 @@ def test_absolute_values_and_signs():
     z = np.sign(v / step) * np.maximum(np.abs(v / step) - 1.0 / step, 0.0)
     np.testing.assert_allclose((v - g) / step, z)
     np.testing.assert_array_equal(slope.factor, [1.0, 0.0, 0.0])
-
-
-def test_absolute_values_are_groups_of_one():
-    one, phi = Groups(1), Absolute()
-    assert one.value(V) == phi.value(V)
-    np.testing.assert_allclose(one.resolvent(V, 1.5)[0], phi.resolvent(V, 1.5)[0])
 
 
 def test_the_value_is_the_sum_of_lengths():
@@ -167,24 +150,6 @@ def test_huber_has_squares_up_to_the_threshold_and_straight_lines_beyond():
     inner, outer = (HUBER.value(np.array([0.5 + s])) for s in (-1e-9, 1e-9))
     assert outer - inner == pytest.approx(2e-9, rel=1e-3)
     np.testing.assert_array_equal(HUBER.subgradient(np.array([0.3, -2.0])), [0.6, -1.0])
-
-
-@pytest.mark.parametrize("g", [-1.0, -0.4, 0.0, 0.9])
-def test_hubers_conjugate_is_a_supremum(g):
-    """Sup g r − φ(r), by a search."""
-    found = minimize_scalar(
-        lambda r: HUBER.value(np.array([r])) - g * r,
-        bounds=(-9.0, 9.0),
-        method="bounded",
-    )
-    assert HUBER.conjugate(np.array([g])) == pytest.approx(-found.fun, abs=1e-6)
-
-
-def test_what_a_value_or_a_multiplier_of_huber_bounds():
-    """In one residual the farthest is met with equality; a gauge of one is largest."""
-    assert HUBER.farthest(HUBER.value(np.array([3.0]))) == pytest.approx(3.0)
-    for r, gauge in (([0.2, -1.0], 1.0), ([3.0], 3.0), ([0.25], 0.25)):
-        assert HUBER.gauge(np.array(r)) == gauge
 
 
 def test_a_sum_has_one_gradient_whatever_the_residual():
