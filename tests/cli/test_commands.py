@@ -292,35 +292,6 @@ def test_render_takes_another_presliding_length(run, files, field, tmp_path):
     np.testing.assert_allclose(found.force, expected.force, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_render_outside_the_grid_gives_zero_and_says_so(run, field, tmp_path):
-    (tmp_path / "poses.csv").write_text("t,px,py,pz,qw,qx,qy,qz\n0,5,5,5,1,0,0,0\n")
-    answer = run(
-        f"render --field {field} --probe {PROBE} --trajectory {tmp_path / 'poses.csv'} "
-        f"-o {tmp_path / 'out.csv'}"
-    )
-    assert answer.status == 0
-    assert answer.errors[0].startswith("warning: 1 of 1 poses lie outside")
-    force = tt.read_trajectory(tmp_path / "out.csv").force
-    assert force is not None and not force.any()
-
-
-@pytest.mark.parametrize("command", ["solvers", "formulations"])
-def test_lists(run, command):
-    text, told = run(command), run(f"{command} --json")
-    assert text.status == 0 and told.status == 0
-    names = {row["name"] for row in json.loads(told.out)[command]}
-    expected = {"solvers": {"structured", "closed_form"}, "formulations": {"eq10"}}
-    assert names >= expected[command]
-    assert all(name in text.out for name in names)
-
-
-def test_help_shows_an_example(run):
-    answer = run("fit --help")
-    assert answer.status == 0
-    assert "Example: ttus-opt fit" in answer.out and "--json" in answer.out
-
-
 def test_no_command_shows_the_help(run):
     assert run("").out == run("--help").out
 

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,33 +119,6 @@ def test_forces_alone(run, tmp_path):
     assert told["torque_magnitude_error_Nm"] is None
     assert told["force_magnitude_error_N"] < 2.0
     assert "torque  not measured" in run(words.replace("--json", "")).out
-
-
-@pytest.mark.slow
-def test_a_field_knows_where_it_came_from(run, tmp_path):
-    recording().save(tmp_path / "seen.csv")
-    recording("press_test").save(tmp_path / "unseen.csv")
-    field = tmp_path / "f.nc"
-    assert (
-        run(fit_words(tmp_path / "seen.csv", field, "--force-weight 0.5")).status == 0
-    )
-    kept = tt.PotentialField.load(field).provenance
-    assert kept["trajectories"] == "seen.csv"
-    assert kept["surface"] == "surface.nc"
-    assert json.loads(kept["options"])["force_weight"] == 0.5
-    assert set(json.loads(kept["versions"])) >= {"python", "numpy", "ttus-opt"}
-    assert len(json.loads(kept["hashes"])["surface.nc"]) == 64
-    (tmp_path / "seen.csv").rename(tmp_path / "renamed.csv")
-    both = f"{tmp_path / 'renamed.csv'} --trajectory {tmp_path / 'unseen.csv'}"
-    answer = run(evaluate_words(field, Path(both)))
-    told = json.loads(answer.out)["recordings"]
-    assert [(r["name"], r["seen"]) for r in told] == [
-        ("renamed.csv", True),
-        ("unseen.csv", False),
-    ]
-    text = run(evaluate_words(field, Path(both)).replace("--json", "")).out
-    assert "renamed.csv: the field was fitted to this recording" in text
-    assert "unseen.csv: the field was fitted" not in text
 
 
 @pytest.mark.slow

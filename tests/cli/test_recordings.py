@@ -153,18 +153,6 @@ def test_torques_about_the_origin_come_back_about_the_origin(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_another_probe_is_told(run, tmp_path):
-    fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
-    assert run(fitted.replace("--columns t=__time", "")).status == 0
-    answer = run(
-        f"evaluate --field {tmp_path / 'f.nc'} --probe sphere:0.02 --points 300 "
-        f"--trajectory {example.path('press_test.csv')} --json"
-    )
-    assert f"fitted with probe {example.PROBE}, this is sphere:0.02" in answer.err
-    assert np.isfinite(json.loads(answer.out)["force_magnitude_error_N"])
-
-
-@pytest.mark.slow
 def test_a_boundary_that_cannot_be_fitted_names_the_mistake(run, tmp_path):
     written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
     output = tmp_path / "f.nc"

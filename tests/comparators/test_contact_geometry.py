@@ -15,15 +15,6 @@ def cylinder(radius=0.1):
     return Surface.from_radius(np.full((60, 21), radius), np.linspace(0.0, 0.2, 21))
 
 
-def test_depth_below_a_cylinder_is_the_difference_of_radii():
-    rng = np.random.default_rng(3)
-    points = rng.normal(0.0, 0.06, (200, 3)) + np.array([0.0, 0.0, 0.1])
-    r = np.hypot(points[:, 0], points[:, 1])
-    depth, normals = SmoothSurface(cylinder()).depth(points)
-    np.testing.assert_allclose(depth, 0.1 - r, atol=1e-12)
-    np.testing.assert_allclose(normals[:, :2], points[:, :2] / r[:, None], atol=1e-12)
-
-
 @pytest.mark.parametrize("depth", [-0.005, 0.005, 0.02])
 def test_depth_is_the_distance_to_the_triangles_of_a_fine_mesh(depth):
     fine = torso(360, 121).points()

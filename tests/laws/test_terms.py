@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import ttus_opt.problem.terms
-from tests.kit import InputError, small_scene
+from tests.kit import small_scene
 from ttus_opt.core import plugins
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.base import Term
@@ -142,11 +142,3 @@ def test_a_weight_scales_the_cost_and_assembles_nothing(kind, options):
     x = np.ones(program_of(term).n_variables)
     light, heavy = program_of(term).objective(x), program_of(heavier).objective(x)
     assert heavy == pytest.approx(10.0 * light)
-
-
-@each_term
-def test_a_weight_that_is_none_is_refused(kind, options, weight=float("nan")):
-    with pytest.raises(InputError, match="weight must be finite and not negative"):
-        made(kind, options, weight)
-    with pytest.raises(InputError, match="weight must be finite"):
-        made(kind, options).with_weight(weight)

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.kit import InputError, refuses, small_scene
-from ttus_opt.contact.friction import Sliding, coulomb_rows
 from ttus_opt.report.metrics import (
     angles,
     as_rendered,
@@ -22,21 +21,6 @@ SCENE = small_scene("trilinear", n_poses=20)
 FIELD = tt.PotentialField(
     SCENE.voxmap, SCENE.voxmap.grid.unflatten(SCENE.laplace.solve(SCENE.b)), "trilinear"
 )
-
-
-def test_rendered_series_is_the_renderers():
-    evaluation = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
-    renderer = tt.Renderer(FIELD, SCENE.shell)
-    for t in range(20):
-        wrench = renderer.render(
-            SCENE.trajectory.rotation[t], SCENE.trajectory.position[t]
-        )
-        np.testing.assert_allclose(
-            evaluation.rendered_force[t], wrench.force, atol=1e-12
-        )
-        np.testing.assert_allclose(
-            evaluation.rendered_torque[t], wrench.torque, atol=1e-13
-        )
 
 
 def test_a_perfect_field_has_no_error():
@@ -99,30 +83,6 @@ def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre():
     assert errors.frames_in_contact == 5
     assert errors.frames_with_torque == 3
     assert (errors.force_threshold_N, errors.torque_threshold_Nm) == (0.5, 0.01)
-
-
-@pytest.mark.parametrize("acts_at", ["contact", "reference"])
-def test_drag_is_judged_with_force_and_torque(acts_at):
-    """By the rows of a fit with friction: through the reference it has no torque."""
-    drag = {"friction_coefficient": 0.3, "drag_at_reference": acts_at == "reference"}
-    sliding = Sliding.of(SCENE.voxmap, SCENE.shell, SCENE.trajectory, acts_at)
-    axis = dict(
-        zip(("drag_axis_x", "drag_axis_y", "drag_axis_z"), sliding.axis, strict=True)
-    )
-    rubbing = replace(FIELD, parameters={**drag, **axis})
-    bare = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
-    seen = evaluate(rubbing, SCENE.shell, SCENE.trajectory)
-    rows = coulomb_rows(sliding, SCENE.rows)
-    p = FIELD.values.reshape(-1)
-    for rendered, without, added in (
-        (seen.rendered_force, bare.rendered_force, -0.3 * (rows.force @ p)),
-        (seen.rendered_torque, bare.rendered_torque, -0.3 * (rows.torque @ p)),
-    ):
-        np.testing.assert_allclose(
-            rendered, without + added.reshape(-1, 3), rtol=0, atol=1e-12
-        )
-    turning = np.abs(seen.rendered_torque - bare.rendered_torque).max()
-    assert turning > 1e-3 if acts_at == "contact" else turning == 0.0
 
 
 def test_angles_are_exact_when_small_and_right_for_zeros():

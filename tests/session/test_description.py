@@ -64,14 +64,8 @@ def test_the_example_is_understood(recording):
         ("fit.shape", [4, 5.5, 6], "must be whole numbers"),
         ("fit.options", {"force_weight": "much"}, "must be a finite number"),
         ("fit.formulation", "magic", "fit.formulation cannot be used: .*magic"),
-        ("scan.cloud", "camera.json", "scan needs one of cloud, surface, depth, got 2"),
-        ("scan.depth", ["depth_0.png"], "has 2 entries for 1 depth images"),
-        ("scan.depth_kind", "w", "must be z or range"),
         ("scan.intrinsics", 5, "must be a file or a list of files"),
-        ("scan.rays", "camera.json", "scan.rays and intrinsics say the same"),
         ("scan.axis_from", "no.csv", "scan.axis_from is no.csv, which is not in"),
-        ("scan.axis_depth", 0.1, "axis_depth is for axis_from"),
-        ("scan.unit", "ft", "must be m or cm or mm"),
         ("probe", "probe.stl", "probe is probe.stl, which is not in"),
     ],
 )
@@ -82,20 +76,6 @@ def test_what_it_may_not_say(recording, key, value, words):
     else:
         changed(recording, key, value)
     refuses(TtusError, words, read_description, recording)
-
-
-def test_what_is_said_of_the_frame_goes_together(recording):
-    changed(recording, "scan.axis_from", "camera.json")
-    for key, value, words in (
-        ("scan.head", [0, 0, 1], "scan.head says where the frame is, and so does"),
-        ("scan.probe_axes", ["z", "up"], "must be two of x, -x, y, -y, z, -z"),
-        ("scan.probe_axes", "z", "must be two of"),
-        ("scan.probe_axes", [["z"], "y"], "must be two of"),
-        ("scan.axis_depth", "deep", "must be a finite number"),
-    ):
-        changed(recording, key, value)
-        refuses(FileError, words, read_description, recording)
-        changed(recording, key, None)
 
 
 def test_no_description(tmp_path):
