@@ -27,7 +27,6 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import repeat
@@ -79,7 +78,7 @@ class Target:
     is_compiled: bool = True
 
     @property
-    def name(self) -> str:
+    def name(self):
         """As it is chosen on the command line."""
         return Path(self.module).stem
 
@@ -161,7 +160,7 @@ FURTHER = {
 PLAIN = ("fitting/recursion/low_rank_kernel.py",)
 
 
-def targets() -> Iterator[Target]:
+def targets():
     """Every module that has tests, of its stem or as `FURTHER` says."""
     tests = ROOT / "tests"
     for path in sorted((ROOT / "ttus_opt").rglob("*.py")):
@@ -180,7 +179,7 @@ def targets() -> Iterator[Target]:
             yield Target(module.as_posix(), every, module.as_posix() not in PLAIN)
 
 
-def chosen(given: list[str]) -> list[Target]:
+def chosen(given):
     """Targets by name, path or room; `CORE` if none is given.
 
     Raises:
@@ -218,11 +217,11 @@ class Mutant:
     after: str
     code: str
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"{self.module}:{self.line}: {self.before}  →  {self.after}"
 
     @property
-    def key(self) -> tuple[str, str, str]:
+    def key(self):
         """What tells it apart when lines have moved."""
         return self.module, self.before, self.after
 
@@ -231,7 +230,7 @@ class Mutant:
 QUIET = ("*,", "if TYPE_CHECKING:")
 
 
-def silent_lines(code: str) -> set[int]:
+def silent_lines(code):
     """Lines of annotations, signatures' types and decorators: they do nothing.
 
     Nor do imports for annotations, and a lone ``*`` among parameters is no product.
@@ -275,7 +274,7 @@ OTHERS = {
 }
 
 
-def operators() -> Iterator[Any]:
+def operators():
     """The changes tried; not those that no test can tell or that cannot run."""
     from cosmic_ray import plugins
 
@@ -290,7 +289,7 @@ def operators() -> Iterator[Any]:
             yield plugins.get_operator(name)()
 
 
-def mutants(module: str, sample: int, seed: int) -> list[Mutant]:
+def mutants(module, sample, seed):
     """A seeded sample of a module's mutants, spread over the places to change.
 
     Args:
@@ -325,7 +324,7 @@ def mutants(module: str, sample: int, seed: int) -> list[Mutant]:
     return chosen
 
 
-def runs(code: str) -> bool:
+def runs(code):
     """Whether it is Python at all."""
     try:
         ast.parse(code)
@@ -334,7 +333,7 @@ def runs(code: str) -> bool:
     return True
 
 
-def difference(code: str, changed: str) -> tuple[int, str, str]:
+def difference(code, changed):
     """Number and text of the first line that differs."""
     pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
     for number, (before, after) in enumerate(pairs, 1):
@@ -343,7 +342,7 @@ def difference(code: str, changed: str) -> tuple[int, str, str]:
     raise ValueError("the mutant has no line that differs")
 
 
-def equivalents() -> dict[tuple[str, str, str], str]:
+def equivalents():
     """Mutants that change nothing, and why: ``module | before | after | reason``."""
     known = {}
     for line in EQUIVALENT.read_text(encoding="utf-8").splitlines():
@@ -353,7 +352,7 @@ def equivalents() -> dict[tuple[str, str, str], str]:
     return known
 
 
-def outdated() -> list[str]:
+def outdated():
     """Lines listed with a mutant that changes nothing, and gone from their module."""
     gone = []
     for module, before, _ in equivalents():
@@ -367,7 +366,7 @@ def outdated() -> list[str]:
 class Copy:
     """A copy of the tree to run tests in, beside a link to the real data."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.root = folder / "checkout"
         self.root.mkdir(parents=True)
         for name in COPIED:
@@ -383,7 +382,7 @@ class Copy:
         # what mutants compile does not fill the user's cache, unless it is chosen
         self._cache = os.environ.get("NUMBA_CACHE_DIR") or folder.parent / "cache"
 
-    def told(self, target: Target, limit: float | None = None) -> bool:
+    def told(self, target, limit=None):
         """Whether the tests fail, crash or hang.
 
         Args:
@@ -412,11 +411,11 @@ class Copy:
         return child.exitcode != 0
 
     @property
-    def seconds(self) -> float:
+    def seconds(self):
         """CPU time of the last run that ended by itself [s]."""
         return float((self.root / SECONDS).read_text())
 
-    def tells(self, target: Target, mutant: Mutant, limit: float) -> bool:
+    def tells(self, target, mutant, limit):
         """Whether the tests fail with this change."""
         path = self.root / "ttus_opt" / mutant.module
         original = path.read_text(encoding="utf-8")
@@ -426,7 +425,7 @@ class Copy:
         finally:
             self._write(path, original)
 
-    def _write(self, path: Path, code: str) -> None:
+    def _write(self, path, code):
         """Write with a time of its own, which tells kept bytecode to be another's."""
         path.write_text(code, encoding="utf-8")
         second = next(self._seconds)
@@ -441,13 +440,7 @@ FORKS = multiprocessing.get_context("forkserver")
 SECONDS = "seconds.txt"
 
 
-def run_tests(
-    root: Path,
-    tests: tuple[str, ...],
-    environment: dict[str, str],
-    output: Path,
-    limit: float | None,
-) -> None:
+def run_tests(root, tests, environment, output, limit):
     """Run tests in this process, which ends with pytest's exit code.
 
     Args:
@@ -476,7 +469,7 @@ def run_tests(
     sys.exit(code)
 
 
-def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
+def run(targets, sample, seed, workers):
     """Try all mutants and print the table; returns the share told."""
     rows, survivors = [], []
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -486,7 +479,7 @@ def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
         for n in range(workers):
             idle.put(Copy(Path(place) / str(n)))
 
-        def tells(target: Target, mutant: Mutant, limit: float) -> bool:
+        def tells(target, mutant, limit):
             copy = idle.get()
             try:
                 return copy.tells(target, mutant, limit)
@@ -511,7 +504,7 @@ def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
     return report(rows, survivors)
 
 
-def report(rows: list[tuple[str, int, int]], survivors: list[Mutant]) -> float:
+def report(rows, survivors):
     """Print the share told by module; returns that of all."""
     rows = [*rows, ("all", sum(r[1] for r in rows), sum(r[2] for r in rows))]
     print("\n| module | mutants | told | share |\n|---|---|---|---|")
@@ -525,7 +518,7 @@ def report(rows: list[tuple[str, int, int]], survivors: list[Mutant]) -> float:
     return told / max(count, 1)
 
 
-def main() -> int:
+def main():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("modules", nargs="*", metavar="module", help="name or room")

@@ -8,11 +8,6 @@ from tests.comparators.recordings import facing
 from tests.comparators.walls import BLOCK, block, pressed, wall
 from tests.kit import ellipsoid, torso
 from ttus_opt.comparators.contact_geometry import ContactGeometry, SmoothSurface
-from ttus_opt.scan.surface import Surface
-
-
-def cylinder(radius=0.1):
-    return Surface.from_radius(np.full((60, 21), radius), np.linspace(0.0, 0.2, 21))
 
 
 @pytest.mark.parametrize("depth", [-0.005, 0.005, 0.02])

@@ -1,7 +1,5 @@
 """Criteria along a path against dense algebra and fits with a press left out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.stats
@@ -48,31 +46,6 @@ def test_evidence_and_gcv_are_those_of_dense_algebra(path):
     left = R @ W @ d
     gcv = m * (left @ left) / np.trace(R) ** 2 / np.exp(np.log(weights).mean())
     assert float(at["gcv"]) == pytest.approx(gcv, rel=1e-2)
-
-
-def test_presses_left_out_are_fits_without_them(path):
-    scene = three_presses()
-    numbers = scene.presses
-    touching = scene.rows.contact_points > 0
-    off = []
-    for number in np.unique(numbers[touching]):
-        out = numbers == number
-        kept = replace(
-            scene,
-            trajectory=scene.trajectory.select(~out),
-            rows=replace(
-                scene.rows, N=scene.N[np.repeat(~out, 3)], W=scene.W[np.repeat(~out, 3)]
-            ),
-        )
-        solution = tt.fit(kept, "eq10", force_weight=FORCE, torque_weight=TORQUE)
-        force = (scene.N @ solution.candidate).reshape(-1, 3)[out]
-        told = scene.trajectory.force[out]
-        off += [np.abs(np.linalg.norm(told, axis=1) - np.linalg.norm(force, axis=1))]
-    at = path.sel(force_weight=FORCE, torque_weight=TORQUE)
-    assert len(off) == 3
-    expected = np.concatenate(off).mean()
-    assert float(at["left_out_force_error"]) == pytest.approx(expected, rel=1e-3)
-    assert at["left_out_force_error"].attrs["units"] == "N"
 
 
 def test_one_press_cannot_be_left_out():

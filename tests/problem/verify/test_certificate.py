@@ -193,20 +193,6 @@ def test_limits_that_meet_contradict_nothing():
     assert not contradicts(one, Duals({"meet": np.array([1.0, -1.0])}))
 
 
-def test_a_ray_stays_below_upper_limits_and_falls():
-    up = term([[0.0, -1.0]], [0.0], 1.0, Linear(), name="uphill")
-    flat = term([[0.0, 0.0]], [0.0], 1.0, Linear(), name="flat")
-    capped = rows("capped", [[0.0, 1.0]], [-INF], [5.0])
-    ray = np.array([0.0, 1.0])
-    assert decreases_forever(program([up]), ray)
-    assert not decreases_forever(program([up], [capped]), ray)
-    box = bounds("box", [-INF, -INF], [INF, 5.0])
-    assert not decreases_forever(program([up], (), [box]), ray)
-    assert not decreases_forever(program([flat]), ray)
-    down = term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="down")
-    assert not decreases_forever(program([up, down]), ray)
-
-
 def test_a_ray_stays_within_cones():
     """y falls within y ≤ −|x|, but not within y ≥ |x|."""
     down = term([[0.0, 1.0]], [0.0], 1.0, Linear(), name="down")
