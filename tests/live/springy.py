@@ -62,3 +62,9 @@ def session(impairment=None, *, moved=None, patient=None, **options):
         patient or Spring(),
         impairment or Impairment(),
     )
+
+
+def passes(simulation, seconds):
+    """The session goes on, and nobody looks."""
+    for _ in simulation.run(seconds):
+        pass

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.kit import InputError, refuses, some
-from tests.live.springy import PLAN, Spring, parts, path, session
+from tests.live.springy import PLAN, Spring, parts, passes, path, session
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import (
@@ -80,8 +80,7 @@ def test_a_session_is_the_same_every_time():
 def test_a_clean_link_reaches_normal_and_the_model_learns(delay):
     moved = path(lifted=0.5, period=2.0)
     simulation = session(Impairment(delay=delay), moved=moved)
-    for _ in simulation.run(3.0):
-        pass
+    passes(simulation, 3.0)
     view = simulation.operator.view(3.0)
     assert view.state == "NORMAL"
     assert view.folded > 20
@@ -127,8 +126,7 @@ def test_no_force_before_the_hand_was_lifted():
 def deepest():
     """A session in which the hand has just pressed deepest."""
     simulation = session(moved=path(lifted=0.5, period=2.0))
-    for _ in simulation.run(1.5):
-        pass
+    passes(simulation, 1.5)
     return simulation
 
 
@@ -149,8 +147,7 @@ def test_when_the_operator_dies_the_follower_retracts_then_stops():
     assert reaches(simulation, State.STOP, "follower") - cut == pytest.approx(
         0.5, abs=0.05
     )
-    for _ in simulation.run(1.0):
-        pass
+    passes(simulation, 1.0)
     assert np.linalg.norm(simulation.sensed.wrench) < 0.1  # not left pressed
 
 
@@ -170,8 +167,7 @@ def test_when_the_follower_dies_the_operator_holds_its_model_then_stops():
 @pytest.mark.parametrize("side", ["operator", "follower"])
 def test_the_button_stops_its_side_in_the_same_frame_and_the_other_a_way_later(side):
     simulation = session(Impairment(delay=0.05))
-    for _ in simulation.run(2.0):
-        pass
+    passes(simulation, 2.0)
     pressed = simulation.time
     getattr(simulation, side).stop()
     own = simulation.step()
@@ -186,15 +182,13 @@ def test_the_button_stops_its_side_in_the_same_frame_and_the_other_a_way_later(s
 )
 def test_an_unusable_measurement_stops_both(wrench):
     simulation = session()
-    for _ in simulation.run(1.0):
-        pass
+    passes(simulation, 1.0)
     simulation.patient.wrench = wrench
     began = simulation.time
     # in the follower's next frame (100 Hz), and a frame of its own later (200 Hz)
     assert reaches(simulation, State.STOP, "follower", 0.05) - began <= 0.011
     assert reaches(simulation, State.STOP, "operator", 0.05) - began <= 0.021
-    for _ in simulation.run(0.2):
-        pass
+    passes(simulation, 0.2)
     assert simulation.operator.newest.wrench.max() < 1.0  # and nobody learns from it
 
 
@@ -216,8 +210,7 @@ def test_a_stop_is_not_kept_waiting_by_what_is_to_be_learned():
 @pytest.mark.parametrize("turn", [np.nan, 0.0, -1.0, 1.0])
 def test_an_invalid_hand_pose_stops(turn):
     simulation = session()
-    for _ in simulation.run(0.5):
-        pass
+    passes(simulation, 0.5)
     operator, now = simulation.operator, simulation.time + 0.001
     assert operator.feedback is not None
     pose = turn * np.eye(3), np.array([np.nan if turn == 1.0 else 0.11, 0, 0])
@@ -229,8 +222,7 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
     simulation = deepest()
     simulation.operator.stop()
     hand = simulation.hand
-    for _ in simulation.run(0.1):
-        pass
+    passes(simulation, 0.1)
     with pytest.raises(InputError, match="zero contact"):
         simulation.operator.rearm(hand.rotation, hand.position)
     while hand.position[0] < 0.1205:  # the press ends
@@ -262,8 +254,7 @@ def test_silence_stops_after_500_ms_and_not_before(seed):
 
 def test_an_operator_that_starts_again_gets_the_model_again():
     simulation = session()
-    for _ in simulation.run(0.5):
-        pass
+    passes(simulation, 0.5)
     _, shell, _ = parts()
     simulation.operator = Operator(9, shell)
     assert reaches(simulation, State.NORMAL, "operator", 1.0)
@@ -290,15 +281,13 @@ def test_a_hello_that_is_lost_with_its_stream_is_said_again():
         return simulation.operator.model is not None
 
     assert reaches(simulation, State.NORMAL, "follower", 2.0) >= until
-    for _ in simulation.run(0.1):
-        pass
+    passes(simulation, 0.1)
     said, pack = [], simulation.operator.peer.pack
     simulation.operator.peer.pack = lambda now, body, **options: (
         said.append(body),
         pack(now, body, **options),
     )[1]
-    for _ in simulation.run(1.0):
-        pass
+    passes(simulation, 1.0)
     assert not any(isinstance(body, Hello) for body in said)
 
 
@@ -308,13 +297,11 @@ def test_who_joins_after_a_new_surface_gets_it():
     higher = replace(surface, radius=surface.radius + 0.005)
     change = encode(higher, base=content[0])
     over = encode_model(LiveModel(decode(change, base=content[0]), shell, PLAN))
-    for _ in simulation.run(0.5):
-        pass
+    passes(simulation, 0.5)
     simulation.back.send(0.5, simulation.follower.renew(1235.0, change, over))
     for epoch in (9, 10):
         simulation.operator = Operator(epoch, shell)
-        for _ in simulation.run(0.5):
-            pass
+        passes(simulation, 0.5)
         assert simulation.operator.model.surface.radius.max() > 0.104
     assert simulation.follower.surface.radius.max() > 0.104  # the workspace as well
 
@@ -381,8 +368,7 @@ def test_another_version_or_unit_is_refused(hello, said):
 
 def test_a_flood_of_damaged_packets_stops():
     simulation = session()
-    for _ in simulation.run(1.0):
-        pass
+    passes(simulation, 1.0)
     hand = simulation.hand
     step = simulation.operator.step(
         1.0, [b"damaged packet"] * 25, hand.rotation, hand.position
@@ -534,8 +520,7 @@ def test_the_follower_keeps_speed_and_workspace():
 def test_a_new_surface_is_felt_without_a_jump():
     surface, shell, content = parts()
     simulation = session(moved=path(period=20.0))
-    for _ in simulation.run(4.0):
-        pass
+    passes(simulation, 4.0)
     higher = replace(surface, radius=surface.radius + 0.002)
     change = encode(higher, base=content[0])
     seen = decode(change, base=content[0])

@@ -98,20 +98,6 @@ def test_drag_is_mu_times_normal_force_against_the_motion(coarse_patch, pose):
     assert (rough.force - smooth.force) @ motion.velocity < 0.0
 
 
-def test_drag_ratio_on_a_level_push_is_mu(coarse_patch):
-    # A sphere moved along the ridge of a nearly flat patch: forces almost parallel.
-    top = coarse_patch.points[np.argmin(np.abs(coarse_patch.points[:, 0]))]
-    sphere = EllipsoidProbe((0.06, 0.06, 0.06))
-    position = np.array([0.0, top[1] + 0.058, 0.10])
-    motion = Motion(np.array([0.0, 0.0, 0.02]), np.zeros(3))
-    smooth = press(coarse_patch, sphere, np.eye(3), position)
-    rough = press(
-        coarse_patch, sphere, np.eye(3), position, motion=motion, drag=CoulombDrag(0.3)
-    )
-    ratio = (smooth.force - rough.force)[2] / np.linalg.norm(smooth.force)
-    assert ratio == pytest.approx(0.3, rel=0.02)
-
-
 def test_no_drag_at_rest_nor_within_the_deadband(coarse_patch, pose):
     smooth = press(coarse_patch, PROBE, *pose)
     drag = CoulombDrag(0.25, deadband=1e-3)
