@@ -31,7 +31,7 @@ from ttus_opt.solvers.dual.data import (
     refusal_of_terms,
     refusal_of_unknowns,
 )
-from ttus_opt.solvers.dual.limited import Limited, candidate_of
+from ttus_opt.solvers.dual.limited import Limited
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.primal.least_squares import (
@@ -115,19 +115,13 @@ class _Loaded(Limited):
 
     def _load(self, program: Program) -> None:
         """Take other data; keep the last answer and working set."""
-        self._limits = SpokeLimits.of(program)
-        split = Split.of(program, self._few_rows)
-        if self._limits.binding:
-            self._problem = LimitedSum(program, self._limits, split, split.root())
+        limits, split = SpokeLimits.of(program), Split.of(program, self._few_rows)
+        self._problem = LimitedSum(program, limits, split)
+        if limits.binding:
             return
         free = np.ones(split.few.columns.shape[1], dtype=bool)
         self._preconditioner = made = preconditioner(split, free)
         self._function = LeastSquares(split, made.complement)
-
-    def _limited(self, accuracy: Accuracy) -> Candidate:
-        """The field within its limits."""
-        found = self._within(self._problem, accuracy)
-        return candidate_of(found, found.p, found.multipliers.duals(self._limits))
 
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The field and the unknowns beside it, from the last answer."""

@@ -17,9 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
@@ -36,7 +34,7 @@ from ttus_opt.solvers.dual.data import (
     second_field,
 )
 from ttus_opt.solvers.dual.field_pair import FieldPair
-from ttus_opt.solvers.dual.limited import Limited, candidate_of
+from ttus_opt.solvers.dual.limited import Limited
 from ttus_opt.solvers.dual.limits import SpokeLimits, refusal_of_limits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
@@ -93,27 +91,8 @@ class Structured(Solver):
 class _LoadedPair(Limited):
     def _load(self, program: Program) -> None:
         """Take other data; keep the multigrid and the last working set."""
-        self._pair = FieldPair.of(program)
-        self._limits = self._pair.limits
+        self._problem = FieldPair.of(program)
         program.laplace.multigrid  # noqa: B018  (counts as set-up)
-
-    def start_at(self, x: Array, duals: Duals) -> None:
-        """Start from the active limits of a point."""
-        pair = self._pair
-        held = None if duals.bounds is None else duals.bounds[pair.places] * pair.units
-        links = {name: at for name, (at, _) in pair.links.items()}
-        self._begin(x[pair.places] / pair.units, held, links, duals)
-
-    def _proof(self) -> Duals:
-        """None is known."""
-        return Duals()
-
-    def _limited(self, accuracy: Accuracy) -> Candidate:
-        """Both fields within their limits."""
-        pair = self._pair
-        found = self._within(pair, accuracy)
-        x = pair.variables(found.p)
-        return candidate_of(found, x, pair.duals(x, found.multipliers))
 
 
 class _Loaded(Limited):
@@ -122,7 +101,6 @@ class _Loaded(Limited):
     def _load(self, program: Program) -> None:
         """Load other data; the module's docstring lists what is kept."""
         self._data = DualData.of(program)
-        self._limits = SpokeLimits.of(program)
         system = self._data.system
         system.laplace.multigrid  # noqa: B018  (counts as set-up)
         bounds = (b[len(self._data.b) :] for b in program.box)
@@ -131,19 +109,8 @@ class _Loaded(Limited):
             self._solver = DualSolver(system, beside)
         else:
             self._solver.adopt(system, beside)
-
-    def start_at(self, x: Array, duals: Duals) -> None:
-        """Start from the active limits of a point."""
-        p, held = x[: len(self._data.b)], duals.bounds
-        links = {name: at for name, (at, _, _) in self._limits.links.items()}
-        self._begin(p, None if held is None else held[: len(p)], links, duals)
-
-    def _limited(self, accuracy: Accuracy) -> Candidate:
-        """The field within its limits."""
-        assert self._solver is not None
-        problem = LimitedField(self._program, self._limits, self._data, self._solver)
-        found = self._within(problem, accuracy)
-        return candidate_of(found, found.p, found.multipliers.duals(self._limits))
+        limits = SpokeLimits.of(program)
+        self._problem = LimitedField(program, limits, self._data, self._solver)
 
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The field and the unknowns beside it, without limits."""

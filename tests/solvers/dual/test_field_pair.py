@@ -19,7 +19,7 @@ from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.field_pair import FieldPair
-from ttus_opt.solvers.dual.optimality import Multipliers
+from ttus_opt.solvers.dual.limits import Multipliers
 from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers

@@ -1,7 +1,7 @@
 """Attempts that become more exact, and what a working set's end is told as."""
 
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ import pytest
 from tests.kit import small_scene
 from tests.oracles.dense import minimiser
 from ttus_opt.problem import formulation
-from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual.active_set import ActiveSetIteration
+from ttus_opt.solvers.dual import limited
 from ttus_opt.solvers.dual.data import duals_without_limits
-from ttus_opt.solvers.dual.limited import Limited, candidate_of
-from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.limited import Limited
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.primal.limited_sum import LimitedSum
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 PROGRAM = formulation.load("eq10", SCENE).compile()
@@ -30,15 +30,21 @@ class Loaded(Limited):
     reply = None
 
     def _load(self, program):
-        self._limits = SpokeLimits.of(program)
+        self._problem = LimitedSum(program, SpokeLimits.of(program), None)
 
-    def _limited(self, accuracy):
+    def _unlimited(self, accuracy):
         return self.reply(accuracy)
 
     def facing(self, limits):
         """The answer where limits contradict each other."""
-        self._limits = limits
+        self._problem = replace(self._problem, limits=limits)
         return self._contradiction()
+
+    def ended(self, end):
+        """The answer where the iteration ends so."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(limited, "primal_dual_active_set", lambda *_: end)
+            return self._limited(None)
 
 
 def loaded(tolerance=1e-6, reply=None, time_limit=None):
@@ -109,7 +115,11 @@ def test_a_contradiction_counts_beside_the_largest_limit():
 )
 def test_an_iterations_end_is_told(settled, late, claim):
     active = WorkingSet(np.array([1, 0, -1], np.int8), np.array([True, False, False]))
-    end = SimpleNamespace(settled=settled, late=late, sets=4, steps=9, active=active)
-    found = candidate_of(cast(ActiveSetIteration, end), EXACT, Duals())
+    zeros = np.zeros_like(EXACT)
+    end = SimpleNamespace(
+        settled=settled, late=late, sets=4, steps=9, active=active, p=EXACT,
+        multipliers=Multipliers(zeros, zeros),
+    )  # fmt: skip
+    found = loaded().ended(end)
     assert (found.claim, found.iterations) == (claim, 9)
     assert found.detail == "4 working sets, 3 active limits"

@@ -14,7 +14,7 @@ from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits, two_entries
 
 INF = np.inf
 
@@ -42,7 +42,7 @@ def test_nothing_given_is_nothing_limited(small):
     assert not limits.given.any()
     assert limits.contradiction() == 0.0
     assert not limits.links
-    duals = limits.duals(np.zeros(small.n_voxels), np.zeros(small.n_voxels))
+    duals = limits.duals(Multipliers(*np.zeros((2, small.n_voxels))))
     assert not duals.rows
 
 
@@ -130,7 +130,7 @@ def test_a_row_may_be_written_the_other_way_round(small):
     assert np.isfinite(limits.least).sum() == 2
     of_links = np.zeros(small.n_voxels)
     of_links[[3, 9]] = 2.0, 5.0
-    duals = limits.duals(np.zeros(small.n_voxels), of_links)
+    duals = limits.duals(Multipliers(np.zeros(small.n_voxels), of_links))
     # at a lower limit negative, at an upper one positive
     np.testing.assert_array_equal(duals.rows["mine"], [-2.0, 5.0])
 
@@ -234,6 +234,7 @@ def test_a_proof_is_of_the_worst_contradiction(seeds):
             own = float((limits.lower - limits.upper).max())
             assert missing == pytest.approx(max(own, 0.0))
             continue
+        proof = limits.duals(proof)
         assert proof.bounds is not None and (proof.rows["mine"] <= 0.0).all()
         z, y = proof.bounds.copy(), proof.rows["mine"]
         assert not z[given].any()
@@ -284,7 +285,7 @@ def test_duals_have_names_signs_and_balance_the_gradient(small):
     of_bounds = rng.normal(size=small.n_voxels)
     linked = np.isfinite(limits.least)
     of_links = np.where(linked, rng.random(small.n_voxels), 0.0)
-    duals = limits.duals(of_bounds, of_links)
+    duals = limits.duals(Multipliers(of_bounds, of_links))
     assert set(duals.rows) == {"monotone", "boundary"}
     assert (duals.rows["monotone"] <= 0.0).all()  # at lower limits all
     assert not duals.bounds[limits.given].any()
@@ -304,7 +305,7 @@ def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small):
     )
     limits = SpokeLimits.of(loaded)
     of_links = np.where(np.isfinite(limits.least), 1.0, 0.0)
-    duals = limits.duals(np.zeros(small.n_voxels), of_links)
+    duals = limits.duals(Multipliers(np.zeros(small.n_voxels), of_links))
     assert not duals.rows["monotone"].any()
     np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
 
@@ -329,7 +330,7 @@ def test_the_sweeps_answer_is_a_field_that_holds(small):
         raised = np.maximum(p[i], p[i + 1] + least.reshape(limits.shape)[i])
         p[i] = np.where(linked, raised, p[i])
     loaded = declared.compile()
-    duals = limits.duals(np.zeros(p.size), np.zeros(p.size))
+    duals = limits.duals(Multipliers(*np.zeros((2, p.size))))
     assert kkt_residuals(loaded, p.reshape(-1), duals).primal <= 1e-15
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.optimality import Multipliers, Violations, find_violations
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
+from ttus_opt.solvers.dual.optimality import Violations, find_violations
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 INF = np.inf

@@ -15,7 +15,7 @@ from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair
-from ttus_opt.solvers.dual.optimality import Multipliers
+from ttus_opt.solvers.dual.limits import Multipliers
 from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured

@@ -32,7 +32,7 @@ def made(own, hard, prior="eq10"):
     program = (declared + own(scene, 3.0)).with_constraints(*limits).compile()
     split = Split.of(program, FEW)
     assert len(split.wide) == 1
-    return program, LimitedSum(program, SpokeLimits.of(program), split, split.root())
+    return program, LimitedSum(program, SpokeLimits.of(program), split)
 
 
 def solved(problem, active, rtol, last=None):

@@ -36,14 +36,15 @@ from scipy.ndimage import maximum_filter
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.problem.verify.relative_residuals import ROUNDING
 from ttus_opt.solvers.dual import options
-from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
-    Multipliers,
     Violations,
     find_violations,
     multipliers,
+    right_signs,
 )
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
@@ -83,6 +84,8 @@ class SolvableSubproblem(Protocol):
 class LimitedProblem(abc.ABC):
     """A problem with limits: a program of one field and no other unknowns.
 
+    Where it has others (`field_pair`), what has limits is derived from them.
+
     Attributes:
         program: The program.
         limits: Its limits.
@@ -109,6 +112,34 @@ class LimitedProblem(abc.ABC):
     @abc.abstractmethod
     def subproblem(self, active: WorkingSet) -> SolvableSubproblem:
         """The problem of a working set."""
+
+    def limited(self, x: Array) -> Array:
+        """What has limits, shape (V,), from all unknowns, shape (n,)."""
+        return x[: len(self.limits.lower)]
+
+    def variables(self, p: Array) -> Array:
+        """All unknowns of the program, shape (n,)."""
+        return p
+
+    def duals(self, x: Array | None, signs: Multipliers) -> Duals:
+        """Multipliers by name.
+
+        Args:
+            x: All unknowns, shape (n,); None where the limits alone count.
+            signs: Multipliers of the limits.
+        """
+        return self.limits.duals(signs)
+
+    def start(self, x: Array, duals: Duals) -> tuple[Array, WorkingSet]:
+        """What has limits, and the working set of the limits that have multipliers."""
+        p = self.limited(x)
+        active = WorkingSet.empty(len(p))
+        if duals.bounds is not None:
+            active.bounds[:] = np.sign(self.limited(duals.bounds))
+        for name, (at, _, _) in self.limits.links.items():
+            if name in duals.rows:
+                active.links[at] |= duals.rows[name] != 0.0
+        return p, active
 
     def objective(self, p: Array) -> float:
         """The objective."""
@@ -218,7 +249,7 @@ class ActiveSetIteration:
         self.late = accuracy.late
         gradient = self.problem.gradient(p)
         self.signs = signs = multipliers(self.limits, active, gradient)
-        self.multipliers = signs.right_signs(self.limits, active)
+        self.multipliers = right_signs(self.limits, active, signs)
         found = find_violations(self.limits, active, p, signs, gradient)
         n_fields = len(p) // math.prod(self.problem.shape)
         share = min(_least_share(p, n_fields), _least_share(gradient, n_fields))

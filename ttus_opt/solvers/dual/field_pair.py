@@ -14,16 +14,19 @@ from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import duals_without_limits, second_field, terms_beside
-from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
-from ttus_opt.solvers.dual.optimality import Multipliers
+from ttus_opt.solvers.dual.limits import (
+    Multipliers,
+    SpokeLimits,
+    row_limits,
+    two_entries,
+)
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
 from ttus_opt.solvers.dual.touched_limits import TouchedLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -41,15 +44,12 @@ class FieldPair(LimitedProblem):
         places: Indices of p and q among the program's unknowns, shape (2V,).
         others: Index of an unknown beside them, shape (1,) or (0,).
         units: Factors from x and y to p and q, shape (2V,).
-        links: By constraint name: the voxel of every row, and the factor of the row on
-            x - y, shape (m,) each.
     """
 
     prior: ProgramTerm
     places: IntArray = field(repr=False)
     others: IntArray = field(repr=False)
     units: Array = field(repr=False)
-    links: dict[str, tuple[IntArray, Array]] = field(repr=False)
     links_along_spokes: ClassVar[bool] = False
     predicts_roughly: ClassVar[bool] = True
 
@@ -90,22 +90,16 @@ class FieldPair(LimitedProblem):
         for member in linear:
             at, factor, _ = read[member.name]
             scale = factor * sign[at]
-            bound, other = (
-                np.where(scale > 0.0, a, b) / scale
-                for a, b in (
-                    (member.lower, member.upper),
-                    (member.upper, member.lower),
-                )
-            )
+            bound, other = row_limits(member, scale)
             if np.isfinite(other).any():
                 raise ValueError(f"{member.name} limits {name} on the other side too")
             least[at] = np.maximum(least[at], bound)
-            links[member.name] = (at, scale)
+            links[member.name] = (at, scale, bound)
         lower, upper, given = _box(program, places)
         ends = lower / units, upper / units
         ends = np.minimum(*ends), np.maximum(*ends)
-        limits = SpokeLimits((2, V, 1), *ends, given, least, {})
-        return cls(program, limits, prior, places, others, units, links)
+        limits = SpokeLimits((2, V, 1), *ends, given, least, links)
+        return cls(program, limits, prior, places, others, units)
 
     @cached_property
     def rows(self) -> PairRows:
@@ -187,6 +181,10 @@ class FieldPair(LimitedProblem):
         full = np.add(*self.program.gradient(self.variables(p)))
         return np.asarray(self.units * full[self.places])
 
+    def limited(self, x: Array) -> Array:
+        """Both fields in the units of their limits, shape (2V,)."""
+        return np.asarray(x[self.places] / self.units)
+
     def variables(self, p: Array) -> Array:
         """The program's unknowns: both fields and the optimal unknown beside them."""
         x = np.zeros(self.program.n_variables)
@@ -194,21 +192,12 @@ class FieldPair(LimitedProblem):
         x[self.others] = self.rows.parameter(p)
         return x
 
-    def duals(self, x: Array, multipliers: Multipliers) -> Duals:
-        """Multipliers by name.
-
-        Args:
-            x: The program's unknowns, shape (n,).
-            multipliers: Multipliers of the limits of x and y.
-        """
-        left = multipliers.links[: len(multipliers.links) // 2].copy()
-        named = {}
-        for name, (at, scale) in self.links.items():
-            named[name] = -left[at] / scale
-            left[at] = 0.0
+    def duals(self, x: Array | None, signs: Multipliers) -> Duals:
+        """As `LimitedProblem.duals`; that of the unknown beside follows from x."""
+        named = dict(self.limits.duals(signs).rows)
         z = np.zeros(self.program.n_variables)
-        z[self.places] = multipliers.bounds / self.units
-        beside = duals_without_limits(self.program, x).bounds
+        z[self.places] = signs.bounds / self.units
+        beside = None if x is None else duals_without_limits(self.program, x).bounds
         if beside is not None:
             z[self.others] = beside[self.others]
         dirichlet = self.program.dirichlet
@@ -242,7 +231,7 @@ def _common_ratio(ratios: list[Array]) -> float:
     return float(every[0])
 
 
-def _box(program: Program, places: IntArray) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _box(program: Program, places: IntArray) -> tuple[Array, Array, Mask]:
     """Bounds of both fields, and where they prescribe a Dirichlet value."""
     lower, upper = (limit[places] for limit in program.box)
     fixed = ~program.laplace.free

@@ -2,7 +2,8 @@
 
 These are the limits that `structured` handles: bounds lower ≤ p ≤ upper of each voxel;
 links, the order constraints p_v - p_w ≥ s between a voxel v and the next one outwards
-w; and given values (hard Dirichlet voxels).
+w; and given values (hard Dirichlet voxels). The two fields of `field_pair` are spokes
+of two voxels.
 """
 
 from __future__ import annotations
@@ -22,6 +23,19 @@ from ttus_opt.solvers.dual.data import laplace_prior, row_scale
 
 
 @dataclass(frozen=True)
+class Multipliers:
+    """Multipliers of limits.
+
+    Attributes:
+        bounds: Of bounds and given values, positive at upper limits, shape (V,).
+        links: Of order constraints, at their deeper voxel, non-negative, shape (V,).
+    """
+
+    bounds: Array
+    links: Array
+
+
+@dataclass(frozen=True)
 class SpokeLimits:
     """Limits of one field; -inf and inf where there are none.
 
@@ -31,8 +45,8 @@ class SpokeLimits:
         upper: Upper bounds, shape (V,).
         given: Voxels whose value is given: lower = upper there, shape (V,).
         least: s of the link from a voxel to the next one outwards, shape (V,).
-        links: By constraint name: the deeper voxel of every row, the row's sign (+1 for
-            p_v - p_w ≥ s, -1 for p_w - p_v ≤ -s) and s, shape (m,) each.
+        links: By constraint name: the deeper voxel of every row, the row's factor on
+            p_v - p_w, and s, shape (m,) each.
         given_by: Name of the constraint that prescribes values.
     """
 
@@ -66,10 +80,10 @@ class SpokeLimits:
                 lower[given] = np.maximum(lower[given], constraint.lower)
                 upper[given] = np.minimum(upper[given], constraint.upper)
                 continue
-            deeper, sign = _links(constraint, shape)
-            bound = np.where(sign > 0.0, constraint.lower, -constraint.upper)
+            deeper, factor = _links(constraint, shape)
+            bound, _ = row_limits(constraint, factor)
             least[deeper] = np.maximum(least[deeper], bound)
-            links[constraint.name] = (deeper, sign, bound)
+            links[constraint.name] = (deeper, factor, bound)
         name = "" if dirichlet is None else dirichlet.name
         return cls(shape, lower, upper, given, least, links, name)
 
@@ -101,7 +115,7 @@ class SpokeLimits:
         low, up = self._carried()
         return float(np.max(low - up, initial=0.0))
 
-    def proof_of_contradiction(self) -> Duals | None:
+    def proof_of_contradiction(self) -> Multipliers | None:
         """Multipliers that prove the largest contradiction; None if there is none.
 
         A bound of one voxel, propagated along links, contradicts that of another: the
@@ -124,7 +138,7 @@ class SpokeLimits:
         bounds, links = np.zeros(gap.shape), np.zeros(gap.shape)
         bounds[inner, spoke], bounds[outer, spoke] = 1.0, -1.0
         links[inner:outer, spoke] = 1.0
-        return self.duals(bounds.reshape(-1), links.reshape(-1))
+        return Multipliers(bounds.reshape(-1), links.reshape(-1))
 
     def without_implied(self) -> SpokeLimits:
         """The same feasible set without bounds that are implied along links.
@@ -156,28 +170,19 @@ class SpokeLimits:
             np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
         return low, up
 
-    def duals(self, of_bounds: Array, of_links: Array) -> Duals:
-        """Multipliers by name.
-
-        Args:
-            of_bounds: Multipliers of bounds and given values, positive at an upper
-                limit, shape (V,).
-            of_links: Multipliers of links, at their deeper voxel, non-negative, (V,).
-
-        Returns:
-            Signs as in `ttus_opt.problem.verify.kkt`.
-        """
-        left = of_links.copy()
+    def duals(self, multipliers: Multipliers) -> Duals:
+        """Multipliers by name, with signs as in `ttus_opt.problem.verify.kkt`."""
+        left, bounds = multipliers.links.copy(), multipliers.bounds
         rows = {}
-        for name, (deeper, sign, bound) in self.links.items():
+        for name, (deeper, factor, bound) in self.links.items():
             # of several constraints on one link, the tightest gets the multiplier, and
             # of equal ones the first
             carried = np.where(bound >= self.least[deeper], left[deeper], 0.0)
-            rows[name] = -sign * carried
+            rows[name] = -carried / factor
             left[deeper] -= carried
         if self.given_by:
-            rows[self.given_by] = of_bounds[self.given]
-        bounds = np.where(self.given, 0.0, of_bounds)
+            rows[self.given_by] = bounds[self.given]
+            bounds = np.where(self.given, 0.0, bounds)
         return Duals(rows, bounds)
 
 
@@ -194,6 +199,12 @@ def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
     return columns, values
 
 
+def row_limits(constraint: ProgramConstraint, factor: Array) -> tuple[Array, Array]:
+    """Least and largest value of what rows are multiples of, shape (m,) each."""
+    lower, upper = constraint.lower / factor, constraint.upper / factor
+    return np.minimum(lower, upper), np.maximum(lower, upper)
+
+
 def _links(
     constraint: ProgramConstraint, shape: tuple[int, int, int]
 ) -> tuple[IntArray, Array]:
@@ -205,14 +216,12 @@ def _links(
         raise ValueError(refusal)
     columns, values = pairs
     sign = values[:, 0]
-    one_sided = np.where(sign > 0.0, constraint.upper == np.inf, True)
-    one_sided &= np.where(sign < 0.0, constraint.lower == -np.inf, True)
     neighbours = columns[:, 1] - columns[:, 0] == stride
     if not (
         neighbours.all()
         and (values[:, 1] == -sign).all()
         and (np.abs(sign) == 1.0).all()
-        and one_sided.all()
+        and (row_limits(constraint, sign)[1] == np.inf).all()
         and np.bincount(columns[:, 0]).max(initial=0) <= 1
     ):
         raise ValueError(refusal)

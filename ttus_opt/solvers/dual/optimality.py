@@ -12,33 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.problem.verify.kkt import Duals
-from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
-
-
-@dataclass(frozen=True)
-class Multipliers:
-    """Multipliers of limits.
-
-    Attributes:
-        bounds: Of bounds and given values, positive at upper limits, shape (V,).
-        links: Of order constraints, at their deeper voxel, non-negative, shape (V,).
-    """
-
-    bounds: Array
-    links: Array
-
-    def duals(self, limits: SpokeLimits) -> Duals:
-        """The multipliers by constraint name."""
-        return limits.duals(self.bounds, self.links)
-
-    def right_signs(self, limits: SpokeLimits, active: WorkingSet) -> Multipliers:
-        """The multipliers with wrong signs, which are small by now, set to zero."""
-        lower, upper = np.minimum(self.bounds, 0.0), np.maximum(self.bounds, 0.0)
-        bounds = np.where(active.bounds < 0, lower, upper)
-        bounds = np.where(limits.given, self.bounds, bounds)
-        return Multipliers(bounds, np.maximum(self.links, 0.0))
 
 
 @dataclass(frozen=True)
@@ -118,6 +93,16 @@ def multipliers(
     of_links = np.where(links, of_links, 0.0)
     of_bounds = np.where(held, -(inner + outer - g), 0.0)
     return Multipliers(of_bounds.reshape(-1), of_links.reshape(-1))
+
+
+def right_signs(
+    limits: SpokeLimits, active: WorkingSet, signs: Multipliers
+) -> Multipliers:
+    """Multipliers whose wrong signs, which are small by now, are set to zero."""
+    lower, upper = np.minimum(signs.bounds, 0.0), np.maximum(signs.bounds, 0.0)
+    bounds = np.where(active.bounds < 0, lower, upper)
+    bounds = np.where(limits.given, signs.bounds, bounds)
+    return Multipliers(bounds, np.maximum(signs.links, 0.0))
 
 
 def find_violations(

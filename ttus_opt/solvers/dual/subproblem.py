@@ -27,8 +27,7 @@ from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
 from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.optimality import Multipliers
+from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
 from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem

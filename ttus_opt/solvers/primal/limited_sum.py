@@ -8,6 +8,7 @@ limits, with the multigrid of the pooled blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -45,11 +46,14 @@ class LimitedSum(LimitedProblem):
 
     Attributes:
         split: Its objective.
-        root: A root of its wide terms.
     """
 
     split: Split
-    root: Root
+
+    @cached_property
+    def root(self) -> Root:
+        """A root of its wide terms."""
+        return self.split.root()
 
     @property
     def alone(self) -> Mask:
