@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.multigrid.coarsening import Added, conductances
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
+from ttus_opt.laplace.multigrid import Added, OneCycle
+from ttus_opt.laplace.multigrid.coarsening import conductances
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
@@ -95,7 +95,8 @@ def by_network(
         grid.unflatten(link / strength) - along[:, None, None]
         for link, along in zip(links, own, strict=True)
     )
-    cycle = OneCycle(grid, free, Added(grid.unflatten(rest / strength), tuple(more)))
+    added = Added(grid.unflatten(rest / strength), tuple(more))
+    cycle = OneCycle(grid, grid.unflatten(free), added=added)
     others = np.flatnonzero(~free)
     alone = np.where(diagonal > 0.0, diagonal, 1.0)[others]
 

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.laplace.multigrid import Grounds, Multigrid, MultigridResult
+from ttus_opt.laplace.multigrid import Added, Grounds, Multigrid, MultigridResult
 from ttus_opt.laplace.stencil import (
     Stencil,
     VariantGrid,
@@ -291,21 +291,22 @@ class LaplaceSystem(BlockSolves):
         return np.repeat(self.grid.r / self.conductivities[0], shape[1] * shape[2])
 
     @cached_property
-    def screening_of_layers(self) -> Array | None:
-        """Screening on the diagonal of A, shape (n_r,) [m]; None without."""
-        if self.screening == 0.0:
-            return None
-        squared = (self.screening * self.grid.r_step) ** 2
-        return np.asarray(self.grid.r / self.conductivities[0] * squared)
-
-    @cached_property
     def multigrid(self) -> Multigrid:
         """Solver of the symmetric block A on the free voxels."""
         grid = self.operator_grid
-        free = grid.unflatten(self.free)
-        return Multigrid(
-            grid, free, screening=self.screening_of_layers, grounds=self.grounds
-        )
+        return Multigrid(grid, grid.unflatten(self.free), added=self.added)
+
+    @cached_property
+    def added(self) -> Added | None:
+        """What screening and cut links add to A; None for nothing."""
+        grid, grounds, screening = self.grid, self.grounds, None
+        if self.screening:
+            squared = (self.screening * grid.r_step) ** 2
+            layers = grid.r / self.conductivities[0] * squared
+            screening = np.broadcast_to(layers[:, None, None], grid.shape)
+        if screening is None and grounds is None:
+            return None
+        return Added(screening, grounds=grounds)
 
     @cached_property
     def grounds(self) -> Grounds | None:

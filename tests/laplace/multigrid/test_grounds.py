@@ -9,8 +9,7 @@ from scipy.sparse.linalg import spsolve
 
 from tests.kit import torso
 from tests.laplace.multigrid.test_solver import product
-from ttus_opt.laplace.multigrid import Grounds, Multigrid
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
+from ttus_opt.laplace.multigrid import Added, Grounds, Multigrid, OneCycle
 from ttus_opt.laplace.multigrid.subdomain import Subdomain
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -90,7 +89,8 @@ def test_one_cycle_is_near_the_inverse(system):
     free = system.free
     x = np.where(free, 1.0, 0.0)
     b = product(system.multigrid, x)
-    cycle = OneCycle(system.grid, free, grounds=system.grounds)
+    grid = system.grid
+    cycle = OneCycle(grid, grid.unflatten(free), added=Added(grounds=system.grounds))
     assert np.abs(cycle.solve(b).x - x)[free].max() < 0.2
 
 
@@ -100,7 +100,7 @@ def test_grounds_of_fixed_voxels_do_not_count():
     held = system.free.copy()
     held[system.grounds.voxels[::2]] = False
     grid = system.grid
-    less = Multigrid(grid, grid.unflatten(held), grounds=system.grounds)
+    less = Multigrid(grid, grid.unflatten(held), added=system.added)
     free = held
     A = sp.diags_array(-system.radii[free]) @ system.L[free][:, free]
     b = np.where(free, 1.0, 0.0)

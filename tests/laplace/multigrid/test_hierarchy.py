@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.laplace.multigrid.test_aggregated import some_pooled
+from tests.laplace.multigrid.test_pooled import some_pooled
 from ttus_opt.laplace.multigrid.coarsening import (
     DIRECT_NODES,
     STIFFNESS,

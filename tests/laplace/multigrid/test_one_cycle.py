@@ -6,8 +6,7 @@ import numpy as np
 import scipy.linalg
 
 from tests.laplace.multigrid.conftest import noise
-from ttus_opt.laplace.multigrid.coarsening import Added
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
+from ttus_opt.laplace.multigrid import Added, OneCycle
 
 
 def written_out(cycle, free):
@@ -27,7 +26,7 @@ def test_it_is_spectrally_equivalent_to_the_inverse(small):
     # screening comes with the conductances of the symmetric block
     for screening in (0.0, 0.5 * np.diag(A).max()):
         added = Added(np.full(small.grid.shape, screening)) if screening else None
-        B = written_out(OneCycle(small.grid, free, added), free)
+        B = written_out(OneCycle(small.grid, small.free, added=added), free)
         assert np.abs(B - B.T).max() < 1e-4 * np.abs(B).max()
         exact = np.linalg.inv(A + screening * np.eye(len(A)))
         ratios = scipy.linalg.eigh((B + B.T) / 2, exact, eigvals_only=True)
@@ -36,7 +35,7 @@ def test_it_is_spectrally_equivalent_to_the_inverse(small):
 
 def test_it_is_linear_and_leaves_fixed_voxels_alone(small):
     free = small.free.reshape(-1)
-    cycle = OneCycle(small.grid, free)
+    cycle = OneCycle(small.grid, small.free)
     a, b = noise(small.free), noise(small.free, 1)
     together = cycle.solve(2.0 * a - 1e-6 * b).x
     apart = 2.0 * cycle.solve(a).x - 1e-6 * cycle.solve(b).x
@@ -54,8 +53,7 @@ class Taken(deque):
 
 
 def test_two_threads_do_not_take_the_same_scratch_arrays(small):
-    free = small.free.reshape(-1)
-    cycle, b = OneCycle(small.grid, free), noise(small.free)
+    cycle, b = OneCycle(small.grid, small.free), noise(small.free)
     alone = cycle.solve(b).x
     cycle._idle = Taken()
     np.testing.assert_array_equal(cycle.solve(b).x, alone)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.laplace.multigrid.conftest import split
-from tests.laplace.multigrid.test_aggregated import some_pooled, spread
+from tests.laplace.multigrid.test_pooled import some_pooled, spread
 from tests.laplace.multigrid.test_solver import box, make_grid
 from ttus_opt.laplace.multigrid.pooled_blocks import PooledBlocks, block_heads, pool
 from ttus_opt.laplace.multigrid.red_black import Layout

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from tests.laplace.multigrid.test_solver import explicit, make_grid, torso
-from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid
+from ttus_opt.laplace.multigrid import Multigrid, PooledBlocks
 from ttus_opt.laplace.multigrid.subdomain import LARGE, MARGIN, SPOKES, Subdomain
 
 GRID = make_grid((24, 64, 40))
@@ -130,10 +130,10 @@ def test_v_cycle_nearly_inverts_the_box(spoke, pooled):
         own = near[np.isin(near + stride, near) & ~np.isin(near - stride, near)]
         joined[own[::3]] = True
         shown = flat & ~np.roll(joined, stride)
-        cycle = AggregatedMultigrid(GRID, flat, joined, shown).preconditioner(near)
+        blocks = PooledBlocks.of(flat, joined, shown, stride)
     else:
-        shown = flat
-        cycle = Multigrid(GRID, free).preconditioner(near)
+        shown, blocks = flat, None
+    cycle = Multigrid(GRID, free, blocks=blocks).preconditioner(near)
     assert 0 < cycle.free.sum() < 0.5 * flat.sum()
     number = np.full(GRID.n_voxels, -1)
     at = np.flatnonzero(cycle.free & shown)

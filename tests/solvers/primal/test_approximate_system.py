@@ -93,8 +93,7 @@ def test_squares_of_laplace_s_rows_are_solved_to_a_factor(weight, soft):
     wide = [ProgramTerm("ridge", weight, one, np.zeros(V))] if weight else []
     own = np.where(moving, compliance, 0.0)
     exact = DualSystem(LAPLACE, own, sp.csr_array((0, V)), np.zeros(0))
-    at = LAPLACE.operator_grid, LAPLACE.free, LAPLACE.radii
-    root = matched_root(wide, *at, own)
+    root = matched_root(wide, LAPLACE, own)
     apply = ApproximateSystem.matched(exact, LAPLACE, wide, root).prior
     ratios = band(written_out(apply), H, np.flatnonzero(moving))
     assert 0.7 < ratios.min() <= ratios.max() < 1.6

@@ -23,7 +23,7 @@ def wide(term, weight):
 
 def root_of(term):
     ones = np.ones(SCENE.n_voxels)
-    return matched_root([term], LAPLACE.grid, LAPLACE.free, LAPLACE.radii, ones)
+    return matched_root([term], LAPLACE, ones)
 
 
 def minus_x(root):

@@ -57,7 +57,7 @@ def compile_multigrid() -> None:
     free[1:-1, :, 1:-1] = True
     multigrid = Multigrid(grid, free)
     multigrid.preconditioner().run()
-    work = multigrid._vectors()
+    work = multigrid._taken()
     add(np.zeros(grid.n_voxels), work.answer, 1.0, multigrid._operator)
     work._step(1.0)
     work._operate()

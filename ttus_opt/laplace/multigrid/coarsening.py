@@ -86,28 +86,6 @@ class Added:
     links: tuple[Array, ...] = field(default=(), repr=False)
     grounds: Grounds | None = field(default=None, repr=False)
 
-    @classmethod
-    def in_layers(
-        cls,
-        screening: Array | None,
-        shape: tuple[int, int, int],
-        grounds: Grounds | None = None,
-    ) -> Added | None:
-        """Screening that is constant within each layer, shape (n_r,).
-
-        Args:
-            screening: One number per layer [m]; None for nothing.
-            shape: Shape of the grid.
-            grounds: See the class.
-
-        Returns:
-            None if there is nothing to add.
-        """
-        if screening is None:
-            return None if grounds is None else cls(grounds=grounds)
-        full = np.broadcast_to(screening[:, None, None], shape)
-        return cls(full, grounds=grounds)
-
     def within(self, part: Subdomain) -> Added:
         """The same on a part of the grid."""
         links: tuple[Array, ...] = tuple(part.restrict(v) for v in self.links)

@@ -39,10 +39,12 @@ class PooledBlocks:
     """Voxels that follow the value of another.
 
     Attributes:
+        pooled: Voxels pooled with the next one outwards, shape (V,).
         followers: Voxels, shape (k,).
         leaders: The leader of each follower's block, shape (k,).
     """
 
+    pooled: Mask = field(repr=False)
     followers: IntArray = field(repr=False)
     leaders: IntArray = field(repr=False)
 
@@ -60,7 +62,7 @@ class PooledBlocks:
         leader = np.arange(len(free))
         leader[head[leads]] = np.flatnonzero(leads)
         followers = np.flatnonzero(free & ~leads)
-        return cls(followers, leader[head[followers]])
+        return cls(pooled, followers, leader[head[followers]])
 
     @property
     def longest(self) -> int:

@@ -1,10 +1,15 @@
-"""Geometric multigrid for the symmetric block A of Laplace's equation.
+"""Geometric multigrid for Laplace's equation on the voxel grid.
 
 On the free voxels of a cylindrical grid, A is r times the negative stencil of
 `laplace`: symmetric positive definite. A solve is iterative refinement (`refinement`):
 residuals and x in double precision, each correction by conjugate gradients in single
 precision (`pcg`), preconditioned by a V-cycle (`workspace`) with red-black zebra line
 relaxation (`line_smoother`) on levels that keep the surface closed (`coarsening`).
+
+With pooled blocks (`pooled_blocks`) the operator is PᵀA P. Blocks lie in radial lines,
+which the smoother solves exactly; links within a block are so strong that, in single
+precision, both ends have the same value. All that is left is to sum residuals over
+blocks.
 """
 
 from __future__ import annotations
@@ -20,15 +25,19 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
-from ttus_opt.core.threads import parts_of
+from ttus_opt.core.threads import in_parts, parts_of
 from ttus_opt.laplace.multigrid import refinement
-from ttus_opt.laplace.multigrid.coarsening import Added, Grounds, conductances
+from ttus_opt.laplace.multigrid.coarsening import Added, conductances
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.pcg import Vectors
+from ttus_opt.laplace.multigrid.pooled_blocks import PooledBlocks
 from ttus_opt.laplace.multigrid.v_cycle import VCycle
 from ttus_opt.laplace.multigrid.workspace import LARGE
 from ttus_opt.voxmap.grid import CylindricalGrid
 
+#: Sweeps of `OneCycle` before and after on the finest level [–]: on M, 49 steps of
+#: conjugate gradients with one sweep are 16 with two
+SWEEPS = 2
 #: Factor of the residual after one correction: the limit of single precision [–]
 REDUCTION = 1e-4
 #: Right-hand sides between its inverse and this are not rescaled.
@@ -52,12 +61,17 @@ class MultigridResult:
     relative_residual: float
 
 
-class Multigrid:
-    """Solver of A x = b on the free voxels of a grid.
+class OneCycle:
+    """A⁻¹ approximated by one V-cycle on the free voxels of a grid.
+
+    The map b ↦ x is linear, symmetric and positive definite up to single precision, as
+    a preconditioner must be. With several sweeps on the finest level it is close to A⁻¹
+    in the Euclidean norm and not only in the energy norm: two such maps in a row are
+    then spectrally equivalent to A⁻².
 
     (A x)_v = r_i · Σ c (x_v - x_neighbour) over the six neighbours, with the weights
     c of `laplace` and x = 0 at fixed voxels; b and x are full vectors (V,), zero at
-    fixed voxels. Setting up costs about as much as one solve.
+    fixed voxels and at followers of blocks.
 
     An instance may be used by several threads at once: each call works in arrays of
     its own, and compiled code releases the interpreter's lock. A solve on a large grid
@@ -66,8 +80,9 @@ class Multigrid:
     Attributes:
         grid: The grid.
         free: Unknown voxels, shape (V,).
+        blocks: Pooled voxels; None for none.
+        added: What is added to the operator of the grid; None for nothing.
         hierarchy: The levels.
-        norm_bound: Bound of the operator's norm (Gershgorin) [m].
     """
 
     def __init__(
@@ -75,21 +90,17 @@ class Multigrid:
         grid: CylindricalGrid,
         free: NDArray[np.bool_],
         *,
-        pooled: NDArray[np.bool_] | None = None,
-        screening: Array | None = None,
-        grounds: Grounds | None = None,
+        blocks: PooledBlocks | None = None,
+        added: Added | None = None,
     ) -> None:
-        """Build the levels.
+        """Build the levels, which costs about as much as one solve.
 
         Args:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``; none in the first and last
                 layer and slice.
-            pooled: Free voxels pooled with the next one outwards, same shape; for
-                `AggregatedMultigrid`, which treats residuals accordingly.
-            screening: Added to the diagonal of each layer, not negative, shape (n_r,)
-                [m]; None for nothing.
-            grounds: Corrections of links that the boundary cuts; None for nothing.
+            blocks: As above.
+            added: As above.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -105,31 +116,26 @@ class Multigrid:
                 "free voxels in the first or last layer or slice, which have no "
                 "neighbour beyond: mark them False"
             )
-        self.grid = grid
-        self.free = grid.flatten(free)
-        r, t, z = conductances(grid)
-        self.screening, self.grounds = screening, grounds
-        own = np.zeros_like(r) if screening is None else screening
-        self.norm_bound = float(
-            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
-        )
-        if grounds is not None:
-            self.norm_bound += float(grounds.changes.sum(axis=1).max(initial=0.0))
-        self._pooled = pooled
-        self._added = Added.in_layers(screening, grid.shape, grounds)
-        self.hierarchy = Hierarchy.build(grid, free, pooled, self._added)
-        sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
+        self.grid, self.free = grid, grid.flatten(free)
+        self.blocks, self.added = blocks, added
+        pooled = None if blocks is None else grid.unflatten(blocks.pooled)
+        self.hierarchy = Hierarchy.build(grid, free, pooled, added)
         self._operator = refinement.Operator.of(
-            self.free, (r, t, z), sizes, own, grounds
+            self.free, conductances(grid), self._sizes
         )
         self._idle: deque[Vectors] = deque()
         self._parts = parts_of(self.free.size, LARGE)
 
-    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., OneCycle], tuple[object, ...]]:
         """Pickle as what it was built from."""
-        built = (self.grid, self.grid.unflatten(self.free))
-        make = partial(Multigrid, screening=self.screening, grounds=self.grounds)
-        return make, built
+        make = partial(type(self), blocks=self.blocks, added=self.added)
+        return make, (self.grid, self.grid.unflatten(self.free))
+
+    @property
+    def _sizes(self) -> tuple[int, int, int]:
+        """Spokes, slices and the pitch of the red-black order [–]."""
+        _, n_theta, n_z = self.grid.shape
+        return n_theta, n_z, self.hierarchy.levels[0].layout.pitch
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """A preconditioner of one V-cycle, with arrays of its own and without copies.
@@ -138,9 +144,81 @@ class Multigrid:
             near: Flat indices of the voxels where it must be accurate, shape (k,): it
                 may cover only a box around them. None for all voxels.
         """
-        pooled = None if self._pooled is None else self.grid.flatten(self._pooled)
-        whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
+        pooled = None if self.blocks is None else self.blocks.pooled
+        whole = (self.hierarchy, self.grid, self.free, pooled, self.added)
         return VCycle.near(near, *whole)
+
+    def solve(self, rhs: Array, *, rtol: float = 0.0) -> MultigridResult:
+        """One V-cycle's answer.
+
+        Args:
+            rhs: b, shape (V,); values at fixed voxels are left out.
+            rtol: Ignored: the accuracy of one V-cycle is fixed.
+
+        Returns:
+            The answer after one cycle; its residual is not computed.
+        """
+        x = np.zeros_like(rhs)
+        most, least = (f(where=self.free, initial=0.0) for f in (rhs.max, rhs.min))
+        largest = max(float(most), -float(least))
+        if largest > 0.0:
+            work, order = self._taken(), self._operator
+            refinement.residual(work.b, rhs, rhs, order, 1.0 / largest, is_zero=True)
+            work.v_cycle(sweeps=SWEEPS)
+            refinement.add(x, work.x, largest, order)
+            self._idle.append(work)
+        if self.blocks is not None:
+            x[self.blocks.followers] = 0.0
+        return MultigridResult(x, 1, np.nan)
+
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
+        """Solve Aᵀ x = b: the same, as A is symmetric."""
+        return self.solve(rhs, rtol=rtol)
+
+    def _taken(self) -> Vectors:
+        """Scratch arrays that no other thread has."""
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return Vectors(self.hierarchy, self.blocks)
+
+
+class Multigrid(OneCycle):
+    """Solver of A x = b on the free voxels of a grid.
+
+    What is added to the operator is constant within each layer, cut links aside.
+
+    Attributes:
+        norm_bound: Bound of the operator's norm (Gershgorin) [m].
+    """
+
+    def __init__(
+        self,
+        grid: CylindricalGrid,
+        free: NDArray[np.bool_],
+        *,
+        blocks: PooledBlocks | None = None,
+        added: Added | None = None,
+    ) -> None:
+        """Build the levels; as `OneCycle`."""
+        super().__init__(grid, free, blocks=blocks, added=added)
+        added = added or Added()
+        assert not added.links, "one cycle takes more links, a solve does not"
+        r, t, z = steps = conductances(grid)
+        own = np.zeros_like(r)
+        if added.screening is not None:
+            own = np.ascontiguousarray(added.screening[:, 0, 0])
+        self.norm_bound = float(
+            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
+        )
+        if added.grounds is not None:
+            changes = added.grounds.changes.sum(axis=1)
+            self.norm_bound += float(changes.max(initial=0.0))
+        if blocks is not None:
+            self.norm_bound *= math.sqrt(blocks.longest)
+        self._operator = refinement.Operator.of(
+            self.free, steps, self._sizes, own, added.grounds
+        )
 
     def solve(self, rhs: Array, *, rtol: float = 1e-12) -> MultigridResult:
         """Solve A x = b.
@@ -172,10 +250,6 @@ class Multigrid:
         result = self._refine(b, rtol)
         return replace(result, x=result.x * unit)
 
-    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
-        """Solve Aᵀ x = b: the same, as A is symmetric."""
-        return self.solve(rhs, rtol=rtol)
-
     def _refine(self, b: Array, rtol: float, scale: float = 1.0) -> MultigridResult:
         """Iterative refinement for a right-hand side whose squares are numbers.
 
@@ -184,10 +258,7 @@ class Multigrid:
             rtol: As in `solve`.
             scale: What brings b near 1, for single precision [–].
         """
-        try:  # scratch arrays that no other thread has
-            work = self._idle.pop()
-        except IndexError:
-            work = self._vectors()
+        work = self._taken()
         now = size = self._residual(work, None, b, scale)
         x, norm_x = np.zeros_like(b), 0.0
         iterations, failures = 0, 0
@@ -210,6 +281,8 @@ class Multigrid:
             now = self._residual(work, x, b, scale)
             failures = failures + 1 if now > 0.5 * before else 0
         self._idle.append(work)
+        if self.blocks is not None:
+            x[self.blocks.followers] = 0.0
         return MultigridResult(x, iterations, now / size)
 
     def _vector(self, values: Array) -> tuple[Array, float]:
@@ -225,27 +298,31 @@ class Multigrid:
                 f"{vector.shape}"
             )
         kept = np.where(self.free, vector, 0.0)
-        largest = largest_size(kept)
+        if self.blocks is not None:
+            kept[self.blocks.followers] = 0.0
+        largest = max(float(kept.max()), -float(kept.min()))
         if not math.isfinite(largest):
             raise InputError(
                 "the right-hand side must be finite at free voxels, got NaN or inf"
             )
         return kept, largest
 
-    def _vectors(self) -> Vectors:
-        """New scratch arrays."""
-        return Vectors(self.hierarchy)
-
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float
     ) -> float:
         """‖b - A x‖, x zero if None; leaves it scaled in ``work.b``."""
+        if x is not None and self.blocks is not None:
+            self.blocks.prolong(x)
+            b = b - self._product(x)
+            self.blocks.restrict(b)
+            x = None
         given = b if x is None else x
         args = work.b, given, b, self._operator, scale
         square = refinement.residual(*args, is_zero=x is None, parts=self._parts)
         return math.sqrt(square)
 
-
-def largest_size(values: Array) -> float:
-    """Largest absolute value; NaN if there is one."""
-    return max(float(values.max()), -float(values.min()))
+    def _product(self, x: Array) -> Array:
+        """A x for a vector that is zero at fixed voxels."""
+        out = np.zeros_like(x)
+        in_parts(partial(refinement.operate, out, x, self._operator), self._parts)
+        return out

@@ -273,4 +273,4 @@ def _multigrid(laplace: LaplaceSystem, free: Mask) -> Multigrid:
     if np.array_equal(free, laplace.free):
         return laplace.multigrid
     grid = laplace.grid
-    return Multigrid(grid, grid.unflatten(free), grounds=laplace.grounds)
+    return Multigrid(grid, grid.unflatten(free), added=laplace.added)

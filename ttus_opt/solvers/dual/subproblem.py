@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.multigrid import AggregatedMultigrid, Grounds, Multigrid
+from ttus_opt.laplace.multigrid import Added, Multigrid, PooledBlocks
 from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
 from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
 from ttus_opt.solvers.dual.active_set import LimitedProblem
@@ -45,8 +45,7 @@ class ReducedLaplace(BlockSolves):
 
     Attributes:
         grid: The grid of the operator.
-        screening: Added to the diagonal of A, shape (n_r,) [m]; None for nothing.
-        grounds: Changes of A by cut links; None for nothing.
+        added: What is added to the operator of the grid; None for nothing.
         free: Voxels that represent an unknown, shape (V,).
         radii: Factors between rows of A and of L, √Σ r² over a block, shape (V,) [m].
         coupling: Entries from Dirichlet voxels to square rows, and their adjoint.
@@ -55,8 +54,7 @@ class ReducedLaplace(BlockSolves):
     """
 
     grid: CylindricalGrid
-    screening: Array | None = field(repr=False)
-    grounds: Grounds | None = field(repr=False)
+    added: Added | None = field(repr=False)
     free: Mask = field(repr=False)
     radii: Array = field(repr=False)
     coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
@@ -64,14 +62,18 @@ class ReducedLaplace(BlockSolves):
     links: Mask = field(repr=False)
 
     @cached_property
-    def multigrid(self) -> Multigrid | AggregatedMultigrid:
-        """Solver of the symmetric block."""
-        grid, screening, grounds = self.grid, self.screening, self.grounds
+    def blocks(self) -> PooledBlocks | None:
+        """Pooled members; None for none."""
         if not self.links.any():
-            members = grid.unflatten(self.members)
-            return Multigrid(grid, members, screening=screening, grounds=grounds)
-        blocks = (self.members, self.links, self.free)
-        return AggregatedMultigrid(grid, *blocks, screening=screening, grounds=grounds)
+            return None
+        stride = self.grid.strides[0]
+        return PooledBlocks.of(self.members, self.links, self.free, stride)
+
+    @cached_property
+    def multigrid(self) -> Multigrid:
+        """Solver of the symmetric block."""
+        members = self.grid.unflatten(self.members)
+        return Multigrid(self.grid, members, blocks=self.blocks, added=self.added)
 
 
 @dataclass(frozen=True)
@@ -274,8 +276,7 @@ def reduced(
     left = DualSystem(
         ReducedLaplace(
             laplace.operator_grid,
-            laplace.screening_of_layers,
-            laplace.grounds,
+            laplace.added,
             own,
             radii,
             coupling,

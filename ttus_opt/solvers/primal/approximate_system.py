@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
+from ttus_opt.laplace.multigrid import OneCycle
 from ttus_opt.laplace.system import RTOL, BlockSystem, LaplaceSystem, SquareSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
@@ -114,8 +114,8 @@ class ApproximateSystem(DualSystem):
             root: X.
             unseen: As above.
         """
-        grid, grounds = laplace.operator_grid, laplace.grounds
-        cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
+        grid = laplace.operator_grid
+        cycle = OneCycle(grid, grid.unflatten(laplace.free), added=root.added)
         return cls.of(exact, laplace, cycle, root.coupling, wide, unseen)
 
     @classmethod

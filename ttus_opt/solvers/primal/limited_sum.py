@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.laplace.multigrid.one_cycle import OneCycle
+from ttus_opt.laplace.multigrid import OneCycle
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer
@@ -76,14 +76,9 @@ class LimitedSum(LimitedProblem):
         system = left.solver.system
         laplace = system.laplace
         assert isinstance(laplace, ReducedLaplace)
-        tied = bool(laplace.links.any())
+        members = laplace.grid.unflatten(laplace.members)
         cycle = OneCycle(
-            laplace.grid,
-            laplace.members,
-            self.root.added,
-            laplace.links if tied else None,
-            laplace.free,
-            laplace.grounds,
+            laplace.grid, members, blocks=laplace.blocks, added=self.root.added
         )
         assert left.sums is not None
         more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)

@@ -23,7 +23,8 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.multigrid.coarsening import Added
+from ttus_opt.laplace.multigrid import Added
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
@@ -158,19 +159,17 @@ class Root:
     """X on the grid, times r like the symmetric block A of L.
 
     Attributes:
-        added: Added to A; None for nothing.
+        added: Added to the block A of the grid, cut links included.
         coupling: Added to L's entries in free rows and fixed columns, (V, V).
     """
 
-    added: Added | None
+    added: Added
     coupling: sp.csr_array = field(repr=False)
 
 
 def matched_root(
     wide: Sequence[ProgramTerm],
-    grid: CylindricalGrid,
-    free: Mask,
-    radii: Array,
+    laplace: LaplaceSystem,
     compliance: Array,
     unseen: bool = False,
 ) -> Root:
@@ -178,17 +177,16 @@ def matched_root(
 
     Args:
         wide: The wide terms.
-        grid: The grid of the operator.
-        free: Voxels with a Laplace row, shape (V,).
-        radii: As in `SquareSystem`, shape (V,) [m].
+        laplace: L.
         compliance: Ω, shape (V,) [–].
         unseen: Whether the null space of heavy terms is deflated (`UnseenFields`).
     """
+    grid, free, radii = laplace.operator_grid, laplace.free, laplace.radii
     V = grid.n_voxels
     roots = (_root(term, grid, free, compliance, unseen) for term in wide)
     parts = [part for part in roots if part is not None]
     if not parts:
-        return Root(None, sp.csr_array((V, V)))
+        return Root(Added(grounds=laplace.grounds), sp.csr_array((V, V)))
     screening, *conductances = np.sum(parts, axis=0)
     index = grid.unflatten(np.arange(V))
     links, rows, columns, entries = [], [], [], []
@@ -205,7 +203,8 @@ def matched_root(
             columns.append(other[at])
             entries.append(link[at] / radii[own[at]])
     used = tuple(links) if rows else ()
-    added = Added(grid.unflatten(np.where(free, screening * radii, 0.0)), used)
+    own = grid.unflatten(np.where(free, screening * radii, 0.0))
+    added = Added(own, used, laplace.grounds)
     if not rows:
         return Root(added, sp.csr_array((V, V)))
     places = np.concatenate(rows), np.concatenate(columns)

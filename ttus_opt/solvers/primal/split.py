@@ -73,9 +73,8 @@ class Split:
         Args:
             unseen: As in `matched_root`.
         """
-        laplace, compliance = self.operator, self.few.system.compliance
-        grid, own = laplace.operator_grid, (laplace.free, laplace.radii)
-        return matched_root(self.wide, grid, *own, compliance, unseen)
+        compliance = self.few.system.compliance
+        return matched_root(self.wide, self.operator, compliance, unseen)
 
     @property
     def given(self) -> Array:

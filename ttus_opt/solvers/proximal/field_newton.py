@@ -211,8 +211,7 @@ class FieldNewton:
             others = [t for t in wide if t.name != term.name]
             nothing = sp.csr_array((0, len(fixed)))
             exact = DualSystem(system, compliance, nothing, np.zeros(0))
-            grid, own = system.operator_grid, (system.free, system.radii)
-            root = matched_root(others, grid, *own, compliance)
+            root = matched_root(others, system, compliance)
             return ApproximateSystem.matched(exact, system, others, root).prior
         if laplace is not None and not (self._squares and len(fixed) < NETWORK):
             network = by_network(laplace, *self._network(name, part, slopes), fixed)

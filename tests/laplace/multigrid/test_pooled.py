@@ -19,7 +19,7 @@ from tests.laplace.multigrid.test_solver import (
     torso,
 )
 from ttus_opt.core.errors import NumericalError
-from ttus_opt.laplace.multigrid import AggregatedMultigrid, Multigrid
+from ttus_opt.laplace.multigrid import Multigrid, PooledBlocks
 from ttus_opt.laplace.multigrid import solver as solver_module
 
 GRIDS = {
@@ -87,20 +87,23 @@ def spread(free, pooled, rng):
     return P, member
 
 
-def aggregated(grid, free, pooled):
+def aggregated(grid, free, pooled, seed=0):
     """The solver, and the voxels at which blocks stand."""
-    _, member = spread(free, pooled, np.random.default_rng(0))
+    _, member = spread(free, pooled, np.random.default_rng(seed))
     shown = np.zeros(free.size, dtype=bool)
     shown[member] = True
-    return AggregatedMultigrid(grid, free.reshape(-1), pooled.reshape(-1), shown), shown
+    blocks = PooledBlocks.of(
+        free.reshape(-1), pooled.reshape(-1), shown, grid.strides[0]
+    )
+    return Multigrid(grid, free, blocks=blocks), shown
 
 
 def product(solver, z):
     """PᵀA P z as residuals are computed."""
     x = z.copy()
-    solver._blocks.prolong(x)
+    solver.blocks.prolong(x)
     out = solver._product(x)
-    solver._blocks.restrict(out)
+    solver.blocks.restrict(out)
     return out
 
 
@@ -109,9 +112,7 @@ def check(grid, free, pooled, seed=0):
     rng = np.random.default_rng(seed)
     P, member = spread(free, pooled, rng)
     K = sp.csc_array(P.T @ explicit(grid, free) @ P)
-    shown = np.zeros(free.size, dtype=bool)
-    shown[member] = True
-    solver = AggregatedMultigrid(grid, free.reshape(-1), pooled.reshape(-1), shown)
+    solver, shown = aggregated(grid, free, pooled, seed)
     b = np.where(shown, rng.standard_normal(free.size), 0.0)
     np.testing.assert_allclose(
         product(solver, b)[member], K @ b[member], atol=1e-12 * abs(K).max()
