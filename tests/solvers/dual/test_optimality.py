@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
-from ttus_opt.solvers.dual.optimality import Violations, find_violations
+from ttus_opt.solvers.dual.optimality import Violations, find_violations, right_signs
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 INF = np.inf
@@ -26,9 +26,10 @@ def working_set(bounds, links):
 def test_multipliers_are_told_with_the_right_sign():
     """A lower bound's is not positive, an upper one's and a link's not negative."""
     active = working_set([-1, 1, 0, 0], [True, True, False, False])
-    found = Multipliers(
+    signs = Multipliers(
         np.array([1e-9, -1e-9, 0.0, -3.0]), np.array([-1e-9, 2.0, 0.0, 0.0])
-    ).right_signs(LIMITS, active)
+    )
+    found = right_signs(LIMITS, active, signs)
     np.testing.assert_array_equal(found.bounds, [0.0, 0.0, 0.0, -3.0])
     np.testing.assert_array_equal(found.links, [0.0, 2.0, 0.0, 0.0])
 

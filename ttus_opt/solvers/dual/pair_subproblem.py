@@ -6,10 +6,7 @@ bound holds its value; with an active link x_v - y_v ≥ s, y_v follows x_v. Wit
 
 - free unknowns keep their own Laplace rows, which form the square system;
 - the row of a held value becomes a measured row, and so does that of a y_v that follows
-  x_v. If all neighbours follow too, that row is the same function of z as the row of
-  x_v, and both are merged into one row of their joint weight.
-
-Additional rows therefore arise only at the rim of an active region.
+  x_v.
 """
 
 from __future__ import annotations
@@ -164,70 +161,42 @@ class PairSubproblem:
         """
         unknowns = _Unknowns.of(limits, active)
         self._whole, self._unknowns = whole, unknowns
-        V = len(unknowns.follows)
-        joined = self._joined(whole, unknowns)
-        # merged rows are averages in proportion to their weights
-        share = whole.compliance[V:] + whole.compliance[:V]
-        share = np.divide(whole.compliance[V:], share, out=np.ones(V), where=joined)
-
-        def square_rows(values: Array) -> Array:
-            both = share * values[:V] + (1.0 - share) * values[V:]
-            return np.where(unknowns.own, np.concatenate([both, values[V:]]), 0.0)
-
+        own = unknowns.own
         rest = whole.b - of_both(whole.L, unknowns.offset)
-        left = ~unknowns.own & (whole.compliance > 0.0)
-        left[V:] &= ~joined
+        left = ~own & (whole.compliance > 0.0)
         at = np.flatnonzero(left)
         L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
         moved = np.diff(L.indptr) > 0
         left[at] = ~moved
-        alone = self._alone(whole, rest, left, joined)
+        alone = self._alone(whole, rest, left)
         at, L = at[moved], L[moved]
         root = 1.0 / np.sqrt(whole.compliance[at])
-        rows = [whole.rows @ unknowns.expansion, L, sp.csr_array((1, 2 * V))]
-        compliance = whole.compliance * np.concatenate([share, np.ones(V)])
+        rows = [whole.rows @ unknowns.expansion, L, sp.csr_array((1, len(own)))]
         system = DualSystem(
             _laplace(whole, unknowns),
-            np.where(unknowns.own, compliance, 0.0),
+            np.where(own, whole.compliance, 0.0),
             sp.csr_array(sp.vstack(rows, format="csr")),
             np.concatenate([whole.root_weights, root, [1.0]]),
             len(whole.root_weights),
         )
         measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
-        self._b = square_rows(rest)
+        self._b = np.where(own, rest, 0.0)
         self._t = np.concatenate([measured, root * rest[at], alone[1:]])
         # c becomes a column of the measured rows only, by subtracting the fields that
         # it causes
         column = np.concatenate(
             [whole.measured_column, root * whole.column[at], alone[:1]]
         )
-        self._made = system.laplace.solve(square_rows(whole.column))
+        self._made = system.laplace.solve(np.where(own, whole.column, 0.0))
         column -= system.measure(self._made)
         c = LinearParameters(column[:, None], *np.array(whole.bounds)[:, None])
         self._solver = DualSolver(system, c)
 
     @staticmethod
-    def _joined(whole: PairRows, unknowns: _Unknowns) -> Mask:
-        """Voxels whose two rows are the same function of the unknowns, shape (V,)."""
-        V = len(unknowns.follows)
-        apart = ~unknowns.follows & ~(unknowns.held[:V] & unknowns.held[V:])
-        near = whole.neighbours @ apart.astype(np.int8)
-        return np.asarray(unknowns.follows & (near == 0))
-
-    @staticmethod
-    def _alone(whole: PairRows, rest: Array, still: Mask, joined: Mask) -> Array:
-        """E and t of a single row for all rows that contain no field any more.
-
-        These are rows of voxels that are held with all their neighbours, and
-        differences of two merged rows.
-        """
-        V = len(joined)
+    def _alone(whole: PairRows, rest: Array, still: Mask) -> Array:
+        """E and t of one row for the rows of voxels held with all their neighbours."""
         root = 1.0 / np.sqrt(whole.compliance[still])
-        apart = 1.0 / np.sqrt(whole.compliance[:V] + whole.compliance[V:])[joined]
-        column, target = (
-            np.concatenate([root * v[still], apart * (v[:V] - v[V:])[joined]])
-            for v in (whole.column, rest)
-        )
+        column, target = (root * v[still] for v in (whole.column, rest))
         size = float(np.linalg.norm(column))
         return np.array([size, float(column @ target) / size if size > 0.0 else 0.0])
 

@@ -169,22 +169,7 @@ class LimitedField(LimitedProblem):
             return Subproblem(self.whole, data.b, data.t, one, np.zeros(n))
         laplace = data.system.laplace
         assert isinstance(laplace, LaplaceSystem)
-        if not (active.links.any() or active.bounds[laplace.free].any()):
-            return _given_instead(self.limits, active, data)
         return reduced(laplace, self.limits, active, data)
-
-
-def _given_instead(
-    limits: SpokeLimits, active: WorkingSet, data: DualData
-) -> Subproblem:
-    """The subproblem if only soft values are held: they become given values."""
-    held, n = active.bounds != 0, len(data.b)
-    value = np.where(active.bounds > 0, limits.upper, limits.lower)
-    compliance = np.where(held, 0.0, data.system.compliance)
-    solver = DualSolver(replace(data.system, compliance=compliance))
-    b = np.where(held & ~limits.given, value, data.b)
-    one = sp.csr_array(sp.eye_array(n, format="csr"))
-    return Subproblem(solver, b, data.t, one, np.zeros(n))
 
 
 @dataclass(frozen=True)
