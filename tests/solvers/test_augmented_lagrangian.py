@@ -21,7 +21,6 @@ from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import augmented_lagrangian, registry
 from ttus_opt.solvers.base import Claim, Request
-from ttus_opt.solvers.proximal import field_newton
 
 SOLVER = registry.solvers()["augmented_lagrangian"]
 
@@ -183,15 +182,9 @@ def test_interior_points_agree(terms):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limits", LIMITS)
-@pytest.mark.parametrize(
-    ("how", "weight"), [("factor", 1e1), ("conjugate gradients", 1e-5)]
-)
+@pytest.mark.parametrize("weight", [1e1, 1e-5])
 @pytest.mark.parametrize("terms", TERMS)
-def test_interior_points_agree_over_weights_and_limits(
-    terms, weight, limits, how, monkeypatch
-):
-    if how != "factor":
-        monkeypatch.setattr(field_newton, "SMALL", 0)
+def test_interior_points_agree_over_weights_and_limits(terms, weight, limits):
     compared(terms, weight, limits)
 
 

@@ -11,7 +11,7 @@ rows that lie over all voxels:
 - otherwise a factor or algebraic multigrid (`ttus_opt.solvers.primal.sparse_inverse`).
 
 Few rows are added by their Schur complement (`primal.preconditioner`). Slopes are those
-without kinks, except in the network. Small problems are factorised.
+without kinks, except in the network.
 """
 
 from __future__ import annotations
@@ -31,21 +31,13 @@ from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.conjugate_gradients import Map, to_residual
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
-from ttus_opt.solvers.primal.elimination import factor
 from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.preconditioner import with_few_rows
 from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
-from ttus_opt.solvers.proximal.penalised_rows import (
-    Between,
-    PenalisedRows,
-    group_columns,
-)
+from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 Indices = NDArray[np.int32] | NDArray[np.int64]
-
-#: Up to how many variables H is formed and factorised
-SMALL = 3000
 
 #: Most steps of conjugate gradients; steps after which the diagonal is too weak
 MOST_STEPS, MANY = 400, 16
@@ -111,8 +103,6 @@ class FieldNewton:
     ) -> tuple[Array, int]:
         """As `LaplaceNewton.step`; the multipliers are not used."""
         side = np.where(self._fixed, 0.0, -gradient)
-        if len(side) <= SMALL and not self._squares:
-            return self._factorised(side, slopes), 1
 
         def product(v: Array) -> Array:
             return self._product(v, slopes)
@@ -285,32 +275,10 @@ class FieldNewton:
             out += square @ slope.factor
         return out
 
-    def _factorised(self, side: Array, slopes: Sequence[Slope]) -> Array:
-        """The step of a small problem, by a factor of H."""
-        free = np.flatnonzero(~self._fixed)
-        H = sp.csr_array((len(side),) * 2)
-        for rows, slope in zip(self._blocks, slopes, strict=True):
-            H = H + rows.matrix.T @ _matrix(slope) @ rows.matrix
-        own = sp.csc_array(H[free][:, free])
-        tiny = np.finfo(float).eps * float(abs(own.diagonal()).max(initial=0.0))
-        own = own + sp.csc_array(sp.eye_array(len(free)) * tiny)
-        d = np.zeros_like(side)
-        d[free] = factor(own).solve(side[free])
-        return d
-
 
 def _scaled(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:
     """Rows times the roots of their slopes."""
     return sp.csr_array(sp.diags_array(np.sqrt(slope.factor)) @ matrix)
-
-
-def _matrix(slope: Slope) -> sp.csr_array:
-    """A slope as a matrix, shape (m, m)."""
-    factor = sp.csr_array(sp.diags_array(slope.factor))
-    if slope.along is None:
-        return factor
-    unit = group_columns(np.sqrt(slope.factor) * slope.along, slope.size)
-    return sp.csr_array(factor - unit @ unit.T)
 
 
 def add_normal_product(
