@@ -114,19 +114,15 @@ class DualSolver:
         self,
         system: DualSystem,
         parameters: LinearParameters | None = None,
-        loosest: float | None = None,
     ) -> None:
         """Load a problem; nothing is solved yet.
 
         Args:
             system: The dual of the field alone.
             parameters: The parameters beside it; None for none.
-            loosest: Largest relative residual of a solve inside a product [–]; None for
-                the default.
         """
         self.system = system
         self.parameters = parameters or LinearParameters.none(len(system.root_weights))
-        self._loosest = loosest or options.LOOSEST_PRODUCT
         self._base: tuple[Array, float, Array] | None = None
         self._forget()
 
@@ -213,7 +209,7 @@ class DualSolver:
     ) -> tuple[DualAnswer, Array]:
         """Multipliers refined from a point, and their residual, shape (m,)."""
         system, before = self.system, np.inf
-        loosest = max(self._loosest, PRODUCT * accuracy.rtol)
+        loosest = max(options.LOOSEST_PRODUCT, PRODUCT * accuracy.rtol)
         residual = target - system.measure(at.p) - at.y
         for _ in range(options.REFINEMENTS):
             rest = complement.part(residual)

@@ -30,9 +30,6 @@ from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_column
 #: Relative residual of solves with L, over that of the inexact step [–]
 INSIDE = 1e-2
 
-#: Largest relative residual of products with the dual [–]
-LOOSEST = 1e-4
-
 
 class LaplaceNewton:
     """Newton steps by the dual of Laplace's rows.
@@ -97,9 +94,8 @@ class LaplaceNewton:
         if not len(roots):
             return laplace.solve(h, rtol=inside), 0
         system = DualSystem(laplace, compliance, rows, roots)
-        solver = DualSolver(system, loosest=LOOSEST)
         accuracy = Accuracy(rtol, inside, deadline)
-        answer = solver.solve(h, -y / roots, accuracy)
+        answer = DualSolver(system).solve(h, -y / roots, accuracy)
         self._aim, at = [multipliers[k].copy() for k in self._few], 0
         change = -roots * answer.y - y
         for aim, k in zip(self._aim, self._few, strict=True):
