@@ -106,8 +106,8 @@ class LimitedProblem(abc.ABC):
 
     @property
     def alone(self) -> Mask | bool:
-        """Unknowns that a row of their own pulls to a value, such as soft values."""
-        return False
+        """Unknowns that a row of their own pulls to a value: soft values, (V,)."""
+        return ~self.program.laplace.free
 
     @abc.abstractmethod
     def subproblem(self, active: WorkingSet) -> SolvableSubproblem:

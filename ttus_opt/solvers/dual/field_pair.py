@@ -51,6 +51,7 @@ class FieldPair(LimitedProblem):
     others: IntArray = field(repr=False)
     units: Array = field(repr=False)
     links_along_spokes: ClassVar[bool] = False
+    alone: ClassVar[bool] = False
     predicts_roughly: ClassVar[bool] = True
 
     @classmethod

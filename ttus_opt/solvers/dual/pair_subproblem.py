@@ -1,8 +1,9 @@
 """The subproblem of a working set of two fields.
 
-Each voxel v has an unknown x_v of the first field and y_v of the second. An active
-bound holds its value; with an active link x_v - y_v ≥ s, y_v follows x_v. With
-(x, y) = P z + o, the remaining problem has the same structure and no limits:
+Each voxel v has an unknown x_v of the first field and y_v of the second, a spoke of two
+voxels to `subproblem.Blocks`: an active bound or a given value holds its value; with an
+active link x_v - y_v ≥ s, y_v follows x_v. With (x, y) = P z + o, the remaining problem
+has the same structure and no limits:
 
 - free unknowns keep their own Laplace rows, which form the square system;
 - the row of a held value becomes a measured row, and so does that of a y_v that follows
@@ -26,7 +27,7 @@ from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.pair_laplace import PairBlock
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
-from ttus_opt.solvers.dual.subproblem import selection
+from ttus_opt.solvers.dual.subproblem import Blocks
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
@@ -99,50 +100,6 @@ def of_both(matrix: sp.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([matrix @ half for half in np.split(values, 2)])
 
 
-@dataclass(frozen=True)
-class _Unknowns:
-    """The unknowns of a subproblem.
-
-    Attributes:
-        expansion: P, shape (2V, 2V).
-        offset: o, shape (2V,).
-        own: Entries with their own unknown, shape (2V,).
-        held: Entries with a fixed value, shape (2V,).
-        follows: Voxels whose y follows their x, shape (V,).
-    """
-
-    expansion: sp.csr_array
-    offset: Array
-    own: Mask
-    held: Mask
-    follows: Mask
-
-    @classmethod
-    def of(cls, limits: SpokeLimits, active: WorkingSet) -> _Unknowns:
-        n = len(active.bounds)
-        V = n // 2
-        fixed = (active.bounds != 0) | limits.given
-        value = np.where(active.bounds > 0, limits.upper, limits.lower)
-        held = active.bounds != 0
-        offset = np.where(held, value, 0.0)
-        linked = active.links[:V]
-        gap = np.where(linked, limits.least[:V], 0.0)
-        # at most one of a linked pair is fixed, which fixes the other
-        for one, other, sign in ((0, V, -1.0), (V, 0, 1.0)):
-            a, b = slice(one, one + V), slice(other, other + V)
-            drawn = linked & fixed[a] & ~held[b]
-            offset[b] = np.where(drawn, value[a] + sign * gap, offset[b])
-            held[b] |= drawn
-        follows = linked & ~fixed[:V] & ~fixed[V:]
-        offset[V:] = np.where(follows, -gap, offset[V:])
-        own = ~held
-        own[V:] &= ~follows
-        columns = np.arange(n)
-        columns[V:] = np.where(follows, np.arange(V), columns[V:])
-        expansion = selection(~held, columns)
-        return cls(expansion, offset, own, held, follows)
-
-
 class PairSubproblem:
     """The problem of one working set, and the solver of its dual."""
 
@@ -159,7 +116,8 @@ class PairSubproblem:
             limits: Its limits; a pair is treated as a spoke of two voxels.
             active: Which of them are active.
         """
-        unknowns = _Unknowns.of(limits, active)
+        every = np.ones(len(whole.b), dtype=bool)
+        unknowns = Blocks.of(every, limits, active)
         self._whole, self._unknowns = whole, unknowns
         own = unknowns.own
         rest = whole.b - of_both(whole.L, unknowns.offset)
@@ -212,7 +170,7 @@ class PairSubproblem:
         return replace(answer, p=p)
 
 
-def _laplace(whole: PairRows, unknowns: _Unknowns) -> BlockSystem:
+def _laplace(whole: PairRows, unknowns: Blocks) -> BlockSystem:
     """The square system of a subproblem."""
     one = whole.laplace
     V = len(one.free)

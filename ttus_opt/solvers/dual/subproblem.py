@@ -114,17 +114,12 @@ class LimitedField(LimitedProblem):
     data: DualData
     whole: DualSolver
 
-    @property
-    def alone(self) -> Mask:
-        """Voxels of soft values, shape (V,)."""
-        return ~self.data.system.laplace.free
-
     @cached_property
     def _limited_soft(self) -> Mask:
         """Soft values with only a lower limit, shape (V,)."""
         limits, soft = self.limits, self.data.system.compliance > 0.0
         own = np.isfinite(limits.lower) & np.isinf(limits.upper) & ~limits.given
-        return self.alone & soft & own
+        return ~self.program.laplace.free & soft & own
 
     @cached_property
     def _soft_values(self) -> SoftValues:
@@ -173,7 +168,7 @@ class LimitedField(LimitedProblem):
 
 
 @dataclass(frozen=True)
-class _Blocks:
+class Blocks:
     """Pooled voxels; single voxels are blocks of one.
 
     Attributes:
@@ -186,15 +181,30 @@ class _Blocks:
     offset: Array
     dirichlet: Mask
 
+    @cached_property
+    def own(self) -> Mask:
+        """Voxels that represent their block, shape (V,)."""
+        return np.asarray(self.unknown == np.arange(len(self.unknown)))
+
+    @cached_property
+    def expansion(self) -> sp.csr_array:
+        """P, shape (V, V)."""
+        return _selection(self.unknown >= 0, self.unknown)
+
     @classmethod
-    def of(
-        cls, laplace: LaplaceSystem, limits: SpokeLimits, active: WorkingSet
-    ) -> _Blocks:
+    def of(cls, free: Mask, limits: SpokeLimits, active: WorkingSet) -> Blocks:
+        """The blocks of a working set.
+
+        Args:
+            free: Voxels that are not Dirichlet, shape (V,).
+            limits: The limits.
+            active: Which of them are active.
+        """
         n = len(active.bounds)
         head = block_heads(active.links, limits.stride)
         # a block is represented by its first Dirichlet voxel, else by its head
         stand = np.arange(n)
-        fixed = np.flatnonzero(~laplace.free)[::-1]
+        fixed = np.flatnonzero(~free)[::-1]
         dirichlet = np.zeros(n, dtype=bool)
         dirichlet[head[fixed]] = True
         stand[head[fixed]] = fixed
@@ -231,13 +241,11 @@ def reduced(
         data: The dual of the whole problem.
     """
     system, n = data.system, len(data.b)
-    voxels = np.arange(n)
-    blocks = _Blocks.of(laplace, limits, active)
-    moving = blocks.unknown >= 0
-    expansion = selection(moving, blocks.unknown)
+    blocks = Blocks.of(laplace.free, limits, active)
+    moving, expansion = blocks.unknown >= 0, blocks.expansion
     members = laplace.free & moving & ~blocks.dirichlet
-    own = members & (blocks.unknown == voxels)
-    fixed = moving & ~laplace.free & (blocks.unknown == voxels)
+    own = members & blocks.own
+    fixed = moving & ~laplace.free & blocks.own
     sizes = np.bincount(blocks.unknown[members], minlength=n)
     pooled = members & (sizes[blocks.unknown] > 1)
     target = data.b - laplace.L @ blocks.offset
@@ -246,7 +254,7 @@ def reduced(
     across = _across_blocks(laplace, blocks, pooled)
     loose = laplace.free & ~members
     loose |= moving & ~laplace.free & ~fixed & (system.compliance > 0.0)
-    rest = sp.csr_array(sp.vstack([across, selection(loose, voxels)[loose]]))
+    rest = sp.csr_array(sp.vstack([across, _selection(loose, np.arange(n))[loose]]))
     extra = sp.csr_array(rest @ laplace.L @ expansion)
     filled = np.diff(extra.indptr) > 0
     rows = sp.vstack([system.rows @ expansion, extra[filled]], format="csr")
@@ -283,7 +291,7 @@ def reduced(
     )
 
 
-def selection(rows: Mask, columns: IntArray) -> sp.csr_array:
+def _selection(rows: Mask, columns: IntArray) -> sp.csr_array:
     """Ones at (v, columns[v]) for some rows v, shape (V, V)."""
     indptr = np.concatenate([[0], np.cumsum(rows)])
     entries = np.ones(indptr[-1]), columns[rows], indptr
@@ -300,7 +308,7 @@ def _of_columns(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
 
 
 def _sums(
-    laplace: LaplaceSystem, blocks: _Blocks, own: Mask, pooled: Mask
+    laplace: LaplaceSystem, blocks: Blocks, own: Mask, pooled: Mask
 ) -> tuple[sp.csr_array, Array]:
     """Map from the rows of L to the square rows, (V, V), and the radii of these."""
     n = len(own)
@@ -315,7 +323,7 @@ def _sums(
 
 
 def _across_blocks(
-    laplace: LaplaceSystem, blocks: _Blocks, pooled: Mask
+    laplace: LaplaceSystem, blocks: Blocks, pooled: Mask
 ) -> sp.csr_array:
     """Orthonormal rows orthogonal to the kept one, k - 1 per block, shape (m, V)."""
     voxels = np.flatnonzero(pooled)

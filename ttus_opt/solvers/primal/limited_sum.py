@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.arrays import Array
 from ttus_opt.laplace.multigrid import OneCycle
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData
@@ -54,11 +54,6 @@ class LimitedSum(LimitedProblem):
     def root(self) -> Root:
         """A root of its wide terms."""
         return self.split.root()
-
-    @property
-    def alone(self) -> Mask:
-        """Voxels of soft values, shape (V,)."""
-        return ~self.split.operator.free
 
     def subproblem(self, active: WorkingSet) -> LimitedSubproblem:
         """The problem of a working set."""
