@@ -31,6 +31,7 @@ from ttus_opt.laplace.multigrid.coarsening import Added, conductances
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.pcg import Vectors
 from ttus_opt.laplace.multigrid.pooled_blocks import PooledBlocks
+from ttus_opt.laplace.multigrid.subdomain import Subdomain
 from ttus_opt.laplace.multigrid.v_cycle import VCycle
 from ttus_opt.laplace.multigrid.workspace import LARGE
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -144,9 +145,27 @@ class OneCycle:
             near: Flat indices of the voxels where it must be accurate, shape (k,): it
                 may cover only a box around them. None for all voxels.
         """
-        pooled = None if self.blocks is None else self.blocks.pooled
-        whole = (self.hierarchy, self.grid, self.free, pooled, self.added)
-        return VCycle.near(near, *whole)
+        levels, sweeps = self.hierarchy, 1 if near is None else 2
+        if near is not None and self.blocks is not None:
+            # all blocks, because one that is cut would be held fixed
+            near = np.union1d(near, np.flatnonzero(self.blocks.pooled))
+        part = Subdomain.around(self.grid, near)
+        if not part.is_whole:
+            place, boxes = (part.first, part.shape), levels.boxes
+            if place not in boxes:
+                boxes.clear()
+                boxes[place] = self._levels_of(part)
+            levels = boxes[place]
+        return VCycle(levels, part, self.free, sweeps=sweeps)
+
+    def _levels_of(self, part: Subdomain) -> Hierarchy:
+        """The levels of a part of the grid."""
+        pooled = None
+        if self.blocks is not None:
+            pooled = part.restrict(self.grid.unflatten(self.blocks.pooled))
+        added = None if self.added is None else self.added.within(part)
+        free = part.free(self.grid.unflatten(self.free))
+        return Hierarchy.build(part, free, pooled, added)
 
     def solve(self, rhs: Array, *, rtol: float = 0.0) -> MultigridResult:
         """One V-cycle's answer.

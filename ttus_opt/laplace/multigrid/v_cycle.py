@@ -11,12 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.laplace.multigrid.coarsening import Added
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.red_black import Single
 from ttus_opt.laplace.multigrid.subdomain import Subdomain
 from ttus_opt.laplace.multigrid.workspace import Workspace
-from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 class VCycle:
@@ -55,45 +53,6 @@ class VCycle:
         self._work = Workspace(hierarchy)
         self.b: Single = self._work.b.reshape(-1)
         self.x: Single = self._work.x.reshape(-1)
-
-    @classmethod
-    def near(
-        cls,
-        voxels: NDArray[np.integer] | None,
-        hierarchy: Hierarchy,
-        grid: CylindricalGrid,
-        free: NDArray[np.bool_],
-        pooled: NDArray[np.bool_] | None = None,
-        added: Added | None = None,
-    ) -> VCycle:
-        """A V-cycle that is accurate at some voxels, on no larger a grid than needed.
-
-        Args:
-            voxels: Flat indices, shape (k,); None for all, and the plain V-cycle.
-            hierarchy: The levels of the whole grid.
-            grid: The grid.
-            free: Its unknown voxels, shape (V,).
-            pooled: Those pooled with the next one outwards, shape (V,); None for none.
-            added: What is added to the operator of the grid; None for nothing.
-        """
-        if voxels is not None and pooled is not None:
-            # all blocks, because one that is cut would be held fixed
-            voxels = np.union1d(voxels, np.flatnonzero(pooled))
-        part = Subdomain.around(grid, voxels)
-        levels: Hierarchy | None = hierarchy
-        if not part.is_whole:
-            place, boxes = (part.first, part.shape), hierarchy.boxes
-            levels = boxes.get(place)
-            if levels is None:
-                inside = part.free(grid.unflatten(free))
-                if pooled is not None:
-                    pooled = part.restrict(grid.unflatten(pooled))
-                more = None if added is None else added.within(part)
-                levels = Hierarchy.build(part, inside, pooled, more)
-                boxes.clear()
-                boxes[place] = levels
-        assert levels is not None
-        return cls(levels, part, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where voxels lie in ``b`` and ``x``.
