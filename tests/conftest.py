@@ -6,12 +6,14 @@ import pytest
 
 from tests.kit import shared_data, small_scene
 
+# of what files of tests hold nothing is garbage: rounds of the collector are rare
+gc.set_threshold(100_000, 20, 50)
+
 
 def pytest_collection_finish():
     """Leave out of the collector's rounds what lives as long as the tests do."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000, 20, 50)
 
 
 @pytest.hookimpl(wrapper=True)
