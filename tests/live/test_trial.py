@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.kit import InputError, refuses
+from tests.live import springy
 from ttus_opt.live import demo
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.recording import frames_of
@@ -69,6 +70,20 @@ def test_the_hand_begins_and_moves_between_places_lifted():
         )
     still = Hand(path)  # stays at its end
     np.testing.assert_allclose(still.wanted(99.0)[0], path.position[-1], atol=1e-9)
+
+
+def test_a_hand_swings_about_where_a_force_meets_its_spring():
+    """A damped oscillator of 0.4 kg, 500 N/m and 15 N·s/m under a step of 2 N."""
+    force, step = np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]), 1e-4
+    hand = Hand(springy.path(depth=0.0))
+    times, moved = step * np.arange(1, 2001), []
+    for _ in times:
+        hand.step(0.0, force, step)
+        moved.append(hand.position[1])
+    decay, turn = 15.0 / 0.8, np.sqrt(500.0 / 0.4 - (15.0 / 0.8) ** 2)
+    swing = np.cos(turn * times) + decay / turn * np.sin(turn * times)
+    expected = 2.0 / 500.0 * (1.0 - np.exp(-decay * times) * swing)
+    np.testing.assert_allclose(moved, expected, atol=2e-5)
 
 
 @pytest.mark.parametrize(
