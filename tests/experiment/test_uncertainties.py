@@ -30,10 +30,10 @@ def fits(folder, stamp, status=Status.SOLVED):
 def test_what_is_kept_comes_back(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     curve = CalibrationCurve.of((rng.standard_normal((20, 3)), np.ones((20, 3))))
-    figures = Calibration(0.1, float("nan"), 0.95, float("nan"), 0.3, float("nan"), 20)
+    nan = float("nan")
+    figures = Calibration(0.1, nan, 0.95, nan, 0.3, nan, 20, curve=curve)
     monkeypatch.setattr(uncertainties, "uncertainty", lambda *_: None)
     monkeypatch.setattr(uncertainties, "check_uncertainty", lambda *_: figures)
-    monkeypatch.setattr(uncertainties, "calibration_curve", lambda *_: curve)
     made = stated_uncertainty(fits(tmp_path, "word"), SETTING)
     monkeypatch.setattr(uncertainties, "uncertainty", None)
     again = stated_uncertainty(fits(tmp_path, "word"), SETTING)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.report.calibration_curve import CalibrationCurve
     from ttus_opt.report.extrapolation import Bin
     from ttus_opt.report.metrics import Errors, Evaluation
     from ttus_opt.voxmap.field import PotentialField
@@ -38,7 +37,6 @@ class RecordingLine:
         hysteresis_share: Work of presses that is not given back; NaN without any.
         uncertainty: Stated uncertainty against errors; None if not requested.
         refused: Why the requested uncertainty is missing; "" otherwise.
-        curve: The same comparison as curves; None without uncertainty.
         errors: Errors of its frames.
     """
 
@@ -47,7 +45,6 @@ class RecordingLine:
     hysteresis_share: float
     uncertainty: Calibration | None = None
     refused: str = ""
-    curve: CalibrationCurve | None = None
     errors: Errors | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -130,10 +127,7 @@ def recording_lines(
         uncertainty: Uncertainty of the field; None if not requested.
     """
     from ttus_opt.fitting.checks.sanity import recording_names
-    from ttus_opt.fitting.uncertainty.uncertainty_check import (
-        calibration_curve,
-        check_uncertainty,
-    )
+    from ttus_opt.fitting.uncertainty.uncertainty_check import check_uncertainty
     from ttus_opt.report.metrics import hysteresis_share
 
     parts = recorded.parts
@@ -142,15 +136,13 @@ def recording_lines(
     for name, frames in zip(names, parts, strict=True):
         own, part = recorded.select(frames), judged.over(frames)
         lost = hysteresis_share(own, shell, judged.errors.force_threshold_N)
-        found, refused, curve = None, "", None
+        found, refused = None, ""
         if uncertainty is not None:
             try:
                 found = check_uncertainty(uncertainty, part, own)
-                curve = calibration_curve(uncertainty, part, own)
             except InputError as error:
                 refused = str(error)
-        line = RecordingLine(name, len(own), lost, found, refused, curve, part.errors)
-        out.append(line)
+        out.append(RecordingLine(name, len(own), lost, found, refused, part.errors))
     return out
 
 
@@ -295,7 +287,8 @@ def _draw(
 
     figures = []
     if calibration is not None:
-        curves = {one.name: one.curve for one in each if one.curve is not None}
+        told = {one.name: one.uncertainty for one in each}
+        curves = {n: c.curve for n, c in told.items() if c is not None and c.curve}
         if not curves:
             raise InputError(f"nothing to draw in {calibration}: {each[0].refused}")
         figures.append((plots.calibration_picture(curves), calibration))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ttus_opt.core.errors import InputError
@@ -14,7 +14,6 @@ from ttus_opt.experiment.settings import Setting
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
     Calibration,
-    calibration_curve,
     check_uncertainty,
 )
 from ttus_opt.problem.solution import Status
@@ -28,14 +27,18 @@ class StatedUncertainty:
     Attributes:
         setting: Name.
         figures: Coverage and rank correlation by new recording.
-        curves: The same as curves.
         refused: Why there is none; "" otherwise.
     """
 
     setting: str
     figures: Mapping[str, Calibration] = field(repr=False)
-    curves: Mapping[str, CalibrationCurve] = field(repr=False)
     refused: str = ""
+
+    @property
+    def curves(self) -> dict[str, CalibrationCurve]:
+        """The same as curves."""
+        found = {name: one.curve for name, one in self.figures.items()}
+        return {name: curve for name, curve in found.items() if curve is not None}
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -66,23 +69,23 @@ def _checked(fits: PatientFits, setting: Setting) -> StatedUncertainty:
     solution, scene, _ = fits.solved(setting)
     if solution.status is not Status.SOLVED:
         reason = f"the fit ended {solution.status.name.lower()}"
-        return StatedUncertainty(setting.name, {}, {}, reason)
-    figures, curves = {}, {}
+        return StatedUncertainty(setting.name, {}, reason)
+    figures = {}
     try:
         stated = uncertainty(solution, scene)
         for name in UNSEEN:
             judged = fits.evaluation(solution.field, name, "measured")
-            at = stated, judged, fits.examination.measured[name]
-            figures[name], curves[name] = check_uncertainty(*at), calibration_curve(*at)
+            measured = fits.examination.measured[name]
+            figures[name] = check_uncertainty(stated, judged, measured)
     except InputError as error:
-        return StatedUncertainty(setting.name, {}, {}, str(error))
-    return StatedUncertainty(setting.name, figures, curves)
+        return StatedUncertainty(setting.name, {}, str(error))
+    return StatedUncertainty(setting.name, figures)
 
 
 def _read(name: str, content: Mapping[str, Any]) -> StatedUncertainty:
-    return StatedUncertainty(
-        name,
-        {k: restored(Calibration, v) for k, v in content["figures"].items()},
-        {k: CalibrationCurve.from_dict(v) for k, v in content["curves"].items()},
-        content["refused"],
-    )
+    curves = {k: CalibrationCurve.from_dict(v) for k, v in content["curves"].items()}
+    figures = {
+        k: replace(restored(Calibration, v), curve=curves.get(k))
+        for k, v in content["figures"].items()
+    }
+    return StatedUncertainty(name, figures, content["refused"])

@@ -10,7 +10,6 @@ import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import exact, fitted
 from tests.kit import InputError, presses, torso
 from ttus_opt.fitting.uncertainty.uncertainty_check import (
-    calibration_curve,
     check_uncertainty,
 )
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
@@ -131,8 +130,8 @@ def test_a_curve_has_the_coverage_of_the_check_and_only_frames_in_contact():
         force=rendered.rendered_force + (1.5 * off * total)[:, :3],
         torque=rendered.rendered_torque + (1.5 * off * total)[:, 3:],
     )
-    at = exact(), tt.evaluate(field, own, truth), truth
-    curve, found = calibration_curve(*at), check_uncertainty(*at)
+    found = check_uncertainty(exact(), tt.evaluate(field, own, truth), truth)
+    curve = found.curve
     assert curve.coverage == pytest.approx(found.force_coverage) != 1.0
     assert curve.torque[curve.level == 0.95] == pytest.approx(found.torque_coverage)
     touching = stated.force_size > 0.0

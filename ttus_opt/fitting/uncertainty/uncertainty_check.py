@@ -10,17 +10,17 @@ Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from ttus_opt.contact.places import places, runs
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report.calibration_curve import CalibrationCurve
+from ttus_opt.report.calibration_curve import CalibrationCurve, Spread
 from ttus_opt.report.metrics import Evaluation
 
 #: Fewest frames, or places, for a rank correlation [–]
@@ -61,6 +61,7 @@ class Calibration:
         force_place_rank_correlation: Rank correlation of the means over places [–].
         torque_place_rank_correlation: The same for torque [–].
         places: Runs of frames of one press within 30 mm [–].
+        curve: Uncertainty and noise together against errors, to draw.
     """
 
     force_std_N: float
@@ -78,10 +79,11 @@ class Calibration:
     force_place_rank_correlation: float = np.nan
     torque_place_rank_correlation: float = np.nan
     places: int = 0
+    curve: CalibrationCurve | None = field(default=None, repr=False, compare=False)
 
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""
-        return asdict(self)
+        return {name: v for name, v in vars(self).items() if name != "curve"}
 
 
 def check_uncertainty(
@@ -98,7 +100,18 @@ def check_uncertainty(
         InputError: The probe touches in fewer than three frames, or the evaluation is
             of another recording.
     """
-    stated, touching = stated_in_contact(uncertainty, evaluation, trajectory)
+    if not np.array_equal(evaluation.time, trajectory.time):
+        raise InputError(
+            "the evaluation belongs to another recording: pass the recording it was "
+            "made on"
+        )
+    stated = uncertainty.std(trajectory)
+    touching = stated.known & (stated.force_size > 0.0)
+    if np.count_nonzero(touching) < LEAST:
+        raise InputError(
+            "a check of uncertainty needs three frames in contact, the recording has "
+            "fewer"
+        )
     press = runs(touching, trajectory.segment)[touching]
     place = places(press, trajectory.position[touching])
     force = _Agreement.of(
@@ -126,59 +139,10 @@ def check_uncertainty(
         *(force.total_ranks, torque.total_ranks),
         *(force.place_ranks, torque.place_ranks),
         int(place[-1]) + 1,
+        None
+        if force.spread is None
+        else CalibrationCurve.of(force.spread, torque.spread),
     )
-
-
-def stated_in_contact(
-    uncertainty: StatesUncertainty, evaluation: Evaluation, trajectory: Trajectory
-) -> tuple[WrenchUncertainty, Mask]:
-    """Uncertainty along a recording, and its frames in contact where it is known.
-
-    Args:
-        uncertainty: Of the evaluated field.
-        evaluation: Of `ttus_opt.evaluate` on the trajectory.
-        trajectory: The recording.
-
-    Raises:
-        InputError: As of `check_uncertainty`.
-    """
-    if not np.array_equal(evaluation.time, trajectory.time):
-        raise InputError(
-            "the evaluation belongs to another recording: pass the recording it was "
-            "made on"
-        )
-    stated = uncertainty.std(trajectory)
-    touching = stated.known & (stated.force_size > 0.0)
-    if np.count_nonzero(touching) < LEAST:
-        raise InputError(
-            "a check of uncertainty needs three frames in contact, the recording has "
-            "fewer"
-        )
-    return stated, touching
-
-
-def calibration_curve(
-    uncertainty: StatesUncertainty, evaluation: Evaluation, trajectory: Trajectory
-) -> CalibrationCurve:
-    """Stated uncertainty, noise of measurements included, against errors, to draw.
-
-    Args:
-        uncertainty: Of the evaluated field.
-        evaluation: Of `ttus_opt.evaluate` on the trajectory.
-        trajectory: A recording that was not fitted.
-
-    Raises:
-        InputError: As of `check_uncertainty`.
-    """
-    stated, touching = stated_in_contact(uncertainty, evaluation, trajectory)
-    error = evaluation.rendered_force - evaluation.measured_force
-    std = np.sqrt(stated.force**2 + stated.force_noise**2)
-    force, torque = (error[touching], std[touching]), None
-    if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
-        error = evaluation.rendered_torque - evaluation.measured_torque
-        std = np.sqrt(stated.torque**2 + stated.torque_noise**2)
-        torque = error[touching], std[touching]
-    return CalibrationCurve.of(force, torque)
 
 
 @dataclass(frozen=True)
@@ -190,6 +154,7 @@ class _Agreement:
     ranks_error: float = np.nan
     total_ranks: float = np.nan
     place_ranks: float = np.nan
+    spread: Spread | None = None
 
     @classmethod
     def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
@@ -198,14 +163,15 @@ class _Agreement:
         off, stated, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
         frames = np.bincount(place)
         left = [_ranks(off[place != i], stated[place != i]) for i in range(len(frames))]
-        spread = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
+        jackknife = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
         means = (np.bincount(place, values) / frames for values in (off, stated))
         return cls(
             float((np.abs(error) <= NORMAL * total).mean()),
             _ranks(off, stated),
-            float(spread) if len(left) >= LEAST else np.nan,
+            float(jackknife) if len(left) >= LEAST else np.nan,
             _ranks(off, whole),
             _ranks(*means),
+            (error, total),
         )
 
 
