@@ -277,6 +277,10 @@ def test_an_output_never_replaces_an_input(run, files, tmp_path):
     refused(
         run(f"render --field no.nc {words} -o {press}"), "would overwrite the input"
     )
+    own = tmp_path / "own.py"
+    own.write_text("")
+    words = fit_words(files, own, f"--formulation {own}")
+    refused(run(words), "would overwrite the input")
     assert scan.read_bytes() == before
 
 

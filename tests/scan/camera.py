@@ -7,6 +7,8 @@ is a z-buffer over dense surface samples, the true radius a section of the mesh.
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
+from trimesh.intersections import mesh_plane
 
 
 @dataclass(frozen=True)
@@ -69,24 +71,11 @@ def radius_by_section(vertices, faces, theta, z):
 
     The mesh is in the patient frame. NaN where a ray meets nothing.
     """
-    heights = vertices[:, 2]
-    triangles = heights[faces]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
     out = np.full((len(theta), len(z)), np.nan)
     for k, level in enumerate(z):
-        above = triangles > level
-        crossing = faces[(above.any(1)) & (~above.all(1))]
-        ends = []
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            p, q = vertices[crossing[:, i]], vertices[crossing[:, j]]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = (level - p[:, 2]) / (q[:, 2] - p[:, 2])
-            hit = (p[:, 2] > level) != (q[:, 2] > level)
-            point = p[:, :2] + np.where(hit, t, 0.0)[:, None] * (q - p)[:, :2]
-            ends.append(np.where(hit[:, None], point, np.nan))
-        ends = np.stack(ends, axis=1)  # (m, 3, 2), two of the three are finite
-        order = np.argsort(np.isnan(ends[:, :, 0]), axis=1)[:, :2]
-        segment = np.take_along_axis(ends, order[:, :, None], axis=1)
-        a, d = segment[:, 0], segment[:, 1] - segment[:, 0]
+        cut = mesh_plane(mesh, [0.0, 0.0, 1.0], [0.0, 0.0, level])[:, :, :2]
+        a, d = cut[:, 0], cut[:, 1] - cut[:, 0]
         for j, angle in enumerate(theta):
             e = np.array([np.cos(angle), np.sin(angle)])
             across = -e[1] * a[:, 0] + e[0] * a[:, 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from ttus_opt.cli.console import fitted, tell, wrapped
@@ -94,16 +95,10 @@ def _letters(solver: Solver) -> str:
 
 
 def _solver(solver: Solver) -> dict[str, object]:
-    can = solver.capabilities
     return {
         "name": solver.name,
         "installed": solver.installed,
         "install": solver.pip_name,
         "summary": solver.summary,
-        "any_terms": can.any_terms,
-        "equalities": can.equalities,
-        "inequalities": can.inequalities,
-        "nonquadratic": can.nonquadratic,
-        "keeps": can.keeps,
-        "time_limit": can.time_limit,
+        **asdict(solver.capabilities),
     }

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.kit import InputError, NumericalError, refuses, small_scene
 from ttus_opt.fitting.recursion import dual_recursion
@@ -112,31 +110,6 @@ def test_whitened_innovations_carry_the_least_objective(coarse):
     misfit = problem.D.reshape(-1, coarse.n_voxels) @ p - problem.targets.reshape(-1)
     objective = np.sum((coarse.L @ p - coarse.b) ** 2) + np.sum(misfit**2)
     assert system.misfit == pytest.approx(objective, rel=1e-6)
-
-
-@pytest.mark.slow
-@given(
-    order=st.permutations(range(5)),
-    removed=st.integers(0, 4),
-    count=st.integers(1, 3),
-    seed=st.integers(0, 1000),
-)
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_any_order_and_any_removal(coarse, order, removed, count, seed):
-    problem = Problem(coarse, 5, seed, 1.0)
-    system = problem.start()
-    problem.fold(system, order)
-    assert close(system.field(), problem.dense(list(range(5)))[1])
-    count = min(count, 5 - removed)
-    system.remove(removed, count)
-    left = order[:removed] + order[removed + count :]
-    if left:
-        assert close(system.field(), problem.dense(left)[1])
-    else:
-        assert close(system.field(), coarse.laplace.solve(coarse.b))
-    # back in again: the identity
-    problem.fold(system, order[removed : removed + count])
-    assert close(system.field(), problem.dense(list(range(5)))[1])
 
 
 def test_removing_the_last_returns_the_former_state(coarse):

@@ -16,8 +16,7 @@ columns of R, its innovation has the covariance
 
     S = I + h L⁻¹L⁻ᵀhᵀ - r rᵀ + r M⁻¹rᵀ,    M = I + RᵀR,
 
-and its prediction is that of the last field plus, for rows added since, r M⁻¹Rᵀ times
-their residual.
+and its prediction is h p₀ + r M⁻¹Rᵀd₀.
 
 R need not be exact: I + R Rᵀ is a preconditioner, and conjugate gradients refine the
 field until (I + K) y = d₀ holds.
@@ -73,7 +72,6 @@ class Forecast:
         projection: The rows projected on R's columns.
         columns: Entries of K of the chosen rows with those held, shape (p, n).
         prior: h p₀, shape (m,).
-        known: h p with the last field, shape (m,).
         mean: Predicted measurement, shape (m,).
     """
 
@@ -81,7 +79,6 @@ class Forecast:
     projection: Projection
     columns: Array
     prior: Array
-    known: Array
     mean: Array
 
     @property
@@ -117,8 +114,8 @@ class DualRecursion:
         # whether R must be recomputed from D
         self._stale = False
         self._d0 = np.zeros(0)
-        # d₀ - D(p - p₀) - y with p the last field, and Rᵀ times this
-        self._rest, self._information = np.zeros(0), np.zeros(0)
+        # Rᵀd₀
+        self._information = np.zeros(0)
         # p - p₀ and its y; None when it must be recomputed
         self._shift: Array | None = None
         self._y = np.zeros(0)
@@ -132,7 +129,7 @@ class DualRecursion:
     @property
     def memory_bytes(self) -> int:
         """Memory that grows with the measurements."""
-        vectors = 3 * self._d0.nbytes + self._information.nbytes
+        vectors = 2 * self._d0.nbytes + self._information.nbytes
         rows = self._D.memory_bytes + self._basis.memory_bytes
         return self._kernel.memory_bytes + rows + vectors
 
@@ -179,11 +176,8 @@ class DualRecursion:
                 "solves, lower them"
             )
         prior = self.prior_field[block.voxels] @ block.values
-        known = prior
-        if self._shift is not None:
-            known = prior + self._shift[block.voxels] @ block.values
-        mean = known + self._information @ projection.gain
-        return Forecast(block, projection, columns, prior, known, mean)
+        mean = prior + self._information @ projection.gain
+        return Forecast(block, projection, columns, prior, mean)
 
     def append(self, forecast: Forecast, target: Array) -> None:
         """Add the rows of a forecast.
@@ -195,13 +189,12 @@ class DualRecursion:
         rank = self.rank
         self._take(forecast.block, forecast.projection, forecast.columns)
         self._D.append(forecast.block)
-        self._d0 = np.concatenate([self._d0, target - forecast.prior])
-        surprise = target - forecast.known
-        self._rest = np.concatenate([self._rest, surprise])
+        misfit = target - forecast.prior
+        self._d0 = np.concatenate([self._d0, misfit])
         if self.rank > rank:  # earlier rows have entries in new columns
-            self._information = self._rest @ self._kernel.R
+            self._information = self._d0 @ self._kernel.R
         else:
-            self._information = self._information + surprise @ forecast.projection.held
+            self._information = self._information + misfit @ forecast.projection.held
         # the last field belongs to y = 0 in the new rows
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
@@ -261,7 +254,6 @@ class DualRecursion:
                 f"rounds, {FIELD_RTOL:.0e} was requested: the weights are too large "
                 "for the accuracy of the solves, lower them"
             )
-        self._rest, self._information = np.zeros(self.n_rows), np.zeros(self.rank)
         return self.prior_field + self._shift
 
     def _refined(self) -> float:
@@ -401,7 +393,6 @@ class DualRecursion:
 
     def _reset_field(self) -> None:
         """Start from p₀ again after rows were removed or changed, or a failure."""
-        self._rest = self._d0
         if not self._stale:
             self._information = self._d0 @ self._kernel.R
         self._shift, self._y = None, np.zeros(len(self._d0))
