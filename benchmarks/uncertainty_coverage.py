@@ -38,7 +38,6 @@ from ttus_opt.fitting.uncertainty.uncertainty_check import (
     NORMAL,
     StatesUncertainty,
     check_uncertainty,
-    stated_in_contact,
 )
 from ttus_opt.phantom.recording import add_noise, add_pose_noise
 
@@ -136,7 +135,8 @@ def against_truth(
     stated: StatesUncertainty, errors: tt.Evaluation, true: tt.Trajectory
 ) -> dict[str, float]:
     """Errors against true wrenches, and their share within the field's interval."""
-    along, touching = stated_in_contact(stated, errors, true)
+    along = stated.std(true)
+    touching = along.known & (along.force_size > 0.0)
     out = {}
     for part, std, error in (
         ("force", along.force, errors.rendered_force - errors.measured_force),
