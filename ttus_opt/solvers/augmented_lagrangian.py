@@ -30,6 +30,7 @@ from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 from ttus_opt.solvers.proximal.method_of_multipliers import (
     MethodOfMultipliers,
     NewtonSystem,
+    State,
 )
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
@@ -213,14 +214,11 @@ class _Loaded(Prepared):
             b.sigma = stiffness
         if not bent:  # squares alone: a weak anchor for undetermined variables
             self._set_anchor(anchor, limits, WEAK)
-        residuals = [b.residual(x) for b in blocks]
-        pairs = [b.charged(r) for b, r in zip(blocks, residuals, strict=True)]
-        gradient = np.sum(
-            [b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0
-        )
-        multipliers, slopes = [y for y, _ in pairs], [s for _, s in pairs]
-        free = np.where(problem.fixed, 0.0, gradient)
-        d, _ = system.step(free, multipliers, slopes, 1e-2, None)
+        if not bent:
+            return x
+        state = State.of(x, blocks)
+        free = np.where(problem.fixed, 0.0, state.gradient)
+        d, _ = system.step(free, state.multipliers, state.slopes, 1e-2, None)
         for b in bent:
             largest = float(np.abs(b.residual(x + d)).max(initial=0.0))
             if largest > 0.0:
