@@ -22,7 +22,6 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, cg
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import conditioned
@@ -34,6 +33,7 @@ from ttus_opt.problem.terms.structure import (
     known_covariance,
 )
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.conjugate_gradients import norm, to_residual
 from ttus_opt.solvers.dual.data import duals_without_limits, terms_beside
 
 #: Most voxels that measured rows may touch, the size of dense matrices
@@ -146,14 +146,18 @@ class _Loaded(Prepared):
         """S⁻¹ of every column, shape (m,) or (m, k), by preconditioned CG."""
         if right_side.ndim == 2:
             return np.stack([self._inverse(column) for column in right_side.T], axis=1)
-        m, D, C = len(right_side), self._touching, self._columns.among
-        S = LinearOperator(
-            (m, m), matvec=lambda y: y + D @ (C @ (D.T @ y)), dtype=float
+        D, C = self._touching, self._columns.among
+        run = to_residual(
+            lambda y: y + D @ (C @ (D.T @ y)),
+            right_side,
+            self._nearly.solve,
+            ACCURACY,
+            MOST_STEPS,
+            None,
         )
-        nearly = LinearOperator((m, m), matvec=self._nearly.solve, dtype=float)
-        y, short = cg(S, right_side, rtol=ACCURACY, maxiter=MOST_STEPS, M=nearly)
-        if not short or self._neglected == NEGLECTED[-1]:
-            return np.asarray(y)
+        enough = norm(run.rest) <= ACCURACY * norm(right_side)
+        if enough or self._neglected == NEGLECTED[-1]:
+            return run.y
         self._take_root(NEGLECTED[-1])
         self._factorise()
         return self._inverse(right_side)
