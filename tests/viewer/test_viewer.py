@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+import threading
 import time
 from dataclasses import replace
 
@@ -345,3 +346,24 @@ def test_a_pointer_is_followed_along_a_line():
     along = point / np.linalg.norm(point)
     near = along + 0.01 * np.cross(along, [0.0, 1.0, 0.0])
     assert abs(along_line(point, near / np.linalg.norm(near), ray)) < 0.1
+
+
+def test_a_colouring_that_takes_long_holds_up_no_other():
+    with tt.view(field(), probe(), port=0) as one:
+        tab, go_on = one.page.skin, threading.Event()
+        assert one.page.jobs.wait(30.0)
+
+        def slow():
+            assert go_on.wait(30.0)
+            return [colouring.uncertainty(field(), one.page.stage.skin)]
+
+        tab._ways["Uncertainty"] = slow
+        tab.show("Uncertainty")
+        tab.show("Seen")
+        until(lambda: "seen by the scan" in tab._legend.content)
+        painted = one.page.stage.nodes[0]._mesh.glb_data
+        go_on.set()
+        assert one.page.jobs.wait(30.0)
+        assert "seen by the scan" in tab._legend.content
+        assert one.page.stage.nodes[0]._mesh.glb_data is painted
+        assert "Uncertainty" in tab._known

@@ -13,7 +13,8 @@ from ttus_opt.core.errors import TtusError
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
-from ttus_opt.viewer.readout import TABLE, small
+from ttus_opt.viewer.looks import small
+from ttus_opt.viewer.readout import TABLE
 from ttus_opt.viewer.stage import Stage, by_hand
 
 #: Longest round trip [ms], most loss [%] and range of a prior's factor of the inputs

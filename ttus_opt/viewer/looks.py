@@ -56,6 +56,11 @@ def dress(server: viser.ViserServer) -> list[Any]:
     ]
 
 
+def small(html: str) -> str:
+    """A paragraph of the panel in small letters."""
+    return f'<div style="font-size:12px;padding:2px 12px 8px">{html}</div>'
+
+
 def lit(colours: NDArray[np.uint8], normals: Array, front: Array) -> Array:
     """Light that a rough surface sends under these lights, which move with the front.
 

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ttus_opt.contact.standing import skin_points
 from ttus_opt.core.arrays import Array
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
-from ttus_opt.scan.surface import Surface
 from ttus_opt.viewer.colour_map import RENDERED
 from ttus_opt.viewer.guarded_server import Served
 from ttus_opt.viewer.jobs import Jobs
@@ -35,9 +33,6 @@ SHOWN = 8.0
 #: Least squared sine between the skin's normal and the pointer's ray: where one looks
 #: along the normal, the probe moves less than the pointer [–]
 STEEP = 0.1
-
-#: How far a ray may pass the skin and still point at it [m]
-NEAR = 0.003
 
 
 class Page:
@@ -149,8 +144,8 @@ class Page:
             for nodes in self.stage.nodes:
                 origin = np.array(event.ray_origin) - nodes.offset
                 ray = np.array(event.ray_direction)
-                place = place_on_ray(self.state.surface, origin, ray)
-                if _hit(self.state.surface, origin, ray, place):
+                place, met = place_on_ray(self.state.surface, origin, ray)
+                if met:
                     self.state.slide(*place)
                     return
 
@@ -163,7 +158,7 @@ class Page:
 
             def below(point: tuple[float, float, float]) -> Array:
                 ray = np.array(point) - nodes.offset - eye
-                return np.array(place_on_ray(self.state.surface, eye, ray))
+                return np.array(place_on_ray(self.state.surface, eye, ray)[0])
 
             if event.phase == "start" or "place" not in grip:
                 place = below(event.start_position)
@@ -205,13 +200,3 @@ def along_line(point: Array, way: Array, ray: Array) -> float:
     missed = float(np.cross(ray, point) @ across)
     sine = float(np.cross(way, ray) @ across)
     return missed * sine / max(sine**2, STEEP)
-
-
-def _hit(
-    surface: Surface, origin: Array, ray: Array, place: tuple[float, float]
-) -> bool:
-    """Whether a ray meets the skin at the place that it passes closest."""
-    theta, z = np.array(place)[:, None]
-    off = skin_points(surface, theta, z)[0] - origin
-    ray = ray / np.linalg.norm(ray)
-    return bool(np.linalg.norm(off - (off @ ray) * ray) < NEAR)

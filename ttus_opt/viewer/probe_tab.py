@@ -9,7 +9,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.force_plot import add_plot, series
-from ttus_opt.viewer.readout import small
+from ttus_opt.viewer.looks import small
 from ttus_opt.viewer.stage import Stage, by_hand
 from ttus_opt.viewer.state import LEAST, MOST
 

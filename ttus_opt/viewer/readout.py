@@ -94,11 +94,6 @@ def _vector(values: Array, factor: float, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in rounded.tolist())
 
 
-def small(html: str) -> str:
-    """A paragraph in small letters."""
-    return f'<div style="font-size:12px;padding:2px 12px 8px">{html}</div>'
-
-
 def _note(text: str, colour: str) -> str:
     return (
         f'<div style="font-size:12px;color:{colour};border-left:3px solid {colour};'

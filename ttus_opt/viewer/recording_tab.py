@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.viewer.force_plot import add_plot, go_on_click, series
-from ttus_opt.viewer.readout import small
+from ttus_opt.viewer.looks import small
 from ttus_opt.viewer.recording import Recording
 from ttus_opt.viewer.stage import Stage, by_hand
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact.standing import skin_points
+from ttus_opt.contact.standing import skin_frames, skin_points
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.scan.surface import Surface
@@ -25,11 +24,17 @@ MATERIAL = {
     "doubleSided": True,
 }
 
+#: What is drawn: faces, then vertices and their colours
+DRAWN = {"indices": 0, "attributes": {"POSITION": 1, "COLOR_0": 2}, "material": 0}
+
 #: glTF's numbers of the types of numbers
 TYPES = {"uint32": 5125, "float32": 5126, "uint16": 5123}
 
 #: What a colour of 1 is stored as
 MOST = 2**16 - 1
+
+#: How far a ray may pass the skin and still point at it [m]
+NEAR = 0.003
 
 #: Steps along a ray, and bisections of the one in which it enters [–]
 RAY_STEPS, BISECTIONS = 400, 20
@@ -70,13 +75,8 @@ class SkinMesh:
         one, other = np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)
         faces = np.concatenate([one.reshape(-1, 3), other.reshape(-1, 3)])
         theta, z = angle.ravel(), height.ravel()
-        vertices = skin_points(surface, theta, z)
-        a, b, c = vertices[faces].swapaxes(0, 1)
-        normals, twice_the_area = np.zeros_like(vertices), np.cross(b - a, c - a)
-        for corner in faces.T:
-            np.add.at(normals, corner, twice_the_area)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return cls(theta, z, vertices, faces, normals)
+        normals = skin_frames(surface, theta, z)[:, :, 0]
+        return cls(theta, z, skin_points(surface, theta, z), faces, normals)
 
     def cut(self, normal: Array, offset: float) -> IntArray:
         """Faces that lie behind a plane, n · x ≤ offset, shape (k, 3)."""
@@ -93,59 +93,49 @@ class SkinMesh:
         rgba = np.full((len(light), 4), MOST, dtype=np.uint16)
         rgba[:, :3] = np.rint(MOST * np.minimum(light, 1.0))
         arrays = {
-            "indices": faces.reshape(-1, 1).astype("<u4"),
-            "POSITION": self.vertices.astype("<f4"),
-            "COLOR_0": rgba,
+            "SCALAR": faces.reshape(-1, 1).astype("<u4"),
+            "VEC3": self.vertices.astype("<f4"),
+            "VEC4": rgba,
         }
-        views: list[dict[str, Any]] = []
-        accessors: list[dict[str, Any]] = []
-        end = 0
-        for k, values in enumerate(arrays.values()):
-            views.append({"buffer": 0, "byteOffset": end, "byteLength": values.nbytes})
-            accessors.append(
-                {
-                    "bufferView": k,
-                    "componentType": TYPES[values.dtype.name],
-                    "normalized": values.dtype == np.uint16,
-                    "type": "SCALAR"
-                    if values.shape[1] == 1
-                    else f"VEC{values.shape[1]}",
-                    "count": len(values),
-                    "min": values.min(axis=0).tolist(),
-                    "max": values.max(axis=0).tolist(),
-                }
-            )
-            end += values.nbytes
-        where = {name: k for k, name in enumerate(arrays)}
-        drawn = {"indices": where.pop("indices"), "attributes": where, "material": 0}
+        parts = [values.tobytes() for values in arrays.values()]
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
         tree = {
             "asset": {"version": "2.0"},
             "extensionsUsed": ["KHR_materials_unlit"],
             "scene": 0,
             "scenes": [{"nodes": [0]}],
             "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [drawn]}],
+            "meshes": [{"primitives": [DRAWN]}],
             "materials": [MATERIAL],
-            "accessors": accessors,
-            "bufferViews": views,
-            "buffers": [{"byteLength": end}],
+            "accessors": [
+                {
+                    "bufferView": k,
+                    "componentType": TYPES[values.dtype.name],
+                    "normalized": values.dtype == np.uint16,
+                    "type": kind,
+                    "count": len(values),
+                    "min": values.min(axis=0).tolist(),
+                    "max": values.max(axis=0).tolist(),
+                }
+                for k, (kind, values) in enumerate(arrays.items())
+            ],
+            "bufferViews": [
+                {"buffer": 0, "byteOffset": at, "byteLength": len(part)}
+                for at, part in zip(ends, parts, strict=False)
+            ],
+            "buffers": [{"byteLength": ends[-1]}],
         }
         text = json.dumps(tree).encode()
         text += b" " * (-len(text) % 4)
-        binary = b"".join(values.tobytes() for values in arrays.values())
-        head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary))
-        return b"".join(
-            (
-                head,
-                struct.pack("<I4s", len(text), b"JSON"),
-                text,
-                struct.pack("<I4s", len(binary), b"BIN\0"),
-                binary,
-            )
-        )
+        head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + ends[-1])
+        chunks = struct.pack("<I4s", len(text), b"JSON"), text
+        binary = struct.pack("<I4s", ends[-1], b"BIN\0"), *parts
+        return b"".join((head, *chunks, *binary))
 
 
-def place_on_ray(surface: Surface, origin: Array, ray: Array) -> tuple[float, float]:
+def place_on_ray(
+    surface: Surface, origin: Array, ray: Array
+) -> tuple[tuple[float, float], bool]:
     """Where a ray first meets the skin, or the place that it passes closest.
 
     Args:
@@ -154,7 +144,8 @@ def place_on_ray(surface: Surface, origin: Array, ray: Array) -> tuple[float, fl
         ray: Its direction, shape (3,).
 
     Returns:
-        Angle [rad] and height [m], between the first slice and the last.
+        Angle [rad] and height [m], between the first slice and the last; and whether
+        the ray meets the skin, or passes it by less than `NEAR`.
     """
     ray = ray / np.linalg.norm(ray)
     low, high = float(surface.z[0]), float(surface.z[-1])
@@ -179,5 +170,7 @@ def place_on_ray(surface: Surface, origin: Array, ray: Array) -> tuple[float, fl
         t = out
     else:
         t = along[int(heights.argmin())]
-    x, y, z = origin + t * ray
-    return float(np.arctan2(y, x)), float(np.clip(z, low, high))
+    x, y, z = met = origin + t * ray
+    place = float(np.arctan2(y, x)), float(np.clip(z, low, high))
+    off = skin_points(surface, *np.array(place)) - met
+    return place, bool(np.linalg.norm(off - (off @ ray) * ray) < NEAR)

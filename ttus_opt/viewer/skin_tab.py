@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours, skin_legend
 from ttus_opt.viewer.colouring import Colouring
-from ttus_opt.viewer.readout import small
+from ttus_opt.viewer.looks import small
 from ttus_opt.viewer.stage import Stage, by_hand
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class SkinTab:
     def __init__(self, stage: Stage, legend: Any, stated: Stated | None) -> None:
         self._stage, self._legend, self._stated = stage, legend, stated
         self._known: dict[str, list[Colouring]] = {}
+        self._painting, self._stating = threading.Lock(), threading.Lock()
         self._ways: dict[str, Callable[[], list[Colouring]]] = {
             "Stiffness": self._stiffness,
             "Uncertainty": self._uncertainty,
@@ -53,14 +55,15 @@ class SkinTab:
         self.show(self.choice.value)
 
     def show(self, name: str) -> None:
-        """Colour the skin, soon."""
+        """Colour the skin, soon; one that takes long holds up no other."""
+        self._shown = name
         self._legend.content = small("computing …")
-        self._stage.jobs.post("colours", lambda: self._paint(name))
+        self._stage.jobs.post(f"colours {name}", lambda: self._paint(name))
 
     def forget(self) -> None:
         """Colour anew, as a field was replaced; the legend stays: nothing jumps."""
-        self._known = {}  # what is computed now is stored with the old ones
-        self._stage.jobs.post("colours", lambda: self._paint(self.choice.value))
+        self._known, name = {}, self._shown  # old ones may still be computed
+        self._stage.jobs.post(f"colours {name}", lambda: self._paint(name))
 
     def colourings(self, name: str) -> list[Colouring]:
         """A colouring of every field.
@@ -74,19 +77,24 @@ class SkinTab:
         return known[name]
 
     def _paint(self, name: str) -> None:
+        found: list[Colouring] = []
         try:
             found = self.colourings(name)
         except InputError as error:
-            self._legend.content = small(escape(str(error)))
-            return
+            told = small(escape(str(error)))
         except Exception:
-            self._legend.content = small("not computed")
+            told = small("not computed")
             raise
-        lows, highs = zip(*(one.span for one in found), strict=True)
-        span = min(lows), max(highs)
-        for nodes, one in zip(self._stage.nodes, found, strict=True):
-            nodes.colour(node_colours(one, span), one.marks)
-        self._legend.content = skin_legend(found[0], span)
+        else:
+            lows, highs = zip(*(one.span for one in found), strict=True)
+            span = min(lows), max(highs)
+            told = skin_legend(found[0], span)
+        finally:
+            with self._painting:
+                if name == self._shown:  # no other was chosen meanwhile
+                    for nodes, one in zip(self._stage.nodes, found, strict=False):
+                        nodes.colour(node_colours(one, span), one.marks)
+                    self._legend.content = told
 
     def _stiffness(self) -> list[Colouring]:
         state = self._stage.state
@@ -118,6 +126,7 @@ class SkinTab:
 
     def _statement(self) -> Uncertainty | None:
         """The fit's uncertainty, computed when it is first looked at."""
-        if callable(self._stated):
-            self._stated = self._stated()
-        return self._stated
+        with self._stating:  # by two colourings
+            if callable(self._stated):
+                self._stated = self._stated()
+            return self._stated
