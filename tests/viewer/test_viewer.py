@@ -19,7 +19,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.viewer import colouring
 from ttus_opt.viewer.arrow import STEP, TIP
-from ttus_opt.viewer.colour_map import node_colours
+from ttus_opt.viewer.colour_map import UNKNOWN, node_colours
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.first_camera import FirstCamera, front_of
 from ttus_opt.viewer.guarded_server import guarded_server
@@ -168,6 +168,8 @@ def test_a_recording_plays_to_its_end(viewer):
 def test_what_a_colouring_needs_is_said(viewer):
     viewer.page.skin.show("Next press")
     until(lambda: "tt.uncertainty" in viewer.page.skin._legend.content)
+    for nodes in viewer.page.stage.nodes:  # no colours without a legend
+        assert (nodes._colours == UNKNOWN).all()
     viewer.page.skin.show("Uncertainty")
     until(lambda: "of its force [%]" in viewer.page.skin._legend.content)
     viewer.page.skin.show("Seen")

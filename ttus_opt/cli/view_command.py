@@ -129,12 +129,10 @@ def _viewer(
     recordings: RecordingOptions,
 ) -> Viewer:
     """The viewer of fields from files, of the example without any, on open pages."""
-    from ttus_opt.viewer.looks import small
-
     with Stages(2) as begin:
         work = "reading" if files else "fitting the example"
         begin(work)
-        note = served.server.gui.add_html(small(f"{work} …"))
+        note = served.announce(f"{work} …")
         if files:
             fields, options = _read(served, files, tool, recordings)
         else:

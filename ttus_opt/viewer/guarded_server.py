@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.optional import load
-from ttus_opt.viewer.looks import dress
+from ttus_opt.viewer.looks import dress, small
 
 if TYPE_CHECKING:
     import viser
@@ -84,6 +84,10 @@ class Served:
     url: str
     lights: Sequence[Any] = ()
     patients: list[Any] = field(default_factory=list)
+
+    def announce(self, line: str) -> Any:
+        """Write a line into the panel, until ``remove()`` of what is returned."""
+        return self.server.gui.add_html(small(line))
 
     def tell(self, line: str, seconds: float | None) -> None:
         """Show a line on every page for some time [s], None until it is closed."""

@@ -68,7 +68,8 @@ class PatientNodes:
     ) -> None:
         self._scene, self._name, self._first = scene, name, first
         self.skin, self.offset = skin, offset
-        self._colours = np.full((len(skin.theta), 3), UNKNOWN, dtype=np.uint8)
+        self._grey = np.full((len(skin.theta), 3), UNKNOWN, dtype=np.uint8)
+        self._colours: Pixels = self._grey
         self._faces: IntArray = skin.faces
         self._painting = threading.Lock()  # colours and cuts come from two threads
         self._image: Any = None
@@ -108,6 +109,10 @@ class PatientNodes:
                 depth_test=True, anchor="bottom-center",
             )  # fmt: skip
             self._marks.append(ball)
+
+    def blank(self) -> None:
+        """Colour nothing and number nothing."""
+        self.colour(self._grey, np.zeros((0, 3)))
 
     def show_section(self, shown: Section | None) -> None:
         """Draw a section and cut the skin open there; None closes it."""

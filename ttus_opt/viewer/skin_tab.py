@@ -92,8 +92,12 @@ class SkinTab:
         finally:
             with self._painting:
                 if name == self._shown:  # no other was chosen meanwhile
-                    for nodes, one in zip(self._stage.nodes, found, strict=False):
-                        nodes.colour(node_colours(one, span), one.marks)
+                    for k, nodes in enumerate(self._stage.nodes):
+                        if found:
+                            one = found[k]
+                            nodes.colour(node_colours(one, span), one.marks)
+                        else:  # no colours that the legend does not explain
+                            nodes.blank()
                     self._legend.content = told
 
     def _stiffness(self) -> list[Colouring]:
