@@ -25,7 +25,7 @@ from ttus_opt.viewer.live_page import LivePage
 from ttus_opt.viewer.viewer import Viewer
 
 FOLDER = Path(__file__).parent / "pictures"
-SIZE, LIVE_SIZE = (1000, 760), (1000, 920)  # [px]
+SIZE, LIVE_SIZE = (1000, 860), (1000, 920)  # [px]
 
 #: Frame of the recording at its hardest press
 PRESSED = 276
