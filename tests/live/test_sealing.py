@@ -135,7 +135,7 @@ def test_fuzzed_packets_are_refused():
     fuzzed(2000)
 
 
-def test_key_files(tmp_path):
+def test_key_files(tmp_path, monkeypatch):
     path = tmp_path / "session.key"
     write_key(path)
     assert len(read_key(path)) == 32
@@ -145,6 +145,13 @@ def test_key_files(tmp_path):
     path.write_text("abc")
     refuses(FileError, "live key", read_key, path)
     path.write_text("00" * 16)
+    refuses(FileError, "16 bytes", read_key, path)
+    for mode in (0o640, 0o604):
+        path.chmod(mode)
+        told = refuses(FileError, f"mode {mode:o}", read_key, path)
+        assert f"chmod 600 {path}" in told
+    # another's file, such as a container's secret, is not ours to close
+    monkeypatch.setattr(os, "getuid", lambda: path.stat().st_uid + 1)
     refuses(FileError, "16 bytes", read_key, path)
     refuses(InputError, "32 bytes", SealedChannel, b"short", calls=True)
     assert new_key() != new_key()

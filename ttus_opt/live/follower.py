@@ -94,6 +94,7 @@ class Follower:
     Attributes:
         peer: Headers, safety and quality.
         surface: The patient's skin, for the workspace.
+        retracts: Whether the last step moved the target outwards.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class Follower:
         self._commanded = -np.inf
         self._target: tuple[Array, Array] | None = None
         self._skin, self._obeys = np.zeros(3), False
-        self._retracted = 0.0
+        self._retracted, self.retracts = 0.0, False
         self._index = 0
         self._samples: deque[Sample] = deque(maxlen=MOST_SAMPLES)
         self._reported = -np.inf
@@ -171,7 +172,7 @@ class Follower:
         if self._target is None or self._obeys is not obeyed:  # from where the probe is
             self._target = sensed.rotation.copy(), sensed.position.copy()
         if self._obeys:
-            self._retracted = 0.0
+            self._retracted, self.retracts = 0.0, False
             self._obey(passed)
         else:
             self._retract(passed, force)
@@ -295,11 +296,14 @@ class Follower:
     def _retract(self, passed: float, force: float) -> None:
         """Move the target outwards until the probe feels nothing."""
         assert self._target is not None
-        if force <= self.limits.lifted or self._retracted >= self.limits.farthest:
+        limits = self.limits
+        felt = not force <= limits.lifted  # also where it is not a number
+        self.retracts = felt and self._retracted < limits.farthest
+        if not self.retracts:
             return
         rotation, position = self._target
         _, theta, _ = cylindrical(position[None])
-        step = self.limits.retreat * passed
+        step = limits.retreat * passed
         out = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
         self._retracted += step
         self._target = rotation, position + step * out

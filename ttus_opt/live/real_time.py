@@ -41,6 +41,9 @@ LATE = 1.0
 #: Lateness from which the frames that were missed are not made up for [s]
 MISSED = 0.1
 
+#: Longest retraction at the end of the follower's loop: 8 cm at 5 cm/s, and more [s]
+RETRACTION = 2.0
+
 #: Time before a deadline that is waited for busily, as sleep is coarser [s]
 SPIN = 2e-4
 
@@ -330,6 +333,9 @@ def run_follower(
 ) -> Ended:
     """The follower's loop: link, probe, measurement.
 
+    However it ends, the probe is retracted until nothing is felt, as in a STOP: for
+    2 s at most, while the patient's side answers.
+
     Args:
         follower: The state machine.
         link: To the operator.
@@ -342,10 +348,20 @@ def run_follower(
     """
     beat, seen = Metronome(rate, seconds), _Seen(follower.peer, tell)
     follower.peer.rate.overhead = link.overhead
-    for now in beat:
-        sensed = patient.sense(now, rotation, position)
-        step = follower.step(now, link.receive(now), sensed)
-        link.send(now, step.send)
-        rotation, position = step.rotation, step.position
-        seen.look()
-    return seen.ended(beat)
+    try:
+        for now in beat:
+            sensed = patient.sense(now, rotation, position)
+            step = follower.step(now, link.receive(now), sensed)
+            link.send(now, step.send)
+            rotation, position = step.rotation, step.position
+            seen.look()
+        return seen.ended(beat)
+    finally:  # by an interrupt too
+        follower.stop("the follower's loop has ended")
+        with contextlib.suppress(Exception):  # of a driver that is gone
+            for now in Metronome(rate, RETRACTION):
+                sensed = patient.sense(now, rotation, position)
+                step = follower.step(now, (), sensed)
+                rotation, position = step.rotation, step.position
+                if not follower.retracts:
+                    break

@@ -16,7 +16,9 @@ All ciphers are those of the package `cryptography`.
 
 from __future__ import annotations
 
+import os
 import secrets
+import stat
 import struct
 from pathlib import Path
 from typing import Any
@@ -58,9 +60,17 @@ def read_key(path: Path) -> bytes:
     """A session key from a file.
 
     Raises:
-        FileError: There is no such file, or no key in it.
+        FileError: There is no such file, or no key in it, or it is one's own and others
+            may read it, as ssh refuses a key.
     """
     file = io.existing_file(path, "session key")
+    about = file.stat()
+    own = hasattr(os, "getuid") and about.st_uid == os.getuid()
+    if own and about.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise FileError(
+            f"others may read the session key {file} (mode {about.st_mode & 0o777:o}): "
+            f"chmod 600 {file}, and make a new one if somebody has"
+        )
     try:
         key = bytes.fromhex(file.read_text().strip())
     except (ValueError, UnicodeDecodeError) as error:
