@@ -101,6 +101,7 @@ def test_a_file_that_holds_none(content, message, tmp_path):
 def test_words_that_are_no_file():
     refuses(FileError, "not found: nowhere", read_rigid_motion, "nowhere")
     refuses(InputError, "got 3 numbers", read_rigid_motion, "1,2,3")
+    refuses(InputError, "got 17 numbers", read_rigid_motion, ",".join("1" * 17))
 
 
 @pytest.mark.parametrize("n", NUMBERS)
