@@ -241,7 +241,7 @@ def test_a_drag_with_shift_presses_the_probe_in(visit, viewer):
     viewer.state.slide(1.6, 0.09)
     place, before = viewer.state.place, centre(viewer)
     events = []
-    node = viewer.page.stage.nodes[0].probe
+    node = viewer.page.nodes[0].probe
     node.on_drag("left", modifier="shift")(events.append)
     way = -0.01 * viewer.state.outward
     visit.page.keyboard.down("Shift")
@@ -347,7 +347,7 @@ def test_a_phone_is_wide_enough(browser, viewer, height, device):
     phone.until(lambda: cameras(viewer, phone=True))
 
     def in_sight():  # beside and above the panel
-        skin = viewer.page.stage.skin.vertices
+        skin = viewer.page.nodes[0].skin.vertices
         x, y = np.transpose([pixel(viewer, point, phone=True) for point in skin[::7]])
         *_, camera = cameras(viewer, phone=True)
         seen = x.min() > 0 and x.max() < camera.image_width and y.min() > 0

@@ -63,11 +63,11 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer):
     lows, highs = zip(*(one.span for one in skin.colourings("Stiffness")), strict=True)
     span = min(lows), max(highs)  # one scale for both fields
     for nodes, found in zip(
-        viewer.page.stage.nodes, skin.colourings("Stiffness"), strict=True
+        viewer.page.nodes, skin.colourings("Stiffness"), strict=True
     ):
         mesh = trimesh.load_mesh(io.BytesIO(nodes._mesh.glb_data), "glb", process=False)
         white = np.full((len(mesh.vertices), 3), 255, np.uint8)
-        light = lit(white, viewer.page.stage.skin.normals, front_of(torso()))
+        light = lit(white, viewer.page.nodes[0].skin.normals, front_of(torso()))
         sent = vertex_colours(nodes._mesh.glb_data) / 65_535 / light
         shown = np.where(
             sent < 0.0031308, 12.92 * sent, 1.055 * sent ** (1 / 2.4) - 0.055
@@ -75,7 +75,7 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer):
         expected = node_colours(found, span) / 255.0
         np.testing.assert_allclose(shown, expected, atol=0.01)  # of 1, no more is sent
         np.testing.assert_allclose(
-            mesh.vertices, viewer.page.stage.skin.vertices, atol=1e-6
+            mesh.vertices, viewer.page.nodes[0].skin.vertices, atol=1e-6
         )
 
 
@@ -85,7 +85,7 @@ def test_the_probe_goes_where_the_hand_is(viewer):
     viewer.state.press(0.009)
     until(
         lambda: np.allclose(
-            viewer.page.stage.nodes[0].probe.position, viewer.state.pose[1], atol=1e-9
+            viewer.page.nodes[0].probe.position, viewer.state.pose[1], atol=1e-9
         )
     )
     until(lambda: "9.0" in viewer.page._numbers.content)
@@ -94,7 +94,7 @@ def test_the_probe_goes_where_the_hand_is(viewer):
         until(lambda size=size: f"<b>{size:.2f}</b>" in viewer.page._numbers.content)
         assert name in viewer.page._numbers.content
     until(lambda: viewer.page.probe._depth.value == 9.0)
-    arrow, touch = viewer.page.stage.nodes[1]._force, viewer.state.touches[1]
+    arrow, touch = viewer.page.nodes[1]._force, viewer.state.touches[1]
     until(lambda: np.allclose(arrow._frame.position, touch.centre, atol=1e-9))
     np.testing.assert_allclose(drawn(arrow), 0.008 * touch.wrench.force, atol=1e-9)
 
@@ -114,11 +114,11 @@ def test_a_skin_is_drawn_once_and_before_its_probe():
     drawn, without = nodes._mesh, nodes.probe is None
     with tt.view(field(), probe(), served=served) as one:
         assert without and nodes.probe is not None
-        assert one.page.stage.nodes[0] is nodes and nodes._mesh is drawn
+        assert one.page.nodes[0] is nodes and nodes._mesh is drawn
 
 
 def test_arrows_are_drawn_from_what_can_be_felt(viewer):
-    skin, touch = viewer.page.stage.skin, viewer.state.touches[0]
+    skin, touch = viewer.page.nodes[0].skin, viewer.state.touches[0]
     at = np.zeros(3), FirstCamera.of(torso(), 0.2)
     # apart from those that the page moves
     nodes = PatientNodes(viewer._served.server.scene, "alone", skin, *at)
@@ -133,7 +133,7 @@ def test_arrows_are_drawn_from_what_can_be_felt(viewer):
 
 
 def test_sections_follow_and_cut_the_skin_open(viewer):
-    tab, nodes = viewer.page.section, viewer.page.stage.nodes[0]
+    tab, nodes = viewer.page.section, viewer.page.nodes[0]
     whole = len(nodes._faces)
     tab.choice.value = "axial"
     for height in (60.0, 120.0):
@@ -168,7 +168,7 @@ def test_a_recording_plays_to_its_end(viewer):
 def test_what_a_colouring_needs_is_said(viewer):
     viewer.page.skin.show("Next press")
     until(lambda: "tt.uncertainty" in viewer.page.skin._legend.content)
-    for nodes in viewer.page.stage.nodes:  # no colours without a legend
+    for nodes in viewer.page.nodes:  # no colours without a legend
         assert (nodes._colours == UNKNOWN).all()
     viewer.page.skin.show("Uncertainty")
     until(lambda: "of its force [%]" in viewer.page.skin._legend.content)
@@ -200,7 +200,7 @@ def test_where_to_press_next_is_computed_when_it_is_looked_at(monkeypatch):
         for name, shown in (("Next press", 2), ("Seen", 0), ("Next press", 2)):
             one.page.skin.show(name)
             assert one.page.jobs.wait(30.0)
-            marks = one.page.stage.nodes[0]._marks
+            marks = one.page.nodes[0]._marks
             assert len(marks) == shown
             assert ("1 to 2: press" in one.page.skin._legend.content) == bool(shown)
         assert asked == ["once"]
@@ -215,7 +215,7 @@ def test_colours_of_a_field_that_was_replaced_meanwhile_are_computed_again():
             asked.append(tab._legend.content)
             if len(asked) == 1:  # the field is replaced while this goes on
                 tab.forget()
-            return [colouring.seen(field(), one.page.stage.skin)]
+            return [colouring.seen(field(), one.page.nodes[0].skin)]
 
         tab._ways["Seen"] = seen
         tab.choice.value = "Seen"
@@ -357,15 +357,15 @@ def test_a_colouring_that_takes_long_holds_up_no_other():
 
         def slow():
             assert go_on.wait(30.0)
-            return [colouring.uncertainty(field(), one.page.stage.skin)]
+            return [colouring.uncertainty(field(), one.page.nodes[0].skin)]
 
         tab._ways["Uncertainty"] = slow
         tab.show("Uncertainty")
         tab.show("Seen")
         until(lambda: "seen by the scan" in tab._legend.content)
-        painted = one.page.stage.nodes[0]._mesh.glb_data
+        painted = one.page.nodes[0]._mesh.glb_data
         go_on.set()
         assert one.page.jobs.wait(30.0)
         assert "seen by the scan" in tab._legend.content
-        assert one.page.stage.nodes[0]._mesh.glb_data is painted
+        assert one.page.nodes[0]._mesh.glb_data is painted
         assert "Uncertainty" in tab._known

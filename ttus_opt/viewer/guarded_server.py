@@ -12,7 +12,7 @@ import contextlib
 import hmac
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -63,6 +63,9 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
+#: How long a message is shown [s]
+SHOWN = 8.0
+
 #: Time that pages have to show what they are told at the end [s]
 GOODBYE = 0.3
 
@@ -76,20 +79,18 @@ class Served:
     Attributes:
         server: Of the pages.
         url: The link.
-        lights: Of `looks.dress`.
         patients: What `patient_nodes.patients_on` drew.
     """
 
     server: viser.ViserServer
     url: str
-    lights: Sequence[Any] = ()
     patients: list[Any] = field(default_factory=list)
 
     def announce(self, line: str) -> Any:
         """Write a line into the panel, until ``remove()`` of what is returned."""
         return self.server.gui.add_html(small(line))
 
-    def tell(self, line: str, seconds: float | None) -> None:
+    def tell(self, line: str, seconds: float | None = SHOWN) -> None:
         """Show a line on every page for some time [s], None until it is closed."""
         for client in self.server.get_clients().values():
             client.add_notification(
@@ -142,7 +143,8 @@ def guarded_server(port: int) -> Served:
                 'version that pip install "ttus-opt[viewer]" takes'
             )
     url = f"http://{HOST}:{server.get_port()}/{token}"
-    return Served(server, url, dress(server))
+    dress(server)
+    return Served(server, url)
 
 
 def _checked(answer: Check, token: str) -> Check:

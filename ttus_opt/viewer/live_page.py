@@ -55,7 +55,7 @@ class LivePage:
         self.viewer = Viewer(state, ["felt"], mesh=mesh, port=port)
         page = self.viewer.page
         with page.tabs.add_tab("Live"):
-            self.tab = LiveTab(page.stage, self.session)
+            self.tab = LiveTab(page, self.session)
         self._written = self._coloured = time.monotonic()
         self._folded = 0
         self.session.start(self._show)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
 from ttus_opt.viewer.looks import small
 from ttus_opt.viewer.readout import TABLE
-from ttus_opt.viewer.stage import Stage, by_hand
+
+if TYPE_CHECKING:
+    from ttus_opt.viewer.page import Page
 
 #: Longest round trip [ms], most loss [%] and range of a prior's factor of the inputs
 LONGEST, MOST, PRIORS = 1000, 20, (0.5, 2.0)
@@ -36,13 +38,13 @@ class LiveTab:
     """Inputs and figures of a session.
 
     Args:
-        stage: The page.
+        page: The page.
         session: What is shown.
     """
 
-    def __init__(self, stage: Stage, session: LiveSession) -> None:
-        self._stage, self._session = stage, session
-        gui, trial = stage.server.gui, session.trial
+    def __init__(self, page: Page, session: LiveSession) -> None:
+        self._page, self._session = page, session
+        gui, trial = page.server.gui, session.trial
         # above what comes and goes: the button stays where it is
         self.stop = gui.add_button("STOP", color="red")
         self.rearm = gui.add_button("re-arm, at zero contact")
@@ -79,10 +81,10 @@ class LiveTab:
         self.plot.data = self._columns()
 
     def _listen(self) -> None:
-        session, tell = self._session, self._stage.tell
-        by_hand(self.delay, lambda ms: session.worsen(round_trip=1e-3 * ms), tell)
-        by_hand(self.loss, lambda share: session.worsen(loss=0.01 * share), tell)
-        by_hand(self.presses, self._release, tell)
+        session, page = self._session, self._page
+        page.by_hand(self.delay, lambda ms: session.worsen(round_trip=1e-3 * ms))
+        page.by_hand(self.loss, lambda share: session.worsen(loss=0.01 * share))
+        page.by_hand(self.presses, self._release)
 
         @self.stop.on_click
         def _(_: Any) -> None:
@@ -93,7 +95,7 @@ class LiveTab:
             try:
                 session.rearm()
             except TtusError as error:
-                tell(str(error))
+                page.tell(str(error))
 
         @self.again.on_click
         def _(_: Any) -> None:
@@ -101,7 +103,7 @@ class LiveTab:
 
     def _release(self, presses: bool) -> None:
         if presses:
-            state, hand = self._stage.state, self._session.hand
+            state, hand = self._page.state, self._session.hand
             with state.lock:
                 hand.lead = None
                 state.follow(hand.rotation, hand.position)

@@ -5,7 +5,7 @@ Light that changes later makes a browser build everything anew.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,12 @@ SIDE = 0.35
 #: Width of the panel [px]
 WIDTH = 360
 
-#: Where two lights are, from the front, which is up [m]
-SIDES = ((0.7, 0.0, -0.5), (-0.7, 0.0, -0.5))
+#: Where they are [m], before a front that is +y
+SIDES = ((0.7, 1.0, -0.5), (-0.7, 1.0, -0.5))
 
 
-def dress(server: viser.ViserServer) -> list[Any]:
-    """The panel on the right, without a share button; even light.
-
-    Returns:
-        Two weaker lights, for a front that is +y.
-    """
+def dress(server: viser.ViserServer) -> None:
+    """The panel on the right, without a share button; even light and two weaker."""
     gui, scene = server.gui, server.scene
     gui.configure_theme(
         show_logo=False, show_share_button=False, control_width="medium",
@@ -48,12 +44,10 @@ def dress(server: viser.ViserServer) -> list[Any]:
     scene.configure_environment_map(None)
     # mostly even, so that colours are the legend's
     scene.add_light_ambient("/light/even", intensity=LIGHT)
-    return [
+    for k, side in enumerate(SIDES):
         scene.add_light_directional(
-            f"/light/from{k}", intensity=SIDE * LIGHT, position=(x, 1.0 + y, z)
+            f"/light/from{k}", intensity=SIDE * LIGHT, position=side
         )
-        for k, (x, y, z) in enumerate(SIDES)
-    ]
 
 
 def small(html: str) -> str:
@@ -62,7 +56,7 @@ def small(html: str) -> str:
 
 
 def lit(colours: NDArray[np.uint8], normals: Array, front: Array) -> Array:
-    """Light that a rough surface sends under these lights, which move with the front.
+    """Light that a rough surface sends under these lights, turned to its front.
 
     A page that draws by software would compute it at every pixel of every frame.
 
@@ -76,7 +70,8 @@ def lit(colours: NDArray[np.uint8], normals: Array, front: Array) -> Array:
     """
     share = colours / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    towards = front + np.array(SIDES)
+    up, along = np.array([front, [0.0, 0.0, 1.0]])
+    towards = np.array(SIDES) @ np.stack([np.cross(up, along), up, along])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     sides = np.maximum(normals @ towards.T, 0.0).sum(axis=1, keepdims=True)
     return np.asarray(LIGHT / np.pi * (1.0 + SIDE * sides) * linear)

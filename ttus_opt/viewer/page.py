@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import TtusError
 from ttus_opt.probe.cylindrical import TURN
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
@@ -21,14 +22,10 @@ from ttus_opt.viewer.recording_tab import RecordingTab
 from ttus_opt.viewer.section_tab import SectionTab
 from ttus_opt.viewer.skin import place_on_ray
 from ttus_opt.viewer.skin_tab import SkinTab
-from ttus_opt.viewer.stage import Stage
 from ttus_opt.viewer.state import ViewState
 
 if TYPE_CHECKING:
     from ttus_opt.viewer.skin_tab import Stated
-
-#: How long a message is shown [s]
-SHOWN = 8.0
 
 #: Least squared sine between the skin's normal and the pointer's ray: where one looks
 #: along the normal, the probe moves less than the pointer [–]
@@ -39,6 +36,12 @@ class Page:
     """Draws a state and listens to its visitors.
 
     Attributes:
+        server: Of the page.
+        state: What is shown.
+        names: Of the fields.
+        nodes: Patient and probe of every field.
+        jobs: Work beside the page.
+        tell: Shows a line on every page.
         tabs: Where more tabs may be added.
 
     Args:
@@ -57,19 +60,15 @@ class Page:
         mesh: TriangleMesh | None = None,
         stated: Stated | None = None,
     ) -> None:
-        server = served.server
-        self._served, self._server, self.state = served, server, state
-        self.jobs = Jobs(self.tell)
-        nodes, shell = (
-            patients_on(served, state.surface, len(state.fields)),
-            state.shell,
-        )
+        self.server, self.tell = served.server, served.tell
+        self.state, self.names, self.jobs = state, names, Jobs(served.tell)
+        self.nodes = patients_on(served, state.surface, len(state.fields))
+        server, shell = self.server, state.shell
         if shell is not None:
             if mesh is None:  # a hull does not look at faces
                 mesh = TriangleMesh(shell.points, np.arange(3)[None]).convex_hull()
-            for one, colour in zip(nodes, RENDERED, strict=False):
+            for one, colour in zip(self.nodes, RENDERED, strict=False):
                 one.add_probe(mesh, colour)
-        self.stage = Stage(server, state, names, nodes, self.jobs, self.tell)
         self._numbers = server.gui.add_html("")
         legend = server.gui.add_html("")
         self.tabs = tabs = server.gui.add_tab_group()
@@ -77,26 +76,41 @@ class Page:
         self.recording: RecordingTab | None = None
         if shell is not None:
             with (tab := tabs.add_tab("Probe")):
-                self.probe = ProbeTab(self.stage, tab)
+                self.probe = ProbeTab(self, tab)
             self._listen(self.probe)
         with tabs.add_tab("Skin"):
-            self.skin = SkinTab(self.stage, legend, stated)
+            self.skin = SkinTab(self, legend, stated)
         with tabs.add_tab("Section"):
-            self.section = SectionTab(self.stage)
+            self.section = SectionTab(self)
         if state.recording is not None:
             with tabs.add_tab("Recording"):
-                self.recording = RecordingTab(self.stage, state.recording)
+                self.recording = RecordingTab(self, state.recording)
         self.move()
         self.write()
 
-    def tell(self, line: str, seconds: float | None = SHOWN) -> None:
-        """Show a line on every page for some time [s], None until it is closed."""
-        self._served.tell(line, seconds)
+    def by_hand(self, handle: Any, act: Callable[[Any], object]) -> None:
+        """Act when somebody changes an input, not when the viewer itself does.
+
+        Args:
+            handle: The input.
+            act: Called with its value, in the order of the changes; what it refuses is
+                told.
+        """
+
+        async def changed(event: Any) -> None:
+            if event.client is None:
+                return
+            try:
+                act(event.target.value)
+            except TtusError as error:
+                self.tell(str(error))
+
+        handle.on_update(changed)
 
     def move(self) -> None:
         """Draw probe and forces as they are now; 30 times a second or more."""
-        with self._server.atomic():
-            for nodes, touch in zip(self.stage.nodes, self.state.touches, strict=False):
+        with self.server.atomic():
+            for nodes, touch in zip(self.nodes, self.state.touches, strict=False):
                 nodes.show_touch(touch, self.state.measured)
             if self.probe is not None and not self._grabbed:
                 rotation, position = self.state.pose
@@ -109,7 +123,7 @@ class Page:
         if measured is None and self.recording is not None and self.recording.has_force:
             measured = np.full(3, np.nan)  # its row stays
         self._numbers.content = readout(
-            state.touches, self.stage.names, measured, state.source
+            state.touches, self.names, measured, state.source
         )
         if self.probe is not None:
             self.probe.show()
@@ -121,7 +135,7 @@ class Page:
         """Take drags of the probe and clicks on the skin."""
         rotation, position = self.state.pose
         self._grabbed = False
-        self._handle = self._server.scene.add_transform_controls(
+        self._handle = self.server.scene.add_transform_controls(
             "/patient0/handle", scale=0.09, visible=False, depth_test=False,
             wxyz=to_quaternions(rotation[None])[0], position=position,
         )  # fmt: skip
@@ -131,17 +145,14 @@ class Page:
             R = from_quaternions(np.asarray(self._handle.wxyz)[None], "wxyz")[0]
             self.state.put(R, np.asarray(self._handle.position))
 
-        async def shown(event: Any) -> None:
-            self._handle.visible = event.target.value
-
         self._handle.on_update(turned)
-        tab.free.on_update(shown)
-        for nodes in self.stage.nodes:
+        self.by_hand(tab.free, lambda value: setattr(self._handle, "visible", value))
+        for nodes in self.nodes:
             self._listen_to(nodes)
 
-        @self._server.scene.on_click()
+        @self.server.scene.on_click()
         def clicked(event: Any) -> None:
-            for nodes in self.stage.nodes:
+            for nodes in self.nodes:
                 origin = np.array(event.ray_origin) - nodes.offset
                 ray = np.array(event.ray_direction)
                 place, met = place_on_ray(self.state.surface, origin, ray)

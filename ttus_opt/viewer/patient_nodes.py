@@ -18,7 +18,7 @@ from ttus_opt.viewer.arrow import Arrow
 from ttus_opt.viewer.colour_map import MARK, MEASURED, UNKNOWN, Pixels, section_pixels
 from ttus_opt.viewer.first_camera import FirstCamera
 from ttus_opt.viewer.guarded_server import Served
-from ttus_opt.viewer.looks import SIDES, lit
+from ttus_opt.viewer.looks import lit
 from ttus_opt.viewer.skin import SkinMesh
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNod
     """Patients of one skin in a row on pages, drawn by the first call.
 
     Args:
-        served: The pages; lights and camera are moved to where they look.
+        served: The pages; their camera looks at the skin.
         surface: The skin.
         count: Of patients [–].
     """
@@ -205,8 +205,6 @@ def patients_on(served: Served, surface: Surface, count: int) -> list[PatientNod
     first = FirstCamera.of(surface, length + float(offsets[-1][2]))
     with server.atomic():
         server.scene.set_up_direction(tuple(first.front.tolist()))
-        for light, side in zip(served.lights, SIDES, strict=True):
-            light.position = first.front + side
         first.show_on(server)
         served.patients.extend(
             PatientNodes(server.scene, f"patient{k}", skin, offset, first)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.looks import small
-from ttus_opt.viewer.stage import Stage, by_hand
 from ttus_opt.viewer.state import LEAST, MOST
+
+if TYPE_CHECKING:
+    from ttus_opt.viewer.page import Page
 
 #: A step of the buttons and keys [m], [deg]
 STEP, TURN = 1e-3, 1.0
@@ -47,17 +49,17 @@ class ProbeTab:
     """Inputs that move the hand's pose, and show where it is.
 
     Args:
-        stage: The page.
+        page: The page.
         tab: Where they are.
     """
 
-    def __init__(self, stage: Stage, tab: Any) -> None:
-        self._stage, self._tab, gui = stage, tab, stage.server.gui
+    def __init__(self, page: Page, tab: Any) -> None:
+        self._page, self._tab, gui = page, tab, page.server.gui
         self._points: deque[tuple[float, list[float]]] = deque()
         self._depth = gui.add_slider(
             "depth [mm]", min=1e3 * LEAST, max=1e3 * MOST, step=0.1, initial_value=0.0
         )
-        theta, z = stage.state.place
+        theta, z = page.state.place
         self._theta = gui.add_number("θ [°]", float(np.degrees(theta)), step=1.0)
         self._z = gui.add_number("z [mm]", 1e3 * z, step=1.0)
         self._angles = gui.add_vector3(
@@ -77,7 +79,7 @@ class ProbeTab:
 
     def show(self) -> None:
         """Write the hand's pose into the fields."""
-        state = self._stage.state
+        state = self._page.state
         theta, z = state.place
         self._depth.value = round(1e3 * state.depth, 1)
         self._theta.value = round(float(np.degrees(theta)), 2)
@@ -89,7 +91,7 @@ class ProbeTab:
         points = self._points
         if points and time - points[-1][0] < EVERY:
             return
-        wrenches = [touch.wrench for touch in self._stage.state.touches]
+        wrenches = [touch.wrench for touch in self._page.state.touches]
         felt = [w.force for w in wrenches] + [1e3 * w.torque for w in wrenches]
         sizes = [float(np.linalg.norm(one)) for one in felt]
         if not points:
@@ -105,7 +107,7 @@ class ProbeTab:
         if len(self._points) < 2:
             return
         if not self.plots:
-            gui, told = self._stage.server.gui, series(self._stage.names)
+            gui, told = self._page.server.gui, series(self._page.names)
             with self._tab:
                 self.plots = tuple(
                     add_plot(gui, columns, told, quantity=quantity)
@@ -118,7 +120,7 @@ class ProbeTab:
 
     def columns(self) -> tuple[tuple[Array, ...], ...]:
         """Of every plot: time [s] and every field's, force [N] and torque [mN m]."""
-        fields = len(self._stage.names)
+        fields = len(self._page.names)
         times, sizes = zip(*self._points, strict=True)
         time = np.maximum(np.array(times) - times[-1], -SHOWN)
         felt = np.array(sizes).T
@@ -126,17 +128,17 @@ class ProbeTab:
 
     def _step(self, way: tuple[int, int, int], sign: int) -> None:
         around, along, deeper = (STEP * sign * w for w in way)
-        self._stage.state.move(around=around, along=along, deeper=deeper)
+        self._page.state.move(around=around, along=along, deeper=deeper)
 
     def _turn(self, way: tuple[int, int, int], sign: int) -> None:
-        state = self._stage.state
+        state = self._page.state
         state.tilt(state.angles + TURN * sign * np.array(way, dtype=np.float64))
 
     def _add_step(
         self, name: str, keys: tuple[str, str], way: tuple[int, int, int]
     ) -> None:
         """Two buttons and two keys for a way back and forth."""
-        gui: Any = self._stage.server.gui
+        gui: Any = self._page.server.gui
         act, unit = (self._step, "1 mm") if name in WAYS else (self._turn, "1°")
         labels = f"− {unit}", f"+ {unit}"
         group = gui.add_button_group(name, labels)
@@ -157,12 +159,12 @@ class ProbeTab:
             command.on_trigger(pressed)
 
     def _listen(self) -> None:
-        state, tell = self._stage.state, self._stage.tell
+        page, state = self._page, self._page.state
 
         def slide(_: float) -> None:
             state.slide(float(np.radians(self._theta.value)), 1e-3 * self._z.value)
 
-        by_hand(self._depth, lambda value: state.press(1e-3 * value), tell)
-        by_hand(self._theta, slide, tell)
-        by_hand(self._z, slide, tell)
-        by_hand(self._angles, lambda value: state.tilt(np.array(value)), tell)
+        page.by_hand(self._depth, lambda value: state.press(1e-3 * value))
+        page.by_hand(self._theta, slide)
+        page.by_hand(self._z, slide)
+        page.by_hand(self._angles, lambda value: state.tilt(np.array(value)))

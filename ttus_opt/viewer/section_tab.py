@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ttus_opt.viewer.colour_map import section_legend
 from ttus_opt.viewer.section import Direction, Section, section
-from ttus_opt.viewer.stage import Stage, by_hand
+
+if TYPE_CHECKING:
+    from ttus_opt.viewer.page import Page
 
 UNITS = {"N": "N", "N cm-2": "N/cm²"}
 
@@ -17,11 +21,11 @@ class SectionTab:
     """Chooses a section and drags it through the patient.
 
     Args:
-        stage: The page.
+        page: The page.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage, gui, z = stage, stage.server.gui, stage.state.surface.z
+    def __init__(self, page: Page) -> None:
+        self._page, gui, z = page, page.server.gui, page.state.surface.z
         self.shown: list[Section] = []
         self.choice = gui.add_dropdown("section", (NONE, AXIAL, ALONG))
         low, high = np.ceil(1e3 * z[0]), np.floor(1e3 * z[-1])
@@ -35,14 +39,14 @@ class SectionTab:
         )
         self._legend = gui.add_html("", visible=False)
         for handle in (self.choice, self.height, self.angle):
-            by_hand(handle, lambda _: self.show(), stage.tell)
+            page.by_hand(handle, lambda _: self.show())
 
     def show(self) -> None:
         """Draw what is chosen, soon."""
         choice = self.choice.value
         self.height.visible, self.angle.visible = choice == AXIAL, choice == ALONG
         self._legend.visible = choice != NONE
-        self._stage.jobs.post("section", self._draw)
+        self._page.jobs.post("section", self._draw)
 
     def _draw(self) -> None:
         choice = self.choice.value
@@ -52,9 +56,9 @@ class SectionTab:
             at = 1e-3 * self.height.value
             if direction == "along":
                 at = float(np.radians(self.angle.value))
-            fields = self._stage.state.fields
+            fields = self._page.state.fields
             self.shown = [section(one, direction, at) for one in fields]
-            unit = UNITS[self._stage.state.fields[0].unit]
+            unit = UNITS[self._page.state.fields[0].unit]
             self._legend.content = section_legend(self.shown[0], unit)
-        for k, nodes in enumerate(self._stage.nodes):
+        for k, nodes in enumerate(self._page.nodes):
             nodes.show_section(self.shown[k] if self.shown else None)

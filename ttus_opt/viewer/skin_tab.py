@@ -12,10 +12,10 @@ from ttus_opt.viewer import colouring
 from ttus_opt.viewer.colour_map import node_colours, skin_legend
 from ttus_opt.viewer.colouring import Colouring
 from ttus_opt.viewer.looks import small
-from ttus_opt.viewer.stage import Stage, by_hand
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.uncertainty.field_uncertainty import Uncertainty
+    from ttus_opt.viewer.page import Page
 
     #: The uncertainty of a fit, or what gives it when somebody looks
     Stated = Uncertainty | Callable[[], Uncertainty]
@@ -31,13 +31,13 @@ class SkinTab:
     """Chooses what the skin shows; each colouring is computed once.
 
     Args:
-        stage: The page.
+        page: The page.
         legend: Holds the legend.
         stated: Uncertainty of the first field's fit, for where to press next.
     """
 
-    def __init__(self, stage: Stage, legend: Any, stated: Stated | None) -> None:
-        self._stage, self._legend, self._stated = stage, legend, stated
+    def __init__(self, page: Page, legend: Any, stated: Stated | None) -> None:
+        self._page, self._legend, self._stated = page, legend, stated
         self._known: dict[str, list[Colouring]] = {}
         self._painting, self._stating = threading.Lock(), threading.Lock()
         self._ways: dict[str, Callable[[], list[Colouring]]] = {
@@ -46,24 +46,24 @@ class SkinTab:
             "Seen": self._seen,
             "Next press": self._next,
         }
-        if stage.state.shell is None:
+        if page.state.shell is None:
             del self._ways["Stiffness"], self._ways["Next press"]
             self._ways = {"Seen": self._seen} | self._ways
-        gui = stage.server.gui
+        gui = page.server.gui
         self.choice = gui.add_dropdown("colour", tuple(self._ways))
-        by_hand(self.choice, self.show, stage.tell)
+        page.by_hand(self.choice, self.show)
         self.show(self.choice.value)
 
     def show(self, name: str) -> None:
         """Colour the skin, soon; one that takes long holds up no other."""
         self._shown = name
         self._legend.content = small("computing …")
-        self._stage.jobs.post(f"colours {name}", lambda: self._paint(name))
+        self._page.jobs.post(f"colours {name}", lambda: self._paint(name))
 
     def forget(self) -> None:
         """Colour anew, as a field was replaced; the legend stays: nothing jumps."""
         self._known, name = {}, self._shown  # old ones may still be computed
-        self._stage.jobs.post(f"colours {name}", lambda: self._paint(name))
+        self._page.jobs.post(f"colours {name}", lambda: self._paint(name))
 
     def colourings(self, name: str) -> list[Colouring]:
         """A colouring of every field.
@@ -92,7 +92,7 @@ class SkinTab:
         finally:
             with self._painting:
                 if name == self._shown:  # no other was chosen meanwhile
-                    for k, nodes in enumerate(self._stage.nodes):
+                    for k, nodes in enumerate(self._page.nodes):
                         if found:
                             one = found[k]
                             nodes.colour(node_colours(one, span), one.marks)
@@ -101,16 +101,16 @@ class SkinTab:
                     self._legend.content = told
 
     def _stiffness(self) -> list[Colouring]:
-        state = self._stage.state
+        state = self._page.state
         return [
             colouring.stiffness(
-                field, renderer, state.probe, state.hold, self._stage.skin
+                field, renderer, state.probe, state.hold, self._page.nodes[0].skin
             )
             for field, renderer in zip(state.fields, state.renderers(), strict=True)
         ]
 
     def _uncertainty(self) -> list[Colouring]:
-        skin, (first, *rest) = self._stage.skin, self._stage.state.fields
+        skin, (first, *rest) = self._page.nodes[0].skin, self._page.state.fields
         stated = self._statement() if first.uncertainty is None else None
         return [
             colouring.uncertainty(first, skin, stated),
@@ -118,15 +118,15 @@ class SkinTab:
         ]
 
     def _seen(self) -> list[Colouring]:
-        skin = self._stage.skin
-        return [colouring.seen(one, skin) for one in self._stage.state.fields]
+        skin = self._page.nodes[0].skin
+        return [colouring.seen(one, skin) for one in self._page.state.fields]
 
     def _next(self) -> list[Colouring]:
         stated = self._statement()
         if stated is None:
             raise InputError(NEEDS_FIT)
-        found = colouring.next_presses(stated, self._stage.skin)
-        return [found] * len(self._stage.nodes)
+        found = colouring.next_presses(stated, self._page.nodes[0].skin)
+        return [found] * len(self._page.nodes)
 
     def _statement(self) -> Uncertainty | None:
         """The fit's uncertainty, computed when it is first looked at."""
