@@ -113,9 +113,9 @@ def test_bad_files(tmp_path):
         tt.Surface.load(_file(tmp_path / "z.nc", z=np.linspace(0, 1, 7) ** 2))
     wavy().save(tmp_path / "s.nc")
     with pytest.raises(FileError, match="holds surface, expected a field"):
-        io.read_dataset(tmp_path / "s.nc", kind="field", version=1)
+        io.read_content(tmp_path / "s.nc", kind="field", version=1)
     with pytest.raises(FileError, match="version 1, this ttus_opt reads version 2"):
-        io.read_dataset(tmp_path / "s.nc", kind="surface", version=2)
+        io.read_content(tmp_path / "s.nc", kind="surface", version=2)
     raw = (tmp_path / "s.nc").read_bytes()
     (tmp_path / "cut.nc").write_bytes(raw[: len(raw) // 2])
     refuses(FileError, "truncated", tt.Surface.load, tmp_path / "cut.nc")

@@ -24,10 +24,10 @@ import secrets
 import shutil
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.core.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.core.interrupts import signals_deferred as signals_deferred
@@ -45,7 +45,6 @@ HEAD = 4096
 
 LOG = logging.getLogger(__name__)
 
-Read = TypeVar("Read", "Content", "xr.Dataset")
 
 #: What the file ends in: this, and the CRC-32 of all bytes before as 8 hex digits
 SEAL = b"\nttus_opt crc32 "
@@ -411,62 +410,25 @@ def read_content(
         FileError: The file is missing, damaged, not netCDF, or of another kind or
             version.
     """
-
-    def load(file: Path) -> Content:
-        import netCDF4
+    file, sealed = whole_file(path, kind)
+    variables = {}
+    with _opened(file, kind) as opened:
         import numpy as np
 
-        variables = {}
-        with netCDF4.Dataset(file) as opened:
-            for name, one in opened.variables.items():
-                if name in without:
-                    continue
-                attrs = dict(one.__dict__)
-                # else a number that is the type's usual filling would be missing
-                one.set_auto_mask(bool({"_FillValue", "missing_value"} & set(attrs)))
-                values = one[...]
-                if np.ma.is_masked(values):
-                    values = values.astype(np.float64).filled(np.nan)
-                values = np.ma.getdata(values)
-                variables[name] = Variable(one.dimensions, values, attrs)
-            return Content(variables, dict(opened.__dict__))
-
-    return _read(path, load, kind, version, foreign)
-
-
-def read_dataset(
-    path: str | os.PathLike[str], *, kind: str, version: int, foreign: bool = False
-) -> xr.Dataset:
-    """As `read_content`, as an xarray Dataset."""
-
-    def load(file: Path) -> xr.Dataset:
-        import xarray as xr
-
-        with xr.open_dataset(file, engine="netcdf4") as opened:
-            return opened.load()
-
-    return _read(path, load, kind, version, foreign)
-
-
-def _read(
-    path: str | os.PathLike[str],
-    load: Callable[[Path], Read],
-    kind: str,
-    version: int,
-    foreign: bool,
-) -> Read:
-    """What a function reads of a file, which must be of a kind and whole."""
-    file, sealed = whole_file(path, kind)
-    try:
-        with warnings.catch_warnings():
-            # numpy 2.4 warns inside netCDF4's compiled reader about array shapes
-            warnings.simplefilter("ignore", DeprecationWarning)
-            found = load(file)
-    except UNREADABLE as error:
-        raise FileError(
-            f"{file} is not a readable netCDF file ({type(error).__name__}): "
-            f"truncated, or not a {kind} file?"
-        ) from error
+        for name, one in opened.variables.items():
+            if name in without:
+                continue
+            attrs = dict(one.__dict__)
+            # else a number that is the type's usual filling would be missing
+            one.set_auto_mask(bool({"_FillValue", "missing_value"} & set(attrs)))
+            values = one[...]
+            if np.ma.is_masked(values):
+                values = values.astype(np.float64).filled(np.nan)
+            values = np.ma.getdata(values)
+            if values.dtype.kind == "O":  # text
+                values = values.astype(str)
+            variables[name] = Variable(one.dimensions, values, attrs)
+        found = Content(variables, dict(opened.__dict__))
     if not (foreign and "ttus_opt_kind" not in found.attrs):
         _check_kind(found.attrs, file, kind, version)
     if not sealed:
@@ -474,9 +436,27 @@ def _read(
             f"{file} has no checksum, so damage may go unnoticed: it was written by "
             "another program, or an older ttus_opt",
             TtusWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return found
+
+
+@contextlib.contextmanager
+def _opened(file: Path, what: str) -> Iterator[Any]:
+    """A netCDF file, open; a `FileError` for whatever the library raises."""
+    import netCDF4
+
+    try:
+        with warnings.catch_warnings():
+            # numpy 2.4 warns inside netCDF4's compiled reader about array shapes
+            warnings.simplefilter("ignore", DeprecationWarning)
+            with netCDF4.Dataset(file) as opened:
+                yield opened
+    except UNREADABLE as error:
+        raise FileError(
+            f"{file} is not a readable netCDF file ({type(error).__name__}): "
+            f"truncated, or not a {what} file?"
+        ) from error
 
 
 def _check_kind(attrs: Mapping[Any, Any], file: Path, kind: str, version: int) -> None:
@@ -505,16 +485,9 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
     Raises:
         FileError: The file is missing, damaged, or not netCDF.
     """
-    import netCDF4
-
     file, _ = whole_file(path, what)
-    try:
-        with netCDF4.Dataset(file) as opened:
-            kind = getattr(opened, "ttus_opt_kind", None)
-    except UNREADABLE as error:
-        raise FileError(
-            f"{file} is not a readable netCDF file: truncated, or no {what}?"
-        ) from error
+    with _opened(file, what) as opened:
+        kind = getattr(opened, "ttus_opt_kind", None)
     return None if kind is None else str(kind)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_covariance_posterior import exact, fitted
@@ -67,7 +68,7 @@ def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(file, tmp_p
     fitted().field.save(tmp_path / "plain.nc")
     with pytest.raises(InputError, match="fit again with ttus-opt fit --uncertainty"):
         read_uncertainty(tmp_path / "plain.nc", shell)
-    whole = io.read_dataset(file, kind=KIND, version=VERSION)
+    whole = xr.load_dataset(file, engine="netcdf4")
     facts = json.loads(whole.attrs[FACTS])
     short = whole.isel(uncertainty_voxel=slice(10))
     spoilt = [

@@ -251,10 +251,13 @@ def read_solution_path(path: str | os.PathLike[str]) -> xr.Dataset:
     Raises:
         FileError: Not such a file, another version, or damaged.
     """
-    found = io.read_dataset(path, kind=KIND, version=VERSION)
+    import xarray as xr
+
+    found = io.read_content(path, kind=KIND, version=VERSION)
     if not {"status", "objective", "term_value"} <= set(found.variables):
         raise FileError(f"{path}: damaged solution path: write it again")
-    return found
+    given = {n: (v.dims, v.values, v.attrs) for n, v in found.variables.items()}
+    return xr.decode_cf(xr.Dataset(given, attrs=found.attrs))
 
 
 def best_weights(dataset: xr.Dataset) -> dict[str, float]:
