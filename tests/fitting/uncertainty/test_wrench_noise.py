@@ -29,12 +29,15 @@ def dense(noise, wrench, place):
     """Covariance of the errors of all frames, six after six, (6n, 6n)."""
     n = len(wrench)
     out = np.zeros((n, 6, n, 6))
+    share = np.full(n, noise.place_share)
+    if noise.usual_force > 0.0:
+        share *= (noise.usual_force / np.linalg.norm(wrench[:, :3], axis=1)) ** 0.5
     sensor = [noise.force**2] * 3 + [noise.torque**2] * 3
     for t in range(n):
         out[t, :, t] += np.diag(sensor)
         out[t, :, t] += noise.share**2 * np.outer(wrench[t], wrench[t])
         for u in np.flatnonzero(place == place[t]):
-            out[t, :, u] += noise.place_share**2 * np.outer(wrench[t], wrench[u])
+            out[t, :, u] += share[t] * share[u] * np.outer(wrench[t], wrench[u])
             both = crossed(wrench[t, :3]) @ crossed(wrench[u, :3]).T
             out[t, :3, u, :3] += noise.turn**2 * both
             out[t, 3:, u, 3:] += noise.shift**2 * both
@@ -55,14 +58,26 @@ def recorded(n, n_places, k=5):
     return MeasuredWrenches(images, told + errors, wrench, place, np.arange(6))
 
 
-def test_density_is_that_of_dense_algebra():
+@pytest.mark.parametrize("noise", [NOISE, replace(NOISE, usual_force=6.0)])
+def test_density_is_that_of_dense_algebra(noise):
     given = recorded(9, 3)
     K = given.images.reshape(5, -1)
-    covariance = dense(NOISE, given.wrench, given.place) + 0.7 * K.T @ K
+    covariance = dense(noise, given.wrench, given.place) + 0.7 * K.T @ K
     expected = scipy.stats.multivariate_normal(cov=covariance).logpdf(
         given.misfit.reshape(-1)
     )
-    assert given.log_density(0.7, NOISE) == pytest.approx(expected, rel=1e-9)
+    assert given.log_density(0.7, noise) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_error_of_a_place_may_grow_with_the_root_of_the_force():
+    """It is c of the usual force, and 0 without a force."""
+    given = replace(recorded(9, 3), usual_force=4.0)
+    found = given.estimate(1.0)[1]
+    assert found.usual_force == 4.0
+    wrench = np.outer([0.0, 1.0, 4.0, 16.0], [0.0, 0.6, 0.8, 0.0, 0.0, 0.0])
+    stated = np.linalg.norm(found.shared(wrench)[:, :, 0], axis=1)
+    expected = found.place_share * np.array([0.0, 2.0, 4.0, 8.0])
+    np.testing.assert_allclose(stated, expected, rtol=1e-12)
 
 
 def test_forces_alone_have_the_density_of_their_block():
@@ -199,7 +214,8 @@ def test_draws_have_the_covariance():
 
 def test_noise_is_read_as_it_was_written():
     forces = WrenchNoise(0.1, 0.02, 0.03, 0.04)
-    assert WrenchNoise.from_dict(NOISE.as_dict()) == NOISE
+    for noise in (NOISE, replace(NOISE, usual_force=5.0)):
+        assert WrenchNoise.from_dict(noise.as_dict()) == noise
     assert list(forces.as_dict()) == ["force", "share", "place_share", "turn"]
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="noise must"):

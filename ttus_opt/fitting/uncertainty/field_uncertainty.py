@@ -256,6 +256,11 @@ def _known_prior(program: Program) -> ProgramTerm | None:
     return next((t for t in known if t.weight > 0.0), None)
 
 
+def _usual_force(wrench: Array) -> float:
+    """Root mean square of the forces of wrenches (n, 6) [N]."""
+    return float(np.sqrt(np.mean(np.sum(wrench[:, :3] ** 2, axis=1))))
+
+
 def _errors(
     scene: Scene,
     potential: PotentialField,
@@ -295,12 +300,14 @@ def _errors(
         whole[informative] = rows.T
         return np.asarray(inverse.solve(whole).T[..., at])
 
+    usual = np.nan if mean is None else _usual_force(wrench[touching])
     seen = MeasuredWrenches(
         unmixed(posterior.images),
         unmixed(given.data),
         wrench[touching],
         places(scene.presses[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
+        usual,
     )
     likeliest = given.square / len(given.data)
     likeliest = max(likeliest, LEAST_VARIANCE)

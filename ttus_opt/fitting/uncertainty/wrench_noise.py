@@ -6,10 +6,11 @@ With w = (f, τ) rendered by the field in a frame, the error of a measured wrenc
 
 The sensor noise s of each component and the relative error r are independent in every
 frame. The relative error c, the rotation t of the force and the shift o of its line of
-action are common to all frames of a place; they stand for model errors there. All are
-normal with mean zero, so that the covariance Σ of all rows is block-diagonal by frame
-plus seven columns per place. The prior's variance and the noise are estimated together
-by marginal likelihood, with weak log-normal priors. See docs/method/identification.md,
+action are common to all frames of a place; they stand for model errors there. Of a
+depth map the first grows with the root of the force, as c √(w₀/‖f‖) w. All are normal
+with mean zero, so that the covariance Σ of all rows is block-diagonal by frame plus
+seven columns per place. The prior's variance and the noise are estimated together by
+marginal likelihood, with weak log-normal priors. See docs/method/identification.md,
 Uncertainty.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
@@ -52,6 +53,9 @@ MOST_SHARE = 0.25
 #: either side of the limit, where the density has a corner
 AT_LIMIT = 0.95
 
+#: Force below which the relative error c of a place grows no more [N]
+LEAST_FORCE = 1e-3
+
 #: Name of the prior's variance, and standard deviation of its logarithm [–]
 VARIANCE, VARIANCE_SPREAD = "variance", 2.0
 
@@ -74,6 +78,8 @@ class WrenchNoise:
         turn: Rotation t about an axis, per place [rad].
         torque: Sensor noise s of a torque component; NaN where none was measured [N·m].
         shift: Shift o along an axis, per place; NaN where no torque was measured [m].
+        usual_force: w₀, the force at which c is the relative error, which decreases
+            with the root of the force; NaN where c is that of every force [N].
     """
 
     force: float
@@ -82,6 +88,7 @@ class WrenchNoise:
     turn: float
     torque: float = np.nan
     shift: float = np.nan
+    usual_force: float = np.nan
 
     def own(self, wrench: Array) -> Array:
         """Covariance of the errors per frame, shape (T, 6, 6).
@@ -97,6 +104,9 @@ class WrenchNoise:
         """Columns of the errors per place, shape (T, 6, 7); arguments as for `own`."""
         out = np.zeros((len(wrench), 6, 7))
         out[:, :, 0] = self.place_share * wrench
+        if np.isfinite(self.usual_force):
+            size = np.linalg.norm(wrench[:, :3], axis=1, keepdims=True)
+            out[:, :, 0] *= np.sqrt(self.usual_force / np.maximum(size, LEAST_FORCE))
         turned = np.cross(np.eye(3), wrench[:, None, :3]).transpose(0, 2, 1)
         out[:, :3, 1:4] = self.turn * turned
         out[:, 3:, 4:] = np.nan_to_num(self.shift) * turned
@@ -204,6 +214,7 @@ class MeasuredWrenches:
         wrench: Wrenches rendered by the fit, shape (n, 6) [N, N·m].
         place: Place of every frame, shape (n,) [–].
         parts: Measured components of the wrench, shape (h,) [–].
+        usual_force: As in `WrenchNoise` [N].
     """
 
     images: Array = field(repr=False)
@@ -211,6 +222,7 @@ class MeasuredWrenches:
     wrench: Array = field(repr=False)
     place: IntArray = field(repr=False)
     parts: IntArray = field(repr=False)
+    usual_force: float = np.nan
 
     def thinned(self) -> MeasuredWrenches:
         """At most `MOST_FRAMES` evenly spaced frames."""
@@ -309,7 +321,7 @@ class MeasuredWrenches:
             at = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
             found = dict(held) | dict(zip(names, map(float, at), strict=True))
             own = found.pop(VARIANCE)
-            noise = WrenchNoise(**found)
+            noise = WrenchNoise(**found, usual_force=self.usual_force)
             share = min(noise.place_share, MOST_SHARE)
             return own, replace(noise, place_share=share)
 
