@@ -15,6 +15,7 @@ from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.verify.certificate import contradicts
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import options
@@ -228,8 +229,10 @@ def test_contradictions_are_named():
     solution = tt.fit(scene, coulomb(scene, 1.0, more, small), solver="structured")
     assert solution.status is tt.Status.INFEASIBLE
     assert set(solution.conflict) == {"drag_limit", "own", "within"}
-    candidate = solved(coulomb(scene, 1.0, more, small).compile())
+    program = coulomb(scene, 1.0, more, small).compile()
+    candidate = solved(program)
     assert candidate.claim is Claim.INFEASIBLE
+    assert contradicts(program, candidate.duals)
     assert "contradict each other" in candidate.detail
 
 
