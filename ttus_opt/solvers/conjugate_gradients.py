@@ -21,19 +21,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.compiled import compiled
 from ttus_opt.solvers.base import is_late
 
 Map = Callable[[Array], Array]
-
-#: Directions may be stored in single precision; sums are in double
-Kept = NDArray[np.floating[Any]]
 
 #: Relative threshold below which a direction is dropped as dependent [–]
 DEPENDENT = 1e-12
@@ -188,43 +183,17 @@ def to_residual(
 
 
 # Products with all directions run on one core: on vectors this short, a threaded BLAS
-# that waits for a busy core takes ten times as long. Those in single precision, which
-# NumPy would convert, are compiled; in double precision there are few.
+# that waits for a busy core takes ten times as long.
 
 
-def _products(rows: Kept, vector: Array) -> Array:
+def _products(rows: Array, vector: Array) -> Array:
     """Rows @ vector."""
-    if rows.dtype == vector.dtype:
-        return np.asarray(np.einsum("kn,n->k", rows, vector))
-    out = np.empty(len(rows))
-    _set_products(out, rows, vector)
-    return out
+    return np.asarray(np.einsum("kn,n->k", rows, vector))
 
 
-def _combination(parts: Array, rows: Kept) -> Array:
+def _combination(parts: Array, rows: Array) -> Array:
     """Parts @ rows."""
-    if rows.dtype == parts.dtype:
-        return np.asarray(np.einsum("k,kn->n", parts, rows))
-    out = np.zeros(rows.shape[1])
-    _add_combination(out, parts, rows)
-    return out
-
-
-@compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _set_products(out: Array, rows: Kept, vector: Array) -> None:
-    for k in range(len(rows)):
-        row, total = rows[k], 0.0
-        for n in range(row.size):
-            total += row[n] * vector[n]
-        out[k] = total
-
-
-@compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _add_combination(out: Array, parts: Array, rows: Kept) -> None:
-    for k in range(len(rows)):
-        row, part = rows[k], parts[k]
-        for n in range(row.size):
-            out[n] += part * row[n]
+    return np.asarray(np.einsum("k,kn->n", parts, rows))
 
 
 class DualOperator(Protocol):
@@ -249,20 +218,18 @@ class RecycledSubspace:
     def __init__(
         self,
         system: DualOperator,
-        kept_as: type[np.floating[Any]] = np.float64,
         exact: bool = False,
     ) -> None:
         """Start without directions.
 
         Args:
             system: The operator.
-            kept_as: Precision in which directions are stored.
             exact: Whether its products are a fixed linear map, so that a step along the
                 last direction leaves no rest on the others.
         """
         self.system, self._exact = system, exact
         #: Directions and their images, with space for more, shape (2, k, m)
-        self._store: Kept = np.empty((2, 16, len(system.root_weights)), kept_as)
+        self._store = np.empty((2, 16, len(system.root_weights)))
         self._count = 0
 
     def __len__(self) -> int:
@@ -270,12 +237,12 @@ class RecycledSubspace:
         return self._count
 
     @property
-    def _kept(self) -> tuple[Kept, Kept]:
+    def _kept(self) -> tuple[Array, Array]:
         """Directions d and their images S d, shape (k, m) each."""
         return self._store[0, : self._count], self._store[1, : self._count]
 
     @property
-    def directions(self) -> Kept:
+    def directions(self) -> Array:
         """All directions, shape (k, m)."""
         return self._kept[0]
 
@@ -300,7 +267,7 @@ class RecycledSubspace:
         keep = size > DEPENDENT * size.max(initial=0.0)
         mix = (turn[:, keep] / np.sqrt(size[keep])).T
         self._count = len(mix)
-        self._store = np.empty((2, max(16, self._count), d.shape[1]), old.dtype)
+        self._store = np.empty((2, max(16, self._count), d.shape[1]))
         self._store[:, : self._count] = mix @ d, mix @ image
 
     def project(self, right_side: Array) -> tuple[Array, Array]:
@@ -346,7 +313,7 @@ class RecycledSubspace:
             return False
         if self._count == self._store.shape[1]:
             self._store = np.concatenate([self._store, self._store], axis=1)
-        root = np.sqrt(square)  # divide before rounding: an image may be huge
+        root = np.sqrt(square)
         self._store[:, self._count] = direction / root, image / root
         self._count += 1
         return True
