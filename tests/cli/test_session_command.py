@@ -68,7 +68,7 @@ def test_a_recording_of_openigtlink(run, output):
 
     poses, forces = output / "poses.csv", output / "forces.csv"
     sent = [m for i in range(5) for m in (transform(i), sensor(i))]
-    words = f"--poses {poses} --wrenches {forces} --seconds 0.2 --json"
+    words = f"--poses {poses} --wrenches {forces} --seconds 0.5 --json"
     with serving(sent) as port:
         told = json.loads(run(f"record 127.0.0.1:{port} {words}").out)
     assert told["pose_frames"] == told["wrench_frames"] == 5
