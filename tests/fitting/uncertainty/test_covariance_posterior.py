@@ -17,6 +17,7 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
     unseen,
     wrench_rows,
 )
+from tests.fitting.uncertainty.test_field_uncertainty import exact as laplace
 from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
@@ -178,6 +179,15 @@ def test_a_stiffer_place_is_uncertain_by_more_newtons():
     assert np.nanmax(more / less) > 1.5
     assert np.nanmedian(np.abs(np.log(stiff / soft))) < 0.02
     assert np.nanmax(np.abs(np.log(stiff / soft))) < 0.25  # by the noise
+
+
+def test_errors_of_places_are_told_of_the_usual_force():
+    """A depth map's, of the forces it renders in contact; not of a Laplace field."""
+    scene = scene_of(LEAST)
+    rendered = (scene.N @ fitted().field.values.reshape(-1)).reshape(-1, 3)
+    square = np.sum(rendered[scene.touching] ** 2, axis=1).mean()
+    assert exact().noise.usual_force == pytest.approx(np.sqrt(square), rel=1e-6)
+    assert np.isnan(laplace().noise.usual_force)
 
 
 def test_forces_without_torques_have_an_uncertainty_too():

@@ -31,7 +31,8 @@ def dense(noise, wrench, place):
     out = np.zeros((n, 6, n, 6))
     share = np.full(n, noise.place_share)
     if noise.usual_force > 0.0:
-        share *= (noise.usual_force / np.linalg.norm(wrench[:, :3], axis=1)) ** 0.5
+        size = np.linalg.norm(wrench[:, :3], axis=1)
+        share[size > 0.0] *= (noise.usual_force / size[size > 0.0]) ** 0.5
     sensor = [noise.force**2] * 3 + [noise.torque**2] * 3
     for t in range(n):
         out[t, :, t] += np.diag(sensor)
