@@ -27,6 +27,7 @@ def test_both_commands_meet(link, tmp_path):
         pytest.importorskip("aiortc", reason="needs ttus-opt[webrtc]")
     key = tmp_path / "session.key"
     key.write_text(bytes(32).hex())
+    key.chmod(0o600)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     words = [*f"--key {key} --port {port} --link {link} --json --seconds".split()]
