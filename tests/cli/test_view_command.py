@@ -58,7 +58,7 @@ def served(monkeypatch):
 
     def wait(viewer):
         state = viewer.state
-        looked.extend([*viewer.page.stage.names, str(state.shell)])
+        looked.extend([*viewer.page.names, str(state.shell)])
         looked.append("recording" if state.recording else "none")
         raise KeyboardInterrupt
 
