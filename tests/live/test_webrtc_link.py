@@ -202,9 +202,10 @@ def test_a_follower_that_starts_again_is_called_again(links):
 
 
 EXIT = """
-import time
+import logging, time
 from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.webrtc_link import WebRTCLink
+logging.getLogger("asyncio").setLevel(logging.ERROR)  # it warns of a busy machine
 there = WebRTCLink(bytes(32), "127.0.0.1", 0, calls=False)
 here = WebRTCLink(bytes(32), "127.0.0.1", there.port, calls=True)
 while b"to" not in there.receive(time.monotonic()):
