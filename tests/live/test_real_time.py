@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.live.springy import BALL, RADIUS, Spring, parts
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.live import real_time
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.operator import Operator
@@ -91,7 +92,8 @@ def test_a_follower_that_is_interrupted_retracts_first(ending):
 
 def test_a_retraction_ends_with_the_driver_or_where_force_says_nothing(ending):
     gone = Pressed(most=310)
-    assert ending(gone, Led()).state == "NORMAL"
+    with pytest.warns(TtusWarning, match="not retracted .the driver is gone.: lift"):
+        assert ending(gone, Led()).state == "NORMAL"
     assert len(gone.forces) == 310
     stuck = Pressed()
     stuck.wrench = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]

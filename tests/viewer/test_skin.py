@@ -75,6 +75,8 @@ def test_a_cut_leaves_what_lies_behind_the_plane():
     assert left[:, :, 2].min(axis=1).max() <= 0.1
     assert left[:, :, 2].max() < 0.12
     assert len(skin.cut(np.array([0.0, 0.0, 1.0]), 9.0)) == len(skin.faces)
+    end = np.nextafter(skin.z.min(), -1.0)  # a slider's end in mm is rounded
+    assert len(skin.cut(np.array([0.0, 0.0, 1.0]), end)) > 0
 
 
 def test_a_ray_meets_a_cylinder_where_geometry_says():

@@ -45,7 +45,6 @@ HEAD = 4096
 
 LOG = logging.getLogger(__name__)
 
-
 #: What the file ends in: this, and the CRC-32 of all bytes before as 8 hex digits
 SEAL = b"\nttus_opt crc32 "
 

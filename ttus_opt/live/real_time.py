@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -17,6 +18,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import TtusWarning
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import Sample
@@ -334,7 +336,7 @@ def run_follower(
     """The follower's loop: link, probe, measurement.
 
     However it ends, the probe is retracted until nothing is felt, as in a STOP: for
-    2 s at most, while the patient's side answers.
+    2 s at most, while the patient's side answers; a `TtusWarning` where it fails.
 
     Args:
         follower: The state machine.
@@ -358,10 +360,16 @@ def run_follower(
         return seen.ended(beat)
     finally:  # by an interrupt too
         follower.stop("the follower's loop has ended")
-        with contextlib.suppress(Exception):  # of a driver that is gone
+        try:
             for now in Metronome(rate, RETRACTION):
                 sensed = patient.sense(now, rotation, position)
                 step = follower.step(now, (), sensed)
                 rotation, position = step.rotation, step.position
                 if not follower.retracts:
                     break
+        except Exception as error:  # whatever a driver that is gone raises
+            warnings.warn(
+                f"the probe was not retracted ({error}): lift it by hand",
+                TtusWarning,
+                stacklevel=2,
+            )

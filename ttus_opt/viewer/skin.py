@@ -33,6 +33,9 @@ TYPES = {"uint32": 5125, "float32": 5126, "uint16": 5123}
 #: What a colour of 1 is stored as
 MOST = 2**16 - 1
 
+#: What two computations of a place may differ by [m]
+ROUNDED = 1e-9
+
 #: How far a ray may pass the skin and still point at it [m]
 NEAR = 0.003
 
@@ -80,7 +83,8 @@ class SkinMesh:
 
     def cut(self, normal: Array, offset: float) -> IntArray:
         """Faces that lie behind a plane, n · x ≤ offset, shape (k, 3)."""
-        behind: NDArray[np.bool_] = self.vertices @ normal <= offset
+        # a slider's place in mm may fall short of the skin's end by a rounding error
+        behind: NDArray[np.bool_] = self.vertices @ normal <= offset + ROUNDED
         return np.asarray(self.faces[behind[self.faces].any(axis=1)])
 
     def glb(self, light: Array, faces: IntArray) -> bytes:
