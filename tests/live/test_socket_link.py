@@ -63,6 +63,25 @@ def test_datagrams_and_stream_arrive(links):
     until(sent, here, there)
 
 
+def test_a_free_port_is_free_for_datagrams_and_stream(links, monkeypatch):
+    """A socket of another program has the port that was tried first."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        taken, opened = other.getsockname()[1], socket.create_server
+        tried = []
+
+        def at_the_taken_first(address):
+            tried.append(address[1])
+            host, port = address
+            return opened((host, port if len(tried) > 1 else taken))
+
+        monkeypatch.setattr(socket, "create_server", at_the_taken_first)
+        there = links(port=0, calls=False)
+        assert there.port != taken and tried == [0, 0]
+        told = f"127.0.0.1:{taken} cannot be used"
+        refuses(InputError, told, links, port=taken, calls=False)
+
+
 def test_strangers_are_not_heard(links):
     there = links(port=0, calls=False)
     stranger = links(bytes(32), port=there.port, calls=True)

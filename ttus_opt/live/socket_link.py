@@ -19,6 +19,9 @@ from ttus_opt.live.session_stream import SessionStream, unusable
 #: Time between greetings [s]
 GREET = 0.2
 
+#: Attempts to find a port that is free for datagrams and streams alike [–]
+_TRIES = 16
+
 #: Errors of a datagram that is lost, not of a socket that is unusable
 _LOST = (
     *(errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EAGAIN),
@@ -48,17 +51,16 @@ class SocketLink:
             if calls:
                 self._address = known, port
                 self._udp.bind(("", 0))
+                self._stream = SessionStream(key, known, port, calls=True)
             else:
-                self._udp.bind((known, port))
-                port = self._udp.getsockname()[1]
-            self._stream = SessionStream(key, known, port, calls=calls)
+                self._stream = self._wait_at(key, known, port)
         except OSError as error:
             self._udp.close()
             raise unusable(host, port, error) from error
         except InputError:
             self._udp.close()
             raise
-        self.port = port
+        self.port = self._stream.port
 
     def send(self, now: float, packets: Sequence[Outgoing]) -> None:
         """Send packets, and greetings until the other side is known."""
@@ -91,6 +93,20 @@ class SocketLink:
         """Close the sockets."""
         self._udp.close()
         self._stream.close()
+
+    def _wait_at(self, key: bytes, host: str, port: int) -> SessionStream:
+        """Bind both sockets to one port, for 0 to any that is free in both."""
+        tries = 1 if port else _TRIES
+        while True:
+            stream = SessionStream(key, host, port, calls=False)
+            try:
+                self._udp.bind((host, stream.port))
+                return stream
+            except OSError as error:
+                stream.close()
+                tries -= 1
+                if error.errno != errno.EADDRINUSE or not tries:
+                    raise
 
     def _greet(self, now: float) -> None:
         if now - self._greeted < GREET or self._address is None:
