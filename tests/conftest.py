@@ -3,8 +3,17 @@
 import gc
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.kit import shared_data, small_scene
+
+# a slow machine is no fault, and no run fails by chance: the same examples every time;
+# `--hypothesis-profile=search` looks for others
+settings.register_profile(
+    "search", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile("steady", settings.get_profile("search"), derandomize=True)
+settings.load_profile("steady")
 
 # of what files of tests hold nothing is garbage: rounds of the collector are rare
 gc.set_threshold(100_000, 20, 50)

@@ -1,6 +1,9 @@
 """What many tests need: errors, refusals, a torso, a probe, presses, scenes."""
 
+import contextlib
 import functools
+import os
+import socket
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +57,18 @@ def refuses(error, words, call, /, *given, **options):
     message = str(told.value)
     assert "\n" not in message, "a message is one line"
     return message
+
+
+def own_port():
+    """A free port of this machine that the system gives to nobody who asks for any."""
+    for port in range(20_000 + os.getpid() % 10_000, 32_000):
+        kinds = (socket.SOCK_STREAM, socket.SOCK_DGRAM)
+        with contextlib.ExitStack() as tried, contextlib.suppress(OSError):
+            for kind in kinds:
+                one = tried.enter_context(socket.socket(socket.AF_INET, kind))
+                one.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("every port is taken")
 
 
 def some(values, quick):

@@ -89,6 +89,21 @@ def test_stages_are_shown_only_for_long_work(capsys, monkeypatch):
     assert "2/2" in shown
 
 
+def test_an_interrupt_as_a_bar_begins_leaves_none():
+    """As the end of a command's time, which may come while its thread is started."""
+    bar = console.Stages(1)
+    begins = bar._thread.start
+
+    def interrupted():
+        begins()
+        raise KeyboardInterrupt
+
+    bar._thread.start = interrupted
+    with pytest.raises(KeyboardInterrupt), console.speaking(0, quiet=False, json=False):
+        bar.__enter__()
+    assert not bar._thread.is_alive()
+
+
 def test_a_failure_leaves_the_bar_where_it_was(capsys, monkeypatch):
     monkeypatch.setattr(console, "PATIENCE", 0.02)
     with pytest.raises(ValueError, match="broken"), console.Stages(3) as begin:

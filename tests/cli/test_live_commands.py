@@ -4,7 +4,6 @@ import contextlib
 import json
 import math
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.kit import own_port
 from ttus_opt.cli.live_commands import _say
 
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
@@ -28,21 +28,21 @@ def test_both_commands_meet(link, tmp_path):
     key = tmp_path / "session.key"
     key.write_text(bytes(32).hex())
     key.chmod(0o600)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    words = [*f"--key {key} --port {port} --link {link} --json --seconds".split()]
+    words = f"--key {key} --port {own_port()} --link {link} --json --seconds".split()
     live = [sys.executable, "-m", "ttus_opt", "live"]
     follower = subprocess.Popen(
         [*live, "follower", *words, "60"],
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
+        assert follower.stderr.readline().startswith("follower: ")  # it is at work
         command = [*live, "operator", *words, "10"]
         told = subprocess.run(command, capture_output=True, text=True, timeout=120)
     finally:
         follower.kill()
-        follower.wait()
+        follower.communicate()
     assert told.returncode == 0, told.stderr
     assert "NORMAL" in json.loads(told.stdout)["seen"]
 

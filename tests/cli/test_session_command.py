@@ -63,20 +63,20 @@ def test_an_interrupt_says_what_is_complete(run, tmp_path, output, monkeypatch):
 
 def test_a_recording_of_openigtlink(run, output):
     pytest.importorskip("pyigtl", reason="needs pyigtl, which sends")
-    from tests.sensors.test_open_igt_link import sensor, serving, transform
+    from tests.sensors.test_open_igt_link import at_once, sensor, serving, transform
     from ttus_opt.probe.trajectory import read_trajectory
 
     poses, forces = output / "poses.csv", output / "forces.csv"
     sent = [m for i in range(5) for m in (transform(i), sensor(i))]
-    words = f"--poses {poses} --wrenches {forces} --seconds 0.5 --json"
-    with serving(sent) as port:
+    words = f"--poses {poses} --wrenches {forces} --seconds 0.1 --json"
+    with serving([at_once(sent)]) as port:
         told = json.loads(run(f"record 127.0.0.1:{port} {words}").out)
     assert told["pose_frames"] == told["wrench_frames"] == 5
     assert len(read_trajectory(poses)) == 5
     assert read_wrenches(forces).force[0].tolist() == [1, 2, 3]
     for file in (poses, forces):
         file.unlink()
-    with serving([transform(i) for i in range(5)]) as port:
+    with serving([at_once(transform(i) for i in range(5))]) as port:
         # what came cannot be had again
         refused(run(f"record 127.0.0.1:{port} {words}"), "no forces arrived", "written")
     assert len(read_trajectory(poses)) == 5 and not forces.exists()

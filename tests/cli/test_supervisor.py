@@ -26,6 +26,7 @@ spec = importlib.util.spec_from_file_location("supervisor", {file!r})
 supervisor = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(supervisor)
 supervisor.GRACE = {grace}
+{before}
 supervisor.run_supervised("fit")
 """
 
@@ -40,9 +41,9 @@ def started(tmp_path):
         process.communicate()
 
 
-def command(does, started, grace=20.0):
+def command(does, started, grace=20.0, before=""):
     """A supervised process, once it says that it is at work."""
-    script = COMMAND.format(file=supervisor.__file__, grace=grace)
+    script = COMMAND.format(file=supervisor.__file__, grace=grace, before=before)
     process = subprocess.Popen(
         [sys.executable, "-c", f"{script}\nprint('at work', flush=True)\n{does}"],
         stdout=subprocess.PIPE,
@@ -104,6 +105,18 @@ except KeyboardInterrupt:
         process.send_signal(number)
     assert process.wait(60.0) == INTERRUPTED
     assert process.stdout.read() == "clean\n"
+
+
+def test_an_interrupt_after_the_child_has_ended_is_too_late(started):
+    before = """
+def reaped(*given, waitpid=os.waitpid):
+    found = waitpid(*given)
+    os.kill(os.getpid(), signal.SIGINT)
+    return found
+os.waitpid = reaped
+"""
+    process = command("pass", started, before=before)
+    assert (process.wait(60.0), process.stderr.read()) == (0, "")
 
 
 @pytest.mark.parametrize("word", ["", "--help", *supervisor.ALONE])

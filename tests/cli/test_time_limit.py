@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import time
 
 import pytest
 import typer
@@ -63,15 +62,14 @@ def test_a_partial_result_is_no_success():
 
     def act():
         try:
-            time.sleep(10.0)
+            signal.raise_signal(signal.SIGALRM)  # as at the end, whenever that comes
         except KeyboardInterrupt:
             kept.append("what is complete")
             raise typer.Exit(130) from None
 
-    begun = time.monotonic()
-    with pytest.raises(TtusError, match=r"time limit of 0\.1 s"), time_limited(0.1):
+    with pytest.raises(TtusError, match="time limit of 100 s"), time_limited(100.0):
         act()
-    assert kept and time.monotonic() - begun < 5.0
+    assert kept
     with pytest.raises(InputError), time_limited(float("inf")):
         pass
 

@@ -30,7 +30,7 @@ def moving_by(R, at, twist):
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_rows_are_the_drag_of_every_point(sampling, seed):
     rng = np.random.default_rng(seed)

@@ -32,7 +32,7 @@ def test_blocks_are_compact():
     assert np.median(blocks.reach) < 1.8 * patch
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.sampled_from([0.001, 0.005, 0.02]))
 def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(seed, reach):
     rng = np.random.default_rng(seed)

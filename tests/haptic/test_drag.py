@@ -61,7 +61,7 @@ def test_drag_is_that_of_the_points_depths(law, sampling):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_friction_only_takes_energy(seed):
     """Its power is never above 0: any pose, any twist, fields that pull too."""

@@ -54,7 +54,7 @@ def test_delay_and_jitter():
     assert len(got) == 200
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.booleans(), st.integers(0, 1000))
 def test_order_is_kept_where_asked(in_order, seed):
     given_ = Impairment(delay=0.01, jitter=0.2, in_order=in_order, seed=seed)
@@ -62,7 +62,7 @@ def test_order_is_kept_where_asked(in_order, seed):
     assert (numbers == sorted(numbers)) is in_order
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(0.0, 0.6), st.floats(1.0, 8.0), st.integers(0, 1000))
 def test_a_stream_loses_nothing_and_keeps_its_order(loss, burst, seed):
     given_ = Impairment(delay=0.05, jitter=0.1, loss=loss, burst=burst, seed=seed)

@@ -1,7 +1,7 @@
 import hypothesis
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ttus_opt as tt
@@ -56,7 +56,6 @@ def test_a_whole_model_of_a_torso_takes_less_than_five_kilobytes():
     assert len(encode_model(model)) < 5000
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_arbitrary_content_is_refused(data):
     model = learned_once()
@@ -64,7 +63,6 @@ def test_arbitrary_content_is_refused(data):
         decode_model(data, model.surface, model.shell)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 255))
 @hypothesis.example(13, 128)  # a negative exponent
 @hypothesis.example(13, 68)  # one of hundreds

@@ -1,4 +1,4 @@
-"""The follower's loop in virtual time: that it retracts before it ends."""
+"""Loops in virtual time: their beat, and that a follower retracts before it ends."""
 
 import numpy as np
 import pytest
@@ -88,6 +88,18 @@ def test_a_follower_that_is_interrupted_retracts_first(ending):
         ending(patient, Led(interrupted=200))
     assert patient.forces[200] == pytest.approx(10.0)
     assert patient.forces[-1] <= 0.1
+
+
+def test_frames_that_were_missed_are_not_made_up_for(monkeypatch):
+    """After a pause, as by Ctrl-Z, a device is not driven faster than in time."""
+    times, clock = [], VirtualTime()
+    monkeypatch.setattr(real_time, "time", clock)
+    for now in real_time.Metronome(1000.0, 0.5):
+        times.append(now)
+        if len(times) == 50:
+            clock.sleep(0.3)
+    assert len(times) == pytest.approx(200, abs=2)
+    assert times[-1] - times[0] == pytest.approx(0.5, abs=2e-3)
 
 
 def test_a_retraction_ends_with_the_driver_or_where_force_says_nothing(ending):

@@ -43,7 +43,7 @@ links = st.builds(
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(links)
 def test_whatever_many_links_do(impairment):
     goes_well(impairment)

@@ -174,7 +174,7 @@ def brute_force(compliance, depth):
     raise AssertionError("no answer")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 7))
 def test_equals_brute_force(seed, n):
     compliance, depth = problem(seed, n)
@@ -182,7 +182,7 @@ def test_equals_brute_force(seed, n):
     assert answer == pytest.approx(brute_force(compliance, depth), abs=1e-8)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 60))
 def test_conditions_hold(seed, n):
     compliance, depth = problem(seed, n)

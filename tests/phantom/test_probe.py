@@ -8,7 +8,7 @@ from tests.kit import InputError, refuses
 from ttus_opt.phantom import EllipsoidProbe
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10**6))
 def test_rays_leave_on_the_surface_and_nowhere_later(seed):
     rng = np.random.default_rng(seed)

@@ -109,7 +109,7 @@ def volume(mesh):
 _MARGIN = st.just(0.0) | st.floats(1e-6, 5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     low=st.floats(-10, 0),
     left=_MARGIN,

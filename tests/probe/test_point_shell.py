@@ -145,7 +145,7 @@ def test_mesh_area_centroid_and_closed_law():
 
 
 @pytest.mark.slow
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3),
     shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3),

@@ -96,7 +96,7 @@ def test_nothing_left_is_an_error():
     refuses(FileError, "no row is left", repaired, raw)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_what_is_repaired_has_no_fault_that_repair_is_for(seed):
     """Any mixture of holes; and a second repair finds nothing but what it split."""

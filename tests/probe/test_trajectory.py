@@ -85,7 +85,7 @@ def test_concatenate_refuses():
         Trajectory.concatenate([made(), made(wrench=False)])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 12),

@@ -228,7 +228,7 @@ def test_transposed_array(tmp_path):
     refuses(FileError, "transposed", read_cloud, path)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.binary(max_size=300), st.sampled_from([".pcd", ".ply", ".npy", ".csv"]))
 def test_any_bytes_are_read_or_refused(tmp_path_factory, raw, suffix):
     path = tmp_path_factory.mktemp("bytes") / f"c{suffix}"

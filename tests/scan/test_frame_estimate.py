@@ -41,7 +41,7 @@ def bed(rng, n=20_000):
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 10_000), st.booleans())
 def test_found_on_a_bed_in_any_attitude(seed, upper):
     rng = np.random.default_rng(seed)
@@ -123,7 +123,7 @@ def test_head_and_front_of_a_real_torso():
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 10_000))
 @example_of(438)  # looks like one view from the scan's origin
 def test_found_without_a_bed(seed):

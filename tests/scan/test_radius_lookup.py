@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ttus_opt as tt
@@ -41,7 +41,6 @@ def plain(surface, theta, z):
 
 
 @pytest.mark.slow
-@settings(deadline=None)
 @given(
     st.floats(0.0, 2 * np.pi, exclude_max=True),
     st.floats(-0.1, 0.3),

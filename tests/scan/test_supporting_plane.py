@@ -23,7 +23,7 @@ def bed(rng, n, noise=0.003):
 
 
 @pytest.mark.slow
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @example(seed=2067, n_bed=1500, upper=False)  # escaped the first 600 trial planes
 @given(st.integers(0, 10_000), st.sampled_from([1500, 8000, 40_000]), st.booleans())
 def test_bed_is_found_in_any_attitude(seed, n_bed, upper):

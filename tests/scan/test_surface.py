@@ -26,7 +26,7 @@ def wavy(n_theta=12, n_z=7, seed=0):
 
 
 @given(st.integers(4, 40), st.integers(2, 20), st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_bilinear_against_scipy(n_theta, n_z, seed):
     s = wavy(n_theta, n_z, seed)
     rng = np.random.default_rng(seed)

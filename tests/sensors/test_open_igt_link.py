@@ -1,11 +1,14 @@
 """OpenIGTLink against a server in this process."""
 
 import contextlib
+import itertools
+import re
 import socket
 import struct
 import threading
 import time
 import warnings
+from types import SimpleNamespace
 from unittest.mock import ANY
 
 import numpy as np
@@ -57,6 +60,11 @@ class Bytes:
         return self.content
 
 
+def at_once(messages):
+    """Messages that arrive together, also on a busy machine."""
+    return Bytes(b"".join(message.pack() for message in messages))
+
+
 def bent(i, value=np.nan):
     message = transform(i)
     message.matrix[0, 0] = value
@@ -67,12 +75,6 @@ def flipped(i):
     content = bytearray(transform(i).pack())
     content[HEADER.size + 40] ^= 1
     return Bytes(bytes(content))
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextlib.contextmanager
@@ -102,12 +104,11 @@ def serving(messages, *, closing=False):
             thread.join(2.0)
 
 
-@pytest.mark.slow
 def test_poses_and_forces_are_recorded():
     """Every message, in metres, on the sender's clock."""
     sent = [m for i in range(30) for m in (transform(i), sensor(i))]
-    with serving(sent) as port:
-        found = igt.record("127.0.0.1", port, seconds=0.6)
+    with serving([at_once(sent)]) as port:
+        found = igt.record("127.0.0.1", port, seconds=0.1)
     poses, wrenches = found.trajectory(), found.wrenches("Force")
     np.testing.assert_allclose(poses.time, 50.0 + 0.1 * np.arange(30), atol=1e-6)
     np.testing.assert_allclose(poses.position[:, 0], 0.01 * np.arange(30), atol=1e-6)
@@ -127,8 +128,10 @@ def test_an_interrupt_ends_a_recording(monkeypatch):
 
 
 def test_nobody_listens():
-    with pytest.raises(InputError, match="no server answers"):
-        igt.record("127.0.0.1", free_port(), seconds=1.0, patience=0.2)
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))  # so that nobody else listens there
+        told = "no server answers"
+        refuses(InputError, told, igt.record, *deaf.getsockname(), patience=0.2)
     with serving([]) as port, pytest.raises(InputError, match="sends nothing"):
         igt.record("127.0.0.1", port, seconds=1.0, patience=0.3)
     refuses(InputError, "65535", igt.record, "127.0.0.1", 0)
@@ -196,7 +199,7 @@ def test_a_damaged_message_is_dropped(damaged, fault):
     sent[81:81] = [damaged]
     told = rf"1 of 201 messages were dropped \(1 {fault}\)"
     with (
-        serving(sent, closing=True) as port,
+        serving([at_once(sent)], closing=True) as port,
         pytest.warns(TtusWarning, match=told),
         pytest.warns(TtusWarning, match="closed the connection after 201"),
     ):
@@ -233,17 +236,19 @@ HALF = Bytes(transform(5).pack()[:70])
         ([Bytes(b"\xff" * 58)], False, "not an OpenIGTLink message .* after 5"),
     ],
 )
-def test_a_server_that_ends_is_noticed(last, closing, told, capfd):
+def test_a_server_that_ends_is_noticed(last, closing, told, capfd, monkeypatch):
     """Within 2 s; what came before is kept, and one line says what happened."""
-    begun = time.monotonic()
+    assert igt.SILENCE + igt.PAUSE <= 2.0
+    monkeypatch.setattr(igt, "SILENCE", 0.2)
+    sent = at_once([*(transform(i) for i in range(5)), *last])
     with (
-        serving([*(transform(i) for i in range(5)), *last], closing=closing) as port,
-        pytest.warns(TtusWarning, match=told) as warned,
+        serving([sent], closing=closing) as port,
+        pytest.warns(TtusWarning) as warned,  # of silence too on a busy machine
     ):
         found = igt.record("127.0.0.1", port, seconds=30.0)
-    assert time.monotonic() - begun < 2.0 + 3.0  # 3 s for a busy machine
     assert len(found.trajectory()) == 5
-    assert "\n" not in str(warned[0].message)
+    line = str(warned.list[-1].message)
+    assert re.search(told, line) and "\n" not in line
     assert capfd.readouterr() == ("", "")
 
 
@@ -267,25 +272,31 @@ def test_a_header_that_is_none(at, damage):
     refuses(InputError, "a header that is none", received, Bytes(bytes(content)))
 
 
-@pytest.mark.slow
 def test_silence_is_told_and_outlasted(monkeypatch):
     """A tracker may say nothing of a probe it does not see."""
-    assert igt.SILENCE + igt.PAUSE <= 2.0
     monkeypatch.setattr(igt, "SILENCE", 0.2)
+    own, told = igt.warn, threading.Event()
+
+    def warn(*words):
+        told.set()
+        own(*words)
 
     class Late(Bytes):
         def pack(self):
-            time.sleep(0.6)
+            assert told.wait(20.0)
             return self.content
 
-    sent = [transform(0), Late(transform(1).pack()), transform(2)]
+    monkeypatch.setattr(igt, "warn", warn)
+    late = Late(at_once([transform(1), transform(2)]).content)
     with (
-        serving(sent, closing=True) as port,
-        pytest.warns(TtusWarning, match=r"nothing came for 0\.2 s after 1 messages"),
-        pytest.warns(TtusWarning, match="closed the connection after 3"),
+        serving([transform(0), late], closing=True) as port,
+        pytest.warns(TtusWarning) as warned,
     ):
         found = igt.record("127.0.0.1", port, seconds=30.0)
     assert len(found.trajectory()) == 3
+    first, *_, last = (str(one.message) for one in warned)
+    assert "nothing came for 0.2 s after 1 messages" in first
+    assert "closed the connection after 3" in last
 
 
 def test_a_recording_is_bounded(monkeypatch):
@@ -295,16 +306,15 @@ def test_a_recording_is_bounded(monkeypatch):
     assert 20 < found.count < 2000
 
 
-@pytest.mark.slow
 def test_what_came_is_kept_while_recording(monkeypatch):
-    assert igt.KEEPING <= 5.0
-    monkeypatch.setattr(igt, "KEEPING", 0.1)
-    counts: list[int] = []
-    with serving([transform(i) for i in range(400)]) as port:
-        igt.record(
-            "127.0.0.1", port, seconds=0.55, keep=lambda got: counts.append(got.count)
-        )
-    assert len(counts) >= 2 and counts == sorted(counts)
+    """Every 5 s, here of a clock that goes on by half a second when it is read."""
+    clock, counts = SimpleNamespace(monotonic=itertools.count(0.0, 0.5).__next__), []
+    monkeypatch.setattr(igt, "SILENCE", np.inf)
+    monkeypatch.setattr(igt, "time", clock)
+    long = {"seconds": 12.0, "patience": 1e3}
+    with serving([at_once([transform(0), transform(1)])]) as port:
+        igt.record("127.0.0.1", port, **long, keep=lambda got: counts.append(got.count))
+    assert counts == [2, 2]
 
 
 @pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])

@@ -13,7 +13,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.kit import torso
+from tests.kit import own_port, torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
@@ -296,8 +296,9 @@ def test_a_new_field_is_shown(viewer):
 
 
 def test_it_closes_twice_and_frees_its_port():
-    one = tt.view(field(), probe(), port=0)
-    port = one._served.server.get_port()
+    port = own_port()
+    one = tt.view(field(), probe(), port=port)
+    assert one._served.server.get_port() == port
     one.close()
     one.close()
     again = tt.view(field(), probe(), port=port)

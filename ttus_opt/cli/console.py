@@ -14,7 +14,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -94,11 +94,15 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 @dataclass
 class _Words:
-    """Where words go: to stderr where a result takes stdout; a folder is not named."""
+    """Where words go: to stderr where a result takes stdout; a folder is not named.
+
+    Bars are those that have begun and not ended.
+    """
 
     json: bool = False
     to_stderr: bool = False
     unnamed: str = ""
+    bars: list[Stages] = field(default_factory=list)
 
 
 _words = _Words()
@@ -167,6 +171,8 @@ def speaking(verbose: int, *, quiet: bool, json: bool) -> Iterator[None]:
     try:
         yield
     finally:
+        for bar in [*_words.bars]:  # an interrupt may strike as one begins or ends
+            bar.end()
         _words.json = False
         PACKAGE.removeHandler(handler)
         PACKAGE.setLevel(before)
@@ -235,6 +241,7 @@ class Stages:
     def __enter__(self) -> Stages:
         """Start the clock."""
         if bars_shown():
+            _words.bars.append(self)
             self._thread.start()
         return self
 
@@ -253,9 +260,15 @@ class Stages:
         """Close the bar, full when all went well."""
         if kind is None:
             self._begun = self._total + 1
+        self.end()
+
+    def end(self) -> None:
+        """Show it no more."""
         self._finished.set()
         if self._thread.ident is not None:
             self._thread.join()
+        if self in _words.bars:
+            _words.bars.remove(self)
 
     def _show(self) -> None:
         # a file or a pipe gets lines for long work only, and every few seconds

@@ -88,21 +88,25 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     late: list[float] = []
     over = math.inf  # when what it is given to clean up is over
 
+    def send(number: int) -> None:
+        with contextlib.suppress(ProcessLookupError):  # it has just ended
+            os.kill(child, number)
+
     def look(*_: object) -> None:
         (end,) = struct.unpack_from("d", _END)
         now = time.monotonic()
         # a tick may come with the interrupt itself, and is then handled after it
         if now >= over or (not stopped and 0.0 < end < now - grace):
             late.append(end)
-            os.kill(child, signal.SIGKILL)
+            send(signal.SIGKILL)
 
     def stop(number: int, _frame: FrameType | None) -> None:
         nonlocal over
         if stopped:
-            os.kill(child, signal.SIGKILL)
+            send(signal.SIGKILL)
             return
         stopped.append(INTERRUPTED if number == signal.SIGINT else TERMINATED)
-        os.kill(child, INTERRUPT if number == signal.SIGINT else signal.SIGTERM)
+        send(INTERRUPT if number == signal.SIGINT else signal.SIGTERM)
         over = time.monotonic() + grace
         signal.setitimer(signal.ITIMER_REAL, grace, TICK)
 

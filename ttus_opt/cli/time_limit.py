@@ -72,9 +72,9 @@ def _alarm(seconds: float, stop: Callable[[int, object], NoReturn]) -> Iterator[
         yield
         return
     before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    end_within(seconds)
     try:
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        end_within(seconds)
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -27,7 +27,7 @@ def random_rows(counts, height, rng):
     seed=st.integers(0, 2**32 - 1),
     data=st.data(),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_equals_a_dense_matrix(counts, height, factor, seed, data):
     rng = np.random.default_rng(seed)
     rows, dense = random_rows(counts, height, rng)

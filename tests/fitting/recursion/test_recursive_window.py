@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     RuleBasedStateMachine,
@@ -222,12 +222,7 @@ class Measurements(RuleBasedStateMachine):
         assert self.held.check() < EXACT
 
 
-Measurements.TestCase.settings = settings(
-    max_examples=4,
-    stateful_step_count=12,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
+Measurements.TestCase.settings = settings(max_examples=4, stateful_step_count=12)
 TestMeasurements = Measurements.TestCase
 
 

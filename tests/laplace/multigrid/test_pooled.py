@@ -155,7 +155,7 @@ def test_a_block_through_a_neck_of_one_voxel():
     check(grid, free, pooled)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     shape=st.tuples(st.integers(4, 14), st.integers(4, 13), st.integers(3, 10)),
     fixed=st.floats(0.0, 0.9),

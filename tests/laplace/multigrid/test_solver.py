@@ -185,7 +185,7 @@ def test_equals_a_factorisation(mask, name):
     assert result.relative_residual == pytest.approx(residual, rel=0.1, abs=5e-14)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     shape=st.tuples(st.integers(4, 14), st.integers(4, 14), st.integers(3, 14)),
     fixed=st.floats(0.0, 0.9),
