@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
 from tests.kit import FileError, TtusWarning, refuses
-from ttus_opt.sensors import netcdf_child, netcdf_stream
-from ttus_opt.sensors.netcdf_child import unpacked
+from ttus_opt.core import netcdf_file
 from ttus_opt.sensors.netcdf_stream import (
     write_netcdf_wrenches,
 )
@@ -65,7 +64,7 @@ for line in sys.stdin:
 
 
 class Server:
-    """`read_apart` by a process that reads many files, and a new one after a crash."""
+    """`contents_apart` by a process for many files, and a new one after a crash."""
 
     def __init__(self):
         self.crashes = 0
@@ -74,11 +73,11 @@ class Server:
     def read(self, file):
         if self._process is None:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", SERVE, netcdf_child.__file__],
+                [sys.executable, "-P", "-c", SERVE, netcdf_file.__file__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, **netcdf_child.ONE_THREAD},
+                env={**os.environ, **netcdf_file.ONE_THREAD},
             )
         there, back = self._process.stdin, self._process.stdout
         there.write(f"{file}\n".encode())
@@ -91,7 +90,7 @@ class Server:
         content = back.read(int.from_bytes(head, "little"))
         if not content:
             raise ValueError("its reader gave up")
-        return unpacked(content)
+        return netcdf_file.unpacked(content)
 
     def end(self):
         if self._process is not None:
@@ -112,7 +111,7 @@ def server():
 
 @pytest.fixture
 def quick(monkeypatch, server):
-    monkeypatch.setattr(netcdf_stream, "read_apart", server.read)
+    monkeypatch.setattr(netcdf_file, "contents_apart", server.read)
 
 
 @pytest.mark.usefixtures("quick")
@@ -253,7 +252,7 @@ def test_mutations(tmp_path, n, server):
 
 def test_a_reader_that_crashes(tmp_path, monkeypatch):
     (tmp_path / "crash.py").write_text("import os\nos.abort()\n")
-    monkeypatch.setattr(netcdf_child, "__file__", str(tmp_path / "crash.py"))
+    monkeypatch.setattr(netcdf_file, "__file__", str(tmp_path / "crash.py"))
     file = written(poses(), tmp_path / "p.nc")
     refuses(FileError, "not a readable netCDF", read_poses, file)
 

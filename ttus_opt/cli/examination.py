@@ -192,8 +192,11 @@ def _netcdf(file: Path, asked: Asked) -> Found:
     """A surface, a field, or a stream."""
     from ttus_opt.core import io
 
-    kind = io.kind_of(file, "surface, field or stream")
-    if kind == "surface" or (kind is None and _has_radius(file)):
+    what = "surface, field or stream"
+    kind = io.kind_of(file, what)
+    if kind is None and "radius" in io.content_of(file, what)[0].variables:
+        kind = "surface"
+    if kind == "surface":
         from ttus_opt.scan.surface import Surface
 
         return Found("surface", [repr(Surface.load(file))], {}, {})
@@ -209,15 +212,6 @@ def _netcdf(file: Path, asked: Asked) -> Found:
         line = f"{path.attrs['formulation']}, {done} of {points} points computed"
         return Found("path of weights", [line], {"points": int(points)}, {})
     return _recording(file, asked)
-
-
-def _has_radius(file: Path) -> bool:
-    from ttus_opt.sensors.netcdf_child import read_apart
-
-    try:
-        return "radius" in read_apart(file)
-    except ValueError:
-        return False
 
 
 def _cloud(file: Path, asked: Asked) -> Found:

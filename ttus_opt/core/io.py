@@ -25,7 +25,6 @@ import shutil
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
     from numpy.typing import NDArray
+
+    from ttus_opt.core.netcdf_file import Content as Content
 
 #: Longest value of a file that an error shows [characters]
 LONGEST_VALUE = 40
@@ -365,27 +366,31 @@ def write_dataset(
             ) from error
 
 
-@dataclass(frozen=True)
-class Variable:
-    """A variable of a netCDF file.
+def content_of(
+    path: str | os.PathLike[str], what: str, without: Sequence[str] = ()
+) -> tuple[Content, bool]:
+    """A netCDF file in memory, and whether its checksum says that it is whole.
 
-    Attributes:
-        dims: Names of its dimensions.
-        values: NaN where they are missing.
-        attrs: Its attributes.
+    Args:
+        path: The file; one without a checksum is read by a process of its own.
+        what: What it should contain, for the message.
+        without: Variables that may be skipped; ``*`` stands for all.
+
+    Raises:
+        FileError: It is missing, damaged, or not netCDF.
     """
+    from ttus_opt.core import netcdf_file
 
-    dims: tuple[str, ...]
-    values: NDArray[Any]
-    attrs: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Content:
-    """Variables of a netCDF file, by name, and its attributes."""
-
-    variables: Mapping[str, Variable]
-    attrs: Mapping[str, Any]
+    file, sealed = whole_file(path, what)
+    try:
+        if sealed:
+            return netcdf_file.contents(file, without), True
+        return netcdf_file.contents_apart(file), False
+    except UNREADABLE as error:
+        raise FileError(
+            f"{file} is not a readable netCDF file ({type(error).__name__}): "
+            f"truncated, or not a {what} file?"
+        ) from error
 
 
 def read_content(
@@ -396,7 +401,7 @@ def read_content(
     foreign: bool = False,
     without: Sequence[str] = (),
 ) -> Content:
-    """Read a netCDF file of one kind into memory without xarray, which loads slowly.
+    """Read a netCDF file of one kind into memory.
 
     Args:
         path: The file.
@@ -409,30 +414,12 @@ def read_content(
         FileError: The file is missing, damaged, not netCDF, or of another kind or
             version.
     """
-    file, sealed = whole_file(path, kind)
-    variables = {}
-    with _opened(file, kind) as opened:
-        import numpy as np
-
-        for name, one in opened.variables.items():
-            if name in without:
-                continue
-            attrs = dict(one.__dict__)
-            # else a number that is the type's usual filling would be missing
-            one.set_auto_mask(bool({"_FillValue", "missing_value"} & set(attrs)))
-            values = one[...]
-            if np.ma.is_masked(values):
-                values = values.astype(np.float64).filled(np.nan)
-            values = np.ma.getdata(values)
-            if values.dtype.kind == "O":  # text
-                values = values.astype(str)
-            variables[name] = Variable(one.dimensions, values, attrs)
-        found = Content(variables, dict(opened.__dict__))
+    found, sealed = content_of(path, kind, without)
     if not (foreign and "ttus_opt_kind" not in found.attrs):
-        _check_kind(found.attrs, file, kind, version)
+        _check_kind(found.attrs, path, kind, version)
     if not sealed:
         warnings.warn(
-            f"{file} has no checksum, so damage may go unnoticed: it was written by "
+            f"{path} has no checksum, so damage may go unnoticed: it was written by "
             "another program, or an older ttus_opt",
             TtusWarning,
             stacklevel=3,
@@ -440,25 +427,9 @@ def read_content(
     return found
 
 
-@contextlib.contextmanager
-def _opened(file: Path, what: str) -> Iterator[Any]:
-    """A netCDF file, open; a `FileError` for whatever the library raises."""
-    import netCDF4
-
-    try:
-        with warnings.catch_warnings():
-            # numpy 2.4 warns inside netCDF4's compiled reader about array shapes
-            warnings.simplefilter("ignore", DeprecationWarning)
-            with netCDF4.Dataset(file) as opened:
-                yield opened
-    except UNREADABLE as error:
-        raise FileError(
-            f"{file} is not a readable netCDF file ({type(error).__name__}): "
-            f"truncated, or not a {what} file?"
-        ) from error
-
-
-def _check_kind(attrs: Mapping[Any, Any], file: Path, kind: str, version: int) -> None:
+def _check_kind(
+    attrs: Mapping[Any, Any], file: str | os.PathLike[str], kind: str, version: int
+) -> None:
     """`FileError` where a file is of another kind or version."""
     with located(file, FileError):
         found = text_of(attrs, "ttus_opt_kind", "no ttus_opt data")
@@ -484,9 +455,7 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
     Raises:
         FileError: The file is missing, damaged, or not netCDF.
     """
-    file, _ = whole_file(path, what)
-    with _opened(file, what) as opened:
-        kind = getattr(opened, "ttus_opt_kind", None)
+    kind = content_of(path, what, without=("*",))[0].attrs.get("ttus_opt_kind")
     return None if kind is None else str(kind)
 
 

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,16 +20,12 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.core.io import shortened
-from ttus_opt.probe.column_names import UNITS
-from ttus_opt.probe.column_names import factor as factor_to_si
+from ttus_opt.core.netcdf_file import Variable
+from ttus_opt.probe.column_names import UNITS, factor
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.column_map import ORDER, ORDERS
-from ttus_opt.sensors.netcdf_child import read_apart
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
 from ttus_opt.sensors.streams import WrenchStream
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
@@ -38,10 +34,18 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     Raises:
         FileError: Missing, damaged, or without such variables, units or order.
     """
-    file, data, names = _opened(path, wanted.columns)
+    names = wanted.columns
+    single = [name for name in names if name not in ("t", ORDER, *UNITS)]
+    if single:
+        raise FileError(
+            f"{path}: netCDF holds whole vectors: map position, quaternion, force or "
+            f"torque, not {single[0]}"
+        )
+    content, _ = io.content_of(path, "netCDF stream")
+    data = _File(content.variables, names)
     if "time" not in data.variables and not names and "radius" in data.variables:
         raise FileError(
-            f"{file} holds a surface or a field, no poses or wrenches: wrong file?"
+            f"{path} holds a surface or a field, no poses or wrenches: wrong file?"
         )
     there = {k for k in UNITS if names.get(k, k) in data.variables}
     poses = wanted.kind in ("poses", "recording") or (
@@ -49,20 +53,20 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     )
     forces = wanted.kind == "wrenches" or (wanted.kind != "poses" and "force" in there)
     vectors: dict[str, Array] = {}
-    with located(file, FileError):
-        time = _time(data, names)
+    with located(path, FileError):
+        time = data.time()
         if poses or not forces:
-            vectors["position"] = _vector(data, "position", names, "xyz")
-            order = _order(data, names)
-            quaternion = _vector(data, "quaternion", names, order)
+            vectors["position"] = data.vector("position", "xyz")
+            order = data.order()
+            quaternion = data.vector("quaternion", order)
             back = [order.index(axis) for axis in "wxyz"]
             vectors["quaternion"] = quaternion[:, back]
         if forces:
-            vectors["force"] = _vector(data, "force", names, "xyz")
+            vectors["force"] = data.vector("force", "xyz")
             if "torque" in there:
-                vectors["torque"] = _vector(data, "torque", names, "xyz")
+                vectors["torque"] = data.vector("torque", "xyz")
     note = "those of the variables' attributes, no frame stated"
-    raw = RawRecording(str(file), time, notes=(note,), units_stated=True)
+    raw = RawRecording(str(path), time, notes=(note,), units_stated=True)
     return [raw.replaced(**vectors)]
 
 
@@ -84,94 +88,113 @@ def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) ->
     io.write_dataset(dataset, path, kind="wrenches", version=1)
 
 
-def _opened(
-    path: str | os.PathLike[str], columns: Mapping[str, str] | None
-) -> tuple[Path, xr.Dataset, Mapping[str, str]]:
-    """The file, its content in memory, and its names by the package's.
+class _File(NamedTuple):
+    """A file's variables, and its names by the package's."""
 
-    Raises:
-        FileError: Missing, damaged, not netCDF, or a map that names single components.
-    """
-    import xarray as xr
+    variables: Mapping[str, Variable]
+    names: Mapping[str, str]
 
-    file, _ = io.whole_file(path, "netCDF stream")
-    names = columns or {}
-    single = [name for name in names if name not in ("t", ORDER, *UNITS)]
-    if single:
-        raise FileError(
-            f"{file}: netCDF holds whole vectors: map position, quaternion, force or "
-            f"torque, not {single[0]}"
-        )
-    try:
-        # xarray makes a variable with the name of its dimension a coordinate
-        found = {name: tuple(each) for name, each in read_apart(file).items()}
-        return file, xr.Dataset(found), names
-    except Exception as error:  # damaged files raise nearly every class
-        raise FileError(
-            f"{file} is not a readable netCDF file: copy or record it again"
-        ) from error
+    def find(self, name: str) -> tuple[str, Variable]:
+        """A variable by the package's name, and the file's name.
 
+        Raises:
+            InputError: The file does not have it.
+        """
+        ours = "t" if name == "time" else name
+        theirs = self.names.get(ours, name)
+        if theirs not in self.variables:
+            known = ", ".join(self.variables) or "none"
+            raise InputError(
+                f"it has no variable {theirs}, but {known}: map them by columns, for "
+                f"instance {ours}=…"
+            )
+        return theirs, self.variables[theirs]
 
-def _variable(data: xr.Dataset, name: str, names: Mapping[str, str]) -> xr.DataArray:
-    """A variable by the package's name.
+    def in_si(self, name: str) -> Array:
+        """A variable's numbers in SI units; in "seconds since …" by Unix time.
 
-    Raises:
-        InputError: The file does not have it.
-    """
-    theirs = names.get("t" if name == "time" else name, name)
-    if theirs not in data.variables:
-        known = ", ".join(map(str, data.variables)) or "none"
-        raise InputError(
-            f"it has no variable {theirs}, but {known}: map them by columns, for "
-            f"instance {'t' if name == 'time' else name}=…"
-        )
-    return data[theirs]
+        Raises:
+            InputError: They are not numbers, or have no unit, or an unknown one.
+        """
+        theirs, found = self.find(name)
+        given = found.attrs.get("units", "1" if name == "quaternion" else None)
+        word, _, origin = str(given).partition(" since ")
+        scale = factor(name, word)
+        if given is None or scale is None:
+            raise InputError(
+                f"{theirs} has units {given!r}, expected {' or '.join(UNITS[name])}: "
+                "set the attribute units"
+            )
+        if found.values.dtype.kind not in "fiu":
+            raise InputError(f"{theirs} does not hold numbers: wrong variable?")
+        return np.asarray(scale * found.values.astype(np.float64) + _unix(origin))
 
+    def time(self) -> Array:
+        """Times [s].
 
-def _factor(found: xr.DataArray, name: str, unit: str | None = None) -> float:
-    """Factor from a variable's unit to SI.
+        Raises:
+            InputError: Not one dimension, or as `in_si`.
+        """
+        theirs, found = self.find("time")
+        if len(found.dims) != 1:
+            raise InputError(
+                f"{theirs} has {len(found.dims)} dimensions, expected one for times"
+            )
+        return self.in_si("time")
 
-    Raises:
-        InputError: No unit, or an unknown one.
-    """
-    given = found.attrs.get("units") if unit is None else unit
-    if given is None and name == "quaternion":
-        return 1.0
-    word = str(given).strip()
-    known = UNITS[name]
-    factor = factor_to_si(name, word)
-    if given is None or factor is None:
-        raise InputError(
-            f"{found.name} has units {given!r}, expected {' or '.join(known)}: set the "
-            "attribute units"
-        )
-    return factor
+    def vector(self, name: str, order: str) -> Array:
+        """A vector over time, shape (T, len(order)).
 
+        Raises:
+            InputError: Other dimensions, components in another order, or as `in_si`.
+        """
+        theirs, found = self.find(name)
+        along, shape = self.find("time")[1].dims, found.values.shape
+        if len(shape) != 2 or found.dims[:1] != along or shape[1] != len(order):
+            pairs = zip(found.dims, shape, strict=True)
+            sizes = ", ".join(f"{d} {n}" for d, n in pairs) or "none"
+            raise InputError(
+                f"{theirs} must have dimensions ({', '.join(along)}, {len(order)} "
+                f"components), got ({sizes}): transpose it"
+            )
+        labels = self.labels(found)
+        if labels and labels != order:
+            raise InputError(
+                f"components of {theirs} are {', '.join(labels)}, expected "
+                f"{', '.join(order)}: reorder them"
+            )
+        return self.in_si(name)
 
-def _numbers(found: xr.DataArray) -> Array:
-    """Values in double precision.
+    def labels(self, found: Variable) -> str:
+        """Labels of components as one word (``qw`` counts as w), empty without any."""
+        coordinate = self.variables.get(found.dims[-1]) if found.dims[1:] else None
+        if coordinate is None or coordinate.values.dtype.kind not in "US":
+            return ""
+        if coordinate.dims != found.dims[-1:]:
+            return ""
+        words = (str(label).strip().lower() for label in coordinate.values.astype(str))
+        return "".join(word[-1:] for word in words)
 
-    Raises:
-        InputError: They are not numbers.
-    """
-    if found.dtype.kind not in "fiu":
-        raise InputError(f"{found.name} does not hold numbers: wrong variable?")
-    return np.asarray(found.to_numpy(), dtype=np.float64)
+    def order(self) -> str:
+        """The order of a quaternion, from its labels, its attribute or the column map.
 
-
-def _time(data: xr.Dataset, names: Mapping[str, str]) -> Array:
-    """Times [s]; in "seconds since …" the epoch is ignored.
-
-    Raises:
-        InputError: Not one dimension, or no unit.
-    """
-    found = _variable(data, "time", names)
-    if found.ndim != 1:
-        raise InputError(
-            f"{found.name} has {found.ndim} dimensions, expected one for times"
-        )
-    unit, _, origin = str(found.attrs.get("units", "")).partition(" since ")
-    return _factor(found, "time", unit) * _numbers(found) + _unix(origin)
+        Raises:
+            InputError: None of these states it, or two differ.
+        """
+        theirs, found = self.find("quaternion")
+        stated = str(found.attrs.get("order", ""))
+        said = {self.labels(found), stated, self.names.get(ORDER, "")} - {""}
+        if len(said) > 1 or not said <= set(ORDERS):
+            raise InputError(
+                f"the order of {theirs} is given as {' and '.join(sorted(said))}: "
+                "expected wxyz or xyzw"
+            )
+        if not said:
+            raise InputError(
+                f"the order of {theirs} is not stated and never guessed: give columns "
+                f"{ORDER}=xyzw or wxyz, or label the components"
+            )
+        return said.pop()
 
 
 def _unix(origin: str) -> float:
@@ -191,61 +214,6 @@ def _unix(origin: str) -> float:
     if date.tzinfo is None:
         date = date.replace(tzinfo=UTC)
     return date.timestamp()
-
-
-def _vector(data: xr.Dataset, name: str, names: Mapping[str, str], order: str) -> Array:
-    """A vector over time, shape (T, len(order)).
-
-    Raises:
-        InputError: Other dimensions, components in another order, or another unit.
-    """
-    found = _variable(data, name, names)
-    along = _variable(data, "time", names).dims
-    if found.ndim != 2 or found.dims[:1] != along or found.shape[1] != len(order):
-        sizes = ", ".join(f"{d} {n}" for d, n in found.sizes.items()) or "none"
-        raise InputError(
-            f"{found.name} must have dimensions ({', '.join(map(str, along))}, "
-            f"{len(order)} components), got ({sizes}): transpose it"
-        )
-    labels = _labels(found)
-    if labels and labels != order:
-        raise InputError(
-            f"components of {found.name} are {', '.join(labels)}, expected "
-            f"{', '.join(order)}: reorder them"
-        )
-    return _factor(found, name) * _numbers(found)
-
-
-def _labels(found: xr.DataArray) -> str:
-    """Component labels as one word (``qw`` counts as w); empty where there are none."""
-    dim = found.dims[-1]
-    if dim not in found.coords or found.coords[dim].dtype.kind not in "UOS":
-        return ""
-    words = [str(label).strip().lower() for label in found.coords[dim].to_numpy()]
-    return "".join(word[-1:] for word in words)
-
-
-def _order(data: xr.Dataset, names: Mapping[str, str]) -> str:
-    """The order of a quaternion, from its labels, its attribute or the column map.
-
-    Raises:
-        InputError: None of these states it, or two differ.
-    """
-    found = _variable(data, "quaternion", names)
-    labelled = _labels(found) if found.ndim == 2 else ""
-    named = (labelled, str(found.attrs.get("order", "")), names.get(ORDER, ""))
-    said = {word for word in named if word}
-    if len(said) > 1 or not said <= set(ORDERS):
-        raise InputError(
-            f"the order of {found.name} is given as {' and '.join(sorted(said))}: "
-            "expected wxyz or xyzw"
-        )
-    if not said:
-        raise InputError(
-            f"the order of {found.name} is not stated and never guessed: give columns "
-            f"{ORDER}=xyzw or wxyz, or label the components"
-        )
-    return said.pop()
 
 
 NETCDF = StreamFormat(
