@@ -7,68 +7,16 @@ squares motion of the mean shape to the markers that were seen, three or more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.probe.pose import to_quaternions
-from ttus_opt.probe.raw_recording import RawRecording, complete
-
-LOOSE = "its markers move by {:.0f} mm against each other: no rigid body"
 
 #: Rounds in which the mean shape and the poses are found in turn
 ROUNDS = 4
 
-#: Markers that move by more than this against each other are of no rigid body [m]
-RIGID = 0.005
-
 #: Markers closer to one line than this give no rotation [m]
 LEAST_WIDTH = 1e-3
-
-
-def bodies(
-    source: str, time: Array, names: Sequence[str], points: Array, note: str
-) -> list[RawRecording]:
-    """One stream for the markers of each prefix ``Body:``, and one for all others.
-
-    Args:
-        source: The file.
-        time: Shape (T,) [s].
-        names: Names of the m markers.
-        points: NaN where not seen, shape (T, m, 3) [m].
-        note: Unit of the file and its frame.
-    """
-    groups: dict[str, list[int]] = {}
-    for index, name in enumerate(names):
-        body, colon, _ = name.partition(":")
-        groups.setdefault(body if colon else "markers", []).append(index)
-    out = []
-    for body, markers in groups.items():
-        if len(markers) < 3:
-            continue
-        poses = body_poses(points[:, markers])
-        if poses is None:
-            continue
-        position, quaternion, off = poses
-        told = [names[i].partition(":")[2] or names[i] for i in markers[:3]]
-        raw = RawRecording(
-            source,
-            time,
-            position,
-            quaternion,
-            name=body,
-            notes=(
-                note,
-                f"origin in marker {told[0]}, x towards {told[1]}, z normal to the "
-                f"plane with {told[2]}",
-            ),
-            cautions=(LOOSE.format(1e3 * off),) if off > RIGID else (),
-            units_stated=True,
-        )
-        lost = ~complete(quaternion)
-        out.append(raw.without(lost, "seen by fewer than three markers"))
-    return out
 
 
 def body_poses(points: Array) -> tuple[Array, Array, float] | None:

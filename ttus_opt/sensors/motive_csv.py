@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,36 +23,14 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
-from ttus_opt.probe.column_names import factor
-from ttus_opt.probe.raw_recording import RawRecording, complete
-from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import (
-    StreamFormat,
-    Wanted,
-    no_rows,
-    numbers,
-    read_cells,
-)
+from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, read_cells, streams
 
 #: Words in the first column of the last line of the header
 FRAME, TIME = "Frame", "Time"
 
-
-class _Sheet(NamedTuple):
-    """The parts of a file.
-
-    Attributes:
-        facts: The first line, by name.
-        header: Lines of the header by the word in their second cell; those without
-            one by ``kind`` (rotation or position) and ``axis``.
-        values: Numbers, NaN for empty cells, shape (T, columns).
-        line: Line of each row, shape (T,).
-    """
-
-    facts: Mapping[str, str]
-    header: Mapping[str, Sequence[str]]
-    values: Array
-    line: np.ndarray
+POSITION, TURN = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
@@ -63,122 +40,96 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         FileError: Another header, an unknown unit or rotation, or no rows.
     """
     file = io.existing_file(path, "Motive CSV")
-    sheet = _sheet(file)
-    unit = sheet.facts.get("Length Units", "")
-    scale = factor("position", unit)
-    if scale is None:
-        raise FileError(f"{file} has Length Units {unit!r}: export it in metres or mm")
-    time = sheet.values[:, _time_column(file, sheet.header["axis"])]
-    space = sheet.facts.get("Coordinate Space", "Global")
-    note = f"{unit}, {space} axes, y upwards unless it was exported otherwise"
-    kinds, names = sheet.header["Type"], sheet.header["Name"]
-    out = []
-    for name in dict.fromkeys(
-        n for n, k in zip(names, kinds, strict=False) if k == "Rigid Body"
-    ):
-        own = [i for i, n in enumerate(names) if n == name and kinds[i] == "Rigid Body"]
-        position = _columns(sheet, own, "Position", "XYZ")
-        if position is None:
-            continue
-        quaternion = _turns(file, sheet, own)
-        raw = RawRecording(
-            str(file),
-            time,
-            scale * position,
-            quaternion,
-            line=sheet.line,
-            name=name,
-            notes=(note,),
-            units_stated=True,
-        )
-        lost = ~complete(np.c_[position, quaternion])
-        out.append(raw.without(lost, "not tracked"))
-    return [*out, *_markers(file, sheet, time, scale, note, {raw.name for raw in out})]
-
-
-def _sheet(file: Path) -> _Sheet:
     rows = read_cells(file)
     facts = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     last = next((i for i, row in enumerate(rows) if row[:1] == [FRAME]), None)
     if last is None:
         raise FileError(f"{file} has no line that begins with {FRAME}: export it again")
-    header = {"axis": rows[last]}
-    for row in rows[1:last]:
-        word = row[1] if len(row) > 1 else ""
-        if word in ("Type", "Name"):
-            header[word] = row
-        elif any(cell in ("Position", "Rotation") for cell in row):
-            header["kind"] = row
-        elif not word and any(cell == "Marker" for cell in row):  # without the word
-            header["Type"] = row
-    if missing := [word for word in ("Type", "Name", "kind") if word not in header]:
-        raise FileError(f"{file} has no header line of {missing[0]}: export it again")
-    width = len(rows[last])
-    for word, row in header.items():
-        header[word] = [*row[:width], *[""] * (width - len(row))]
+    header = _header(file, rows[: last + 1])
     lines = [i for i, row in enumerate(rows) if i > last and any(row)]
     if not lines:
         raise no_rows(file)
-    values = numbers([rows[i] for i in lines], width)
-    return _Sheet(facts, header, values, np.array(lines, np.int64) + 1)
+    values = numbers([rows[i] for i in lines], range(len(rows[last])))
+    time = next(
+        (i for i, w in enumerate(header["axis"]) if w.startswith(f"{TIME} ")), -1
+    )
+    if time < 0:
+        raise FileError(f"{file} has no column of times: export it with Time (Seconds)")
+    things: dict[str, dict[str, int]] = {}
+    for name, own in _things(header, "Rigid Body").items():
+        if set(POSITION) <= set(own):
+            values, turn = _turned(file, facts, values, own)
+            things[name] = {k: own[k] for k in POSITION} | turn
+    for name, own in _things(header, "Marker").items():
+        if set(POSITION) <= set(own) and name.partition(":")[0] not in things:
+            things[name] = {k: own[k] for k in POSITION}
+    space = facts.get("Coordinate Space", "Global")
+    sheet = Sheet(
+        file,
+        values[:, time],
+        values,
+        [facts.get("Length Units", "")] * values.shape[1],
+        things,
+        f"{space} axes, y upwards unless it was exported otherwise",
+        np.array(lines, np.int64) + 1,
+    )
+    return streams(sheet)
 
 
-def _time_column(file: Path, axes: Sequence[str]) -> int:
-    for i, word in enumerate(axes):
-        if word.startswith(f"{TIME} "):
-            return i
-    raise FileError(f"{file} has no column of times: export it with Time (Seconds)")
+def _header(file: Path, rows: Sequence[Sequence[str]]) -> dict[str, list[str]]:
+    """Lines of the header by the word in their second cell, as wide as the last.
+
+    Those without one by ``kind`` (rotation or position) and ``axis``.
+    """
+    header = {"axis": list(rows[-1])}
+    for row in rows[1:-1]:
+        word = row[1] if len(row) > 1 else ""
+        if word in ("Type", "Name"):
+            header[word] = list(row)
+        elif any(cell in ("Position", "Rotation") for cell in row):
+            header["kind"] = list(row)
+        elif not word and any(cell == "Marker" for cell in row):  # without the word
+            header["Type"] = list(row)
+    if missing := [word for word in ("Type", "Name", "kind") if word not in header]:
+        raise FileError(f"{file} has no header line of {missing[0]}: export it again")
+    width = len(rows[-1])
+    return {word: [*row, *[""] * width][:width] for word, row in header.items()}
 
 
-def _columns(sheet: _Sheet, own: Sequence[int], kind: str, axes: str) -> Array | None:
-    """Some columns of a body in the order of ``axes``; None without them."""
-    kinds, names = sheet.header["kind"], sheet.header["axis"]
-    at = [
-        next((i for i in own if kinds[i : i + 1] == [kind] and names[i] == axis), -1)
-        for axis in axes
-    ]
-    return None if -1 in at else sheet.values[:, at]
+def _things(
+    header: Mapping[str, Sequence[str]], wanted: str
+) -> dict[str, dict[str, int]]:
+    """Columns of everything of a type, by the package's names."""
+    out: dict[str, dict[str, int]] = {}
+    words = zip(*(header[k] for k in ("Type", "Name", "kind", "axis")), strict=True)
+    for i, (what, name, kind, axis) in enumerate(words):
+        if what == wanted and kind in ("Position", "Rotation"):
+            ours = f"{'p' if kind == 'Position' else 'q'}{axis.lower()}"
+            out.setdefault(name, {}).setdefault(ours, i)
+    return out
 
 
-def _turns(file: Path, sheet: _Sheet, own: Sequence[int]) -> Array:
-    """Quaternions w, x, y, z of a body, NaN where it was not seen, shape (T, 4).
+def _turned(
+    file: Path, facts: Mapping[str, str], values: Array, own: Mapping[str, int]
+) -> tuple[Array, dict[str, int]]:
+    """The values, with a body's quaternions where they were not, and their columns.
 
     Raises:
         FileError: An unknown type of rotation.
     """
-    kind = sheet.facts.get("Rotation Type", "Quaternion")
-    found = _columns(sheet, own, "Rotation", "WXYZ")
-    if kind.lower() == "quaternion" and found is not None:
-        return found
-    angles = _columns(sheet, own, "Rotation", "XYZ")
-    if angles is None or sorted(kind.lower()) != ["x", "y", "z"]:
+    kind = facts.get("Rotation Type", "Quaternion")
+    if kind.lower() == "quaternion" and set(TURN) <= set(own):
+        return values, {k: own[k] for k in TURN}
+    if not set(TURN[1:]) <= set(own) or sorted(kind.lower()) != ["x", "y", "z"]:
         raise FileError(f"{file} has rotations of type {kind!r}: export Quaternion")
+    angles = values[:, [own[f"q{axis}"] for axis in kind.lower()]]
     known = np.isfinite(angles).all(axis=1)
-    out = np.full((len(angles), 4), np.nan)
-    order = ["XYZ".index(axis) for axis in kind.upper()]
+    turns = np.full((len(angles), 4), np.nan)
     if known.any():  # Motive's Euler angles turn about the axes turned before
-        turns = Rotation.from_euler(kind.upper(), angles[known][:, order], degrees=True)
-        out[known] = turns.as_quat(scalar_first=True)
-    return out
-
-
-def _markers(
-    file: Path, sheet: _Sheet, time: Array, scale: float, note: str, taken: set[str]
-) -> list[RawRecording]:
-    """Streams of the markers that belong to no rigid body of the file."""
-    kinds, names = sheet.header["Type"], sheet.header["Name"]
-    found: dict[str, Array] = {}
-    for name in dict.fromkeys(
-        n for n, k in zip(names, kinds, strict=False) if k == "Marker"
-    ):
-        own = [i for i, n in enumerate(names) if n == name and kinds[i] == "Marker"]
-        position = _columns(sheet, own, "Position", "XYZ")
-        if position is not None and name.partition(":")[0] not in taken:
-            found[name] = scale * position
-    if not found:
-        return []
-    points = np.stack(list(found.values()), axis=1)
-    return bodies(str(file), time, list(found), points, note)
+        found = Rotation.from_euler(kind.upper(), angles[known], degrees=True)
+        turns[known] = found.as_quat(scalar_first=True)
+    at = range(values.shape[1], values.shape[1] + 4)
+    return np.c_[values, turns], dict(zip(TURN, at, strict=True))
 
 
 MOTIVE = StreamFormat(

@@ -17,18 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from ttus_opt.core import io
-from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.sensors.stream_format import (
-    StreamFormat,
-    Wanted,
-    no_rows,
-    number,
-    read_cells,
-)
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, read_cells, streams
 
 POSE = ("q0", "qx", "qy", "qz", "tx", "ty", "tz")
+OURS = ("qw", "qx", "qy", "qz", "px", "py", "pz")
 
 #: Rate at which a Polaris or Vega numbers its frames [Hz]; an Aurora has 40
 RATE = 60.0
@@ -87,11 +83,11 @@ def _tool(
     """The stream of the tool whose columns run from ``begin`` to its pose."""
     # nearest first: what stands before may be another tool's markers
     about = [(header[i].lower(), i) for i in reversed(range(begin, at))]
-    pose = _numbers(rows, range(at, at + len(POSE)))
+    pose = numbers(rows, range(at, at + len(POSE)))
     state = _first(about, "status", "state")
     said = [_cell(row, state).lower() for row in rows]
     absent = np.abs(np.nan_to_num(pose, nan=np.inf)).max(axis=1) > NO_NUMBER
-    lost: Mask = absent | np.array([word not in SOUND for word in said])
+    pose[absent | [word not in SOUND for word in said]] = np.nan
     time, how = _times(rows, about)
     tool = _first(about, "port 0x", "port ", "toolinfo", "tool")
     title = header[tool] if tool is not None else ""
@@ -99,18 +95,18 @@ def _tool(
         title = next((c for row in rows if (c := _cell(row, tool))), "")
     name = re.split(r"\s+s/n:", title.split(": ", 1)[-1])[0].strip()
     name = name or f"tool {which}"
-    raw = RawRecording(
-        str(file),
+    sheet = Sheet(
+        file,
         time,
-        1e-3 * pose[:, 4:],
-        pose[:, :4],
-        line=line,
-        name=name,
-        notes=("mm, quaternions w, x, y, z, the tracker's frame",),
-        cautions=(how,) if how else (),
-        units_stated=True,
+        pose,
+        ["mm"] * len(POSE),
+        {name: {ours: k for k, ours in enumerate(OURS)}},
+        "quaternions w, x, y, z, the tracker's frame",
+        line,
+        "missing",
     )
-    return raw.without(lost, "missing")
+    (raw,) = streams(sheet)
+    return raw.replaced(cautions=(how,) if how else ())
 
 
 def _times(rows: Sequence[Sequence[str]], about: Columns) -> tuple[Array, str]:
@@ -120,13 +116,13 @@ def _times(rows: Sequence[Sequence[str]], about: Columns) -> tuple[Array, str]:
     frame = _first(about, "frame")
     if whole is not None and part is not None:
         scale = 1e-9 if any("timespec_n" in name for name, _ in about) else 1e-3
-        parts = _numbers(rows, [whole, part])
+        parts = numbers(rows, [whole, part])
         return parts[:, 0] + scale * parts[:, 1], ""
-    if clock is not None and np.isfinite(at := _numbers(rows, [clock])[:, 0]).any():
+    if clock is not None and np.isfinite(at := numbers(rows, [clock])[:, 0]).any():
         return at, ""
     if frame is None:
         return np.full(len(rows), np.nan), "no times and no frame numbers"
-    at = _numbers(rows, [frame])[:, 0]
+    at = numbers(rows, [frame])[:, 0]
     return at / RATE, f"no times: frame numbers at {RATE:g} Hz (Polaris, Vega)"
 
 
@@ -141,11 +137,6 @@ def _first(about: Columns, *words: str) -> int | None:
 
 def _cell(row: Sequence[str], at: int | None) -> str:
     return row[at] if at is not None and at < len(row) else ""
-
-
-def _numbers(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> Array:
-    """Cells as numbers, NaN for what is none."""
-    return np.array([[number(_cell(row, c)) for c in columns] for row in rows])
 
 
 NDI = StreamFormat(

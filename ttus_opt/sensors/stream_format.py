@@ -1,57 +1,13 @@
-"""What a format of recordings is: how it is recognised, and its reader.
-
-`read_cells` and `numbers` are for CSV files whose header has several lines.
-"""
+"""What a format of recordings is: how it is recognised, and its reader."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
-
-
-def read_cells(file: Path) -> list[list[str]]:
-    """The cells of every line, without blanks around them.
-
-    Raises:
-        FileError: Not a text file of cells.
-    """
-    try:
-        with file.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-            return [[cell.strip() for cell in row] for row in csv.reader(stream)]
-    except csv.Error as error:
-        raise FileError(f"{file} is no CSV file ({error}): export it again") from error
-
-
-def no_rows(file: Path) -> FileError:
-    """The error of a file that ends with its header."""
-    return FileError(f"{file} is empty, it has a header and no rows: record it again")
-
-
-def number(cell: str) -> float:
-    """A cell as a number, NaN where it is none."""
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
-
-
-def numbers(rows: Sequence[Sequence[str]], width: int) -> Array:
-    """The first cells of rows as numbers, shape (T, width); NaN for what is none."""
-    out = np.full((len(rows), width), np.nan)
-    for i, row in enumerate(rows):
-        for j, cell in enumerate(row[:width]):
-            if cell:
-                out[i, j] = number(cell)
-    return out
-
 
 #: Begin of a file by which formats are told apart [byte]
 HEAD = 8192

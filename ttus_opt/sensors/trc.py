@@ -16,10 +16,9 @@ from pathlib import Path
 
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError
-from ttus_opt.probe.column_names import factor
-from ttus_opt.probe.raw_recording import RawRecording
-from ttus_opt.sensors.marker_bodies import bodies
-from ttus_opt.sensors.stream_format import StreamFormat, Wanted, no_rows, numbers
+from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
+from ttus_opt.sensors.stream_format import StreamFormat, Wanted
+from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, streams
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
@@ -30,25 +29,23 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
     """
     file = io.existing_file(path, "TRC file")
     text = file.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line.split("\t") for line in text.splitlines()]
-    if len(lines) < 6:
+    lines = [[c.strip() for c in line.split("\t")] for line in text.splitlines()]
+    rows = [line for line in lines[5:] if line[0]]
+    if not rows:
         raise no_rows(file)
-    facts = dict(zip(map(str.strip, lines[1]), map(str.strip, lines[2]), strict=False))
-    unit = facts.get("Units", "")
-    scale = factor("position", unit)
-    if scale is None:
-        raise FileError(
-            f"{file} has Units {unit!r}, expected m, cm or mm: export again"
+    facts = dict(zip(lines[1], lines[2], strict=False))
+    names = [word for word in lines[3][2:] if word]
+    values = numbers(rows, range(2 + 3 * len(names)))
+    things = {
+        name: dict(
+            zip(COMPONENTS["position"], range(2 + 3 * k, 5 + 3 * k), strict=True)
         )
-    names = [word.strip() for word in lines[3][2:] if word.strip()]
-    width = 2 + 3 * len(names)
-    rows = [line for line in lines[5:] if line and line[0].strip()]
-    values = numbers(rows, width)
-    if not len(values):
-        raise no_rows(file)
-    points = scale * values[:, 2:].reshape(len(rows), len(names), 3)
-    note = f"{unit}, axes of the file"
-    found = bodies(str(file), values[:, 1], names, points, note)
+        for k, name in enumerate(names)
+    }
+    units = [facts.get("Units", "")] * values.shape[1]
+    found = streams(
+        Sheet(file, values[:, 1], values, units, things, "axes of the file")
+    )
     if not found:
         raise FileError(
             f"{file} has no three markers of one body that are seen at once and off "
