@@ -15,8 +15,9 @@ from ttus_opt.experiment import patients as phantoms
 from ttus_opt.experiment.boundary import boundary_errors
 from ttus_opt.experiment.fits import FITTED, PatientFits
 from ttus_opt.experiment.patients import patients
-from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import BY_DEFAULT, LAPLACE, REFINED, Setting
+from ttus_opt.report.metrics import Errors
 
 
 class BegunError(Exception):
@@ -37,7 +38,7 @@ def judge(tmp_path, monkeypatch):
     return PatientFits(examination, tmp_path, (8, 16, 8), "digest")
 
 
-SCORE = Score(*11 * [1.0], frames_in_contact=9)
+SCORE = Errors(*19 * [1.0])
 ROW = Row("lean", "press_test", False, LAPLACE.name, "true", SCORE).as_dict()
 
 

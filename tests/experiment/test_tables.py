@@ -9,15 +9,16 @@ import pytest
 from ttus_opt.experiment import tables
 from ttus_opt.experiment.boundary import BoundaryError
 from ttus_opt.experiment.report import best_setting
-from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.scores import Row
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import Errors
 
 
 def row(patient, recording, setting, error, told=0.5, against="true"):
     seen = recording.endswith("fit")
-    score = Score(
-        error, 10 * error, error / 100, 20.0, error, error / 5, 2 * error, 9.0, 0.2,
-        told, 5.0, 100,
+    score = Errors(
+        error, error, error, 10 * error, error / 100, error, 20.0, 100, 100, 100, 0.5,
+        0.01, told, error, error / 5, 2 * error, 9.0, 0.2, 5.0,
     )  # fmt: skip
     return Row(patient, recording, seen, setting, against, score)
 

@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.compiled import compiled
+from ttus_opt.probe.cylindrical import turn_angle
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.scan.surface import Surface
 
 #: Iterations for the foot point; the distance is then exact to 0.01 mm on a torso
@@ -59,16 +60,11 @@ class SmoothSurface:
         theta = surface.theta[0] + np.arange(n * FINER) * (step / FINER)
         z = np.linspace(surface.z[0], surface.z[-1], (n_z - 1) * FINER + 1)
         parts = [spline(theta, z), spline(theta, z, dx=1), spline(theta, z, dy=1)]
-        self._table = np.ascontiguousarray(np.stack(parts, axis=-1))
-        self._layout = _Layout(
-            float(theta[0]),
-            len(theta) / (2.0 * np.pi),
-            float(z[0]),
-            float(z[-1]),
-            float((len(z) - 1) / (z[-1] - z[0])),
-            len(theta),
-            len(z),
-        )
+        self._tables = np.stack([part.reshape(-1) for part in parts])
+        self._nodes = len(theta), len(z)
+        layout = surface.kernel_layout
+        per_z = float((len(z) - 1) / (z[-1] - z[0]))
+        self._layout = layout._replace(per_theta=FINER * layout.per_theta, per_z=per_z)
 
     def depth(self, points: Array) -> tuple[Array, Array]:
         """Depth below the surface and the outward normal at the foot point.
@@ -80,54 +76,34 @@ class SmoothSurface:
             Depths, positive inside, shape (n,) [m]; unit normals, shape (n, 3) [–].
         """
         depth, normals = np.empty(len(points)), np.empty((len(points), 3))
-        _walk(np.ascontiguousarray(points), self._table, self._layout, depth, normals)
+        given = np.ascontiguousarray(points), self._tables, self._nodes, self._layout
+        _walk(*given, depth, normals)
         return depth, normals
-
-
-class _Layout(NamedTuple):
-    """The table's first angle, nodes per radian, ends in z, nodes per metre, counts."""
-
-    theta_0: float
-    per_theta: float
-    z_low: float
-    z_high: float
-    per_z: float
-    n_theta: int
-    n_z: int
-
-
-@compiled(inline="always")
-def _between(table: Array, j: int, k: int, a: float, b: float, c: int) -> float:
-    """Bilinear value of one of the table's columns (compiled)."""
-    after = j + 1 if j + 1 < table.shape[0] else 0
-    here: float = (1.0 - b) * table[j, k, c] + b * table[j, k + 1, c]
-    there: float = (1.0 - b) * table[after, k, c] + b * table[after, k + 1, c]
-    return (1.0 - a) * here + a * there
 
 
 @compiled()
 def _walk(
-    points: Array, table: Array, layout: _Layout, depth: Array, normals: Array
+    points: Array,
+    tables: Array,
+    nodes: tuple[int, int],
+    layout: RadiusLayout,
+    depth: Array,
+    normals: Array,
 ) -> None:
     """Depths and normals of points (compiled)."""
-    n, n_z = layout.n_theta, layout.n_z
+    n, n_z = nodes
+    z_high = layout.z_0 + (n_z - 1) / layout.per_z
     for m in range(len(points)):
         x, y, z = points[m]
         for _ in range(STEPS):
-            r = math.hypot(x, y)
-            u = (math.atan2(y, x) - layout.theta_0) * layout.per_theta
-            floor_u = math.floor(u)
-            j, a = int(floor_u) % n, u - floor_u
-            within = min(max(z, layout.z_low), layout.z_high)
-            v = (within - layout.z_low) * layout.per_z
-            k = min(int(v), n_z - 2)
-            b = v - k
-            radius = _between(table, j, k, a, b, 0)
+            here, after, a, b = radius_cell(turn_angle(x, y), z, n, n_z, layout)
+            r, radius = math.hypot(x, y), radius_between(here, after, a, b, tables[0])
             across = max(r, LEAST_RADIUS)
-            around = _between(table, j, k, a, b, 1) / across
+            around = radius_between(here, after, a, b, tables[1]) / across
             g0, g1 = (x + y * around) / across, (y - x * around) / across
             # constant beyond the ends
-            g2 = -_between(table, j, k, a, b, 2) if within == z else 0.0
+            within = layout.z_0 <= z <= z_high
+            g2 = -radius_between(here, after, a, b, tables[2]) if within else 0.0
             steep = math.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
             g0, g1, g2 = g0 / steep, g1 / steep, g2 / steep
             x0, y0, z0 = points[m]

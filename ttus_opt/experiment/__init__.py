@@ -8,6 +8,6 @@ Needs scikit-fem (extra ``phantom``) to simulate recordings that are not there y
 
 from ttus_opt.experiment.pipeline import n_stages, run
 from ttus_opt.experiment.result import ExperimentResult, Plan
-from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.scores import Row
 
-__all__ = ["ExperimentResult", "Plan", "Row", "Score", "n_stages", "run"]
+__all__ = ["ExperimentResult", "Plan", "Row", "n_stages", "run"]

@@ -14,7 +14,7 @@ from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.errors import NumericalError, TtusWarning, warn
 from ttus_opt.core.saved_results import computed_once
 from ttus_opt.experiment.patients import PROBE_SPEC, Examination
-from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.poses.pose_refinement import refine_poses
@@ -204,5 +204,5 @@ class PatientFits:
         """An evaluation as a row."""
         patient = self.examination.patient.name
         return Row(
-            patient, recording, recording in FITTED, name, against, Score.of(errors)
+            patient, recording, recording in FITTED, name, against, errors.errors
         )

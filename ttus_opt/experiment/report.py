@@ -13,7 +13,7 @@ from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Score
+from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Row
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
 from ttus_opt.phantom.recording import (
@@ -220,9 +220,7 @@ def _aims(result: ExperimentResult, best: str) -> list[Block]:
     for against in ("true", "measured"):
         rows = tables.select(result.rows, seen=False, against=against, setting=best)
         for row in rows:
-            lines.append(
-                [f"{row.patient}, {row.recording}", against, *_cells(row.score)]
-            )
+            lines.append([f"{row.patient}, {row.recording}", against, *_cells(row)])
     header = ["", "against", "force", "worst 5 %", "angle", "worst 5 %", "torque"]
     return [
         Heading("The aims, recording by recording"),
@@ -239,8 +237,8 @@ def _aims(result: ExperimentResult, best: str) -> list[Block]:
     ]
 
 
-def _cells(score: Score) -> list[str]:
-    met = {name: "✓" if reached else "✗" for name, reached in score.meets().items()}
+def _cells(row: Row) -> list[str]:
+    score, met = row.score, {n: "✓" if ok else "✗" for n, ok in row.meets().items()}
     force = f"{score.force_median_N:.2f} N, {100 * score.force_median_share:.1f} %"
     return [
         f"{force} {met['force']}",

@@ -12,7 +12,7 @@ from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.result import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import (
     BY_DEFAULT,
     CHOSEN,
@@ -23,10 +23,10 @@ from ttus_opt.experiment.settings import (
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
-from ttus_opt.report.metrics import FORCE_THRESHOLD, hysteresis_share
+from ttus_opt.report.metrics import FORCE_THRESHOLD, Errors, hysteresis_share
 from ttus_opt.report.tables import number
 
-Reading = Callable[[Score], float]
+Reading = Callable[[Errors], float]
 
 #: Names of settings as tables print them
 TITLES = {
@@ -232,7 +232,7 @@ def comparison_table(result: ExperimentResult, against: str) -> Table:
     for name in dict.fromkeys(r.setting for r in rows):
         scored = select(rows, setting=name)
         cells = [number(mean(scored, reading), form) for _, reading, form in columns]
-        met = [all(row.score.meets().values()) for row in scored]
+        met = [all(row.meets().values()) for row in scored]
         parts = _parts_met(scored)
         lines.append([title(name), *cells, parts, f"{sum(met)}/{len(met)}"])
     header = [name for name, _, _ in columns]
@@ -247,7 +247,7 @@ def _unseen(result: ExperimentResult, against: str) -> list[Row]:
 
 def _parts_met(rows: Sequence[Row]) -> str:
     """How often each aim is met: force, angle, torque, torque angle."""
-    met = [row.score.meets() for row in rows]
+    met = [row.meets() for row in rows]
     return ", ".join(str(sum(each[name] for each in met)) for name in met[0])
 
 
@@ -273,13 +273,13 @@ def aims_table(result: ExperimentResult) -> Table:
     lines = []
     for name in dict.fromkeys(r.setting for r in rows):
         own = (select(there, setting=name) for there in places.values())
-        cells = (_missed(there[0].score) if there else "–" for there in own)
+        cells = (_missed(there[0]) if there else "–" for there in own)
         lines.append([title(name), *cells])
     return Table(["", *places], lines)
 
 
-def _missed(score: Score) -> str:
-    met = score.meets()
+def _missed(row: Row) -> str:
+    met = row.meets()
     missed = [name for name, reached in met.items() if not reached]
     return "all" if len(missed) == len(met) else ", ".join(missed) or "✓"
 

@@ -38,6 +38,9 @@ TORQUE_THRESHOLD = 0.01
 #: 0.36 N, 18 to 26° of its direction; relative [–], absolute [N], direction [°]
 NOTICEABLE_SHARE, NOTICEABLE_FORCE, NOTICEABLE_ANGLE = 0.07, 0.36, 18.0
 
+#: Fraction of the frames that counts as the worst [–]
+WORST = 0.05
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -60,6 +63,12 @@ class Errors:
         share_told_apart: Fraction of the frames with a measured or rendered force above
             ``force_threshold_N`` in which a person could notice the difference
             (`noticeable`); NaN without any.
+        force_median_N: Median |‖f‖ - ‖f̂‖| over frames in contact, as all that follow.
+        force_median_share: Median of the same over ‖f‖ [–].
+        force_worst_N: |‖f‖ - ‖f̂‖| that the worst 5 % of frames exceed.
+        angle_worst_deg: Angle that the worst 5 % of frames exceed.
+        torque_share: Mean |‖τ‖ - ‖τ̂‖| over mean ‖τ‖, frames with a torque [–].
+        mean_force_N: Mean ‖f‖.
     """
 
     force_magnitude_error_N: float
@@ -75,6 +84,12 @@ class Errors:
     force_threshold_N: float
     torque_threshold_Nm: float
     share_told_apart: float = math.nan
+    force_median_N: float = math.nan
+    force_median_share: float = math.nan
+    force_worst_N: float = math.nan
+    angle_worst_deg: float = math.nan
+    torque_share: float = math.nan
+    mean_force_N: float = math.nan
 
     def as_dict(self) -> dict[str, float]:
         """All values by name, for JSON."""
@@ -231,7 +246,7 @@ def _errors(
     d_torque = np.linalg.norm(torque_hat, axis=1) - size_torque
     touching = size > force_threshold
     turning = touching & (size_torque > torque_threshold)
-    turned = angles(force, force_hat)
+    turned, off = angles(force, force_hat), np.abs(d_force[touching])
     present = touching | (np.linalg.norm(force_hat, axis=1) > force_threshold)
     felt = noticeable(force, force_hat, np.where(touching, turned, 0.0))
     return Errors(
@@ -248,11 +263,21 @@ def _errors(
         force_threshold,
         torque_threshold,
         _mean(felt[present]),
+        _quantile(off, 0.5),
+        _quantile(off / size[touching], 0.5),
+        _quantile(off, 1.0 - WORST),
+        _quantile(turned[touching], 1.0 - WORST),
+        _mean(np.abs(d_torque[turning])) / _mean(size_torque[turning]),
+        _mean(size[touching]),
     )
 
 
 def _mean(values: Array) -> float:
     return float(values.mean()) if len(values) else float("nan")
+
+
+def _quantile(values: Array, share: float) -> float:
+    return float(np.quantile(values, share)) if len(values) else float("nan")
 
 
 def noticeable(force: Array, force_hat: Array, angle: Array) -> NDArray[np.bool_]:
