@@ -36,7 +36,6 @@ from ttus_opt.experiment.patients import (
     patients,
     skin_file,
 )
-from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import sweep_handling
@@ -123,7 +122,7 @@ class Study:
         cells, met = [name, deep, f"{mu:.3f}"], 0
         for unseen in UNSEEN:
             true = self.examination.true[unseen]
-            score = Score.of(tt.evaluate(solution.field, shell, true))
+            score = tt.evaluate(solution.field, shell, true).errors
             met += sum(score.meets().values())
             cells += [
                 f"{score.force_median_N:.2f} N, {100 * score.force_median_share:.1f} %",
