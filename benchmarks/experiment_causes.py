@@ -36,6 +36,7 @@ from ttus_opt.experiment.patients import (
     patients,
     skin_file,
 )
+from ttus_opt.experiment.scores import meets
 from ttus_opt.experiment.settings import compared
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import sweep_handling
@@ -123,7 +124,7 @@ class Study:
         for unseen in UNSEEN:
             true = self.examination.true[unseen]
             score = tt.evaluate(solution.field, shell, true).errors
-            met += sum(score.meets().values())
+            met += sum(meets(score).values())
             cells += [
                 f"{score.force_median_N:.2f} N, {100 * score.force_median_share:.1f} %",
                 f"{score.force_angle_error_deg:.1f}°",

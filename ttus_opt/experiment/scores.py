@@ -12,6 +12,17 @@ from ttus_opt.report.metrics import NOTICEABLE_FORCE, NOTICEABLE_SHARE, Errors
 AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE = 3.0, 0.15, 10.0
 
 
+def meets(errors: Errors) -> dict[str, bool]:
+    """Whether each aim is reached, by name."""
+    return {
+        "force": errors.force_median_share <= NOTICEABLE_SHARE
+        or errors.force_median_N <= NOTICEABLE_FORCE,
+        "angle": errors.force_angle_error_deg <= AIM_ANGLE,
+        "torque": errors.torque_share <= AIM_TORQUE,
+        "torque angle": errors.torque_angle_error_deg <= AIM_TORQUE_ANGLE,
+    }
+
+
 @dataclass(frozen=True)
 class Row:
     """One setting on one recording of one patient.
@@ -35,14 +46,7 @@ class Row:
 
     def meets(self) -> dict[str, bool]:
         """Whether each aim is reached, by name."""
-        score = self.score
-        return {
-            "force": score.force_median_share <= NOTICEABLE_SHARE
-            or score.force_median_N <= NOTICEABLE_FORCE,
-            "angle": score.force_angle_error_deg <= AIM_ANGLE,
-            "torque": score.torque_share <= AIM_TORQUE,
-            "torque angle": score.torque_angle_error_deg <= AIM_TORQUE_ANGLE,
-        }
+        return meets(self.score)
 
     def as_dict(self) -> dict[str, Any]:
         """Flat, for JSON."""
