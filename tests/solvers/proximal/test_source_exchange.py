@@ -22,8 +22,8 @@ SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
 @pytest.mark.parametrize("seed", range(2))
 def test_the_active_set_finds_the_best_of_all_sets(seed):
     rng = np.random.default_rng(seed)
-    A, g = rng.normal(size=(7, 6)), rng.normal(size=6)
-    G = A.T @ A
+    A, target, charge = rng.normal(size=(7, 6)), rng.normal(size=7), rng.uniform(size=6)
+    G, g = A.T @ A, A.T @ target - charge
 
     def value(x):
         return float(0.5 * x @ G @ x - g @ x)
@@ -36,7 +36,7 @@ def test_the_active_set_finds_the_best_of_all_sets(seed):
             x[at] = np.linalg.solve(G[np.ix_(at, at)], g[at])
             if (x >= 0.0).all():
                 best = min(best, value(x))
-    found = nonnegative_minimum(G, g, np.zeros(6))
+    found = nonnegative_minimum(A, target, charge)
     assert (found >= 0.0).all()
     assert value(found) == pytest.approx(best, rel=1e-10)
 

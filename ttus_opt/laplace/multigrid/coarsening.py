@@ -145,12 +145,8 @@ class Network:
         """The same with more conductances and screening."""
         links, grounds = list(self.links), list(self.grounds)
         for axis, wide in enumerate(added.links):
-            after: Single = wide.astype(np.float32)
-            joined = self.free & np.roll(self.free, -1, axis)
-            links[axis] = links[axis] + np.where(joined, after, np.float32(0))
-            ground = (self.free & ~joined) * after
-            ground += (self.free & ~np.roll(joined, 1, axis)) * np.roll(after, 1, axis)
-            grounds[axis] = grounds[axis] + ground
+            link, ground = _conducting(self.free, axis, wide.astype(np.float32))
+            links[axis], grounds[axis] = links[axis] + link, grounds[axis] + ground
         if added.grounds is not None:
             own = added.grounds.where(self.free.reshape(-1))
             nodes = np.unravel_index(own.voxels, self.shape)
@@ -233,16 +229,25 @@ def finest(grid: Box, free: NDArray[np.bool_]) -> Network:
     Returns:
         Its network; links between two free voxels are never cut.
     """
-    links, grounds = [], []
-    for axis, value in enumerate(conductances(grid)):
-        after = value.astype(np.float32)[:, None, None]
-        before = np.roll(after, 1, 0) if axis == R else after
-        joined = free & np.roll(free, -1, axis)
-        links.append(joined * after)
-        grounds.append((free & ~joined) * after)
-        grounds[axis] += (free & ~np.roll(joined, 1, axis)) * before
+    links, grounds = zip(
+        *(
+            _conducting(free, axis, value.astype(np.float32)[:, None, None])
+            for axis, value in enumerate(conductances(grid))
+        ),
+        strict=True,
+    )
     positions = tuple(np.arange(n, dtype=float) for n in free.shape)
-    return Network(free, tuple(links), tuple(grounds), positions, free.shape[THETA])
+    return Network(free, links, grounds, positions, free.shape[THETA])
+
+
+def _conducting(
+    free: NDArray[np.bool_], axis: int, after: Single
+) -> tuple[Single, Single]:
+    """Conductances to the next free node and to fixed ones, by those of all links."""
+    joined = free & np.roll(free, -1, axis)
+    ground = (free & ~joined) * after
+    ground += (free & ~np.roll(joined, 1, axis)) * np.roll(after, 1, axis)
+    return joined * after, ground
 
 
 def coarsen(network: Network, axis: int) -> Network:

@@ -62,17 +62,13 @@ class MultigridResult:
     relative_residual: float
 
 
-class OneCycle:
-    """A⁻¹ approximated by one V-cycle on the free voxels of a grid.
-
-    The map b ↦ x is linear, symmetric and positive definite up to single precision, as
-    a preconditioner must be. With several sweeps on the finest level it is close to A⁻¹
-    in the Euclidean norm and not only in the energy norm: two such maps in a row are
-    then spectrally equivalent to A⁻².
+class Multigrid:
+    """Solver of A x = b on the free voxels of a grid.
 
     (A x)_v = r_i · Σ c (x_v - x_neighbour) over the six neighbours, with the weights
     c of `laplace` and x = 0 at fixed voxels; b and x are full vectors (V,), zero at
-    fixed voxels and at followers of blocks.
+    fixed voxels and at followers of blocks. What is added to the operator is constant
+    within each layer, cut links aside.
 
     An instance may be used by several threads at once: each call works in arrays of
     its own, and compiled code releases the interpreter's lock. A solve on a large grid
@@ -84,6 +80,7 @@ class OneCycle:
         blocks: Pooled voxels; None for none.
         added: What is added to the operator of the grid; None for nothing.
         hierarchy: The levels.
+        norm_bound: Bound of the operator's norm (Gershgorin) [m].
     """
 
     def __init__(
@@ -121,13 +118,26 @@ class OneCycle:
         self.blocks, self.added = blocks, added
         pooled = None if blocks is None else grid.unflatten(blocks.pooled)
         self.hierarchy = Hierarchy.build(grid, free, pooled, added)
+        added = added or Added()
+        r, t, z = steps = conductances(grid)
+        own = np.zeros_like(r)
+        if added.screening is not None:
+            own = np.ascontiguousarray(added.screening[:, 0, 0])
+        self.norm_bound = float(
+            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
+        )
+        if added.grounds is not None:
+            changes = added.grounds.changes.sum(axis=1)
+            self.norm_bound += float(changes.max(initial=0.0))
+        if blocks is not None:
+            self.norm_bound *= math.sqrt(blocks.longest)
         self._operator = refinement.Operator.of(
-            self.free, conductances(grid), self._sizes
+            self.free, steps, self._sizes, own, added.grounds
         )
         self._idle: deque[Vectors] = deque()
         self._parts = parts_of(self.free.size, LARGE)
 
-    def __reduce__(self) -> tuple[Callable[..., OneCycle], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         make = partial(type(self), blocks=self.blocks, added=self.added)
         return make, (self.grid, self.grid.unflatten(self.free))
@@ -167,29 +177,6 @@ class OneCycle:
         free = part.free(self.grid.unflatten(self.free))
         return Hierarchy.build(part, free, pooled, added)
 
-    def solve(self, rhs: Array, *, rtol: float = 0.0) -> MultigridResult:
-        """One V-cycle's answer.
-
-        Args:
-            rhs: b, shape (V,); values at fixed voxels are left out.
-            rtol: Ignored: the accuracy of one V-cycle is fixed.
-
-        Returns:
-            The answer after one cycle; its residual is not computed.
-        """
-        x = np.zeros_like(rhs)
-        most, least = (f(where=self.free, initial=0.0) for f in (rhs.max, rhs.min))
-        largest = max(float(most), -float(least))
-        if largest > 0.0:
-            work, order = self._taken(), self._operator
-            refinement.residual(work.b, rhs, rhs, order, 1.0 / largest, is_zero=True)
-            work.v_cycle(sweeps=SWEEPS)
-            refinement.add(x, work.x, largest, order)
-            self._idle.append(work)
-        if self.blocks is not None:
-            x[self.blocks.followers] = 0.0
-        return MultigridResult(x, 1, np.nan)
-
     def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Solve Aᵀ x = b: the same, as A is symmetric."""
         return self.solve(rhs, rtol=rtol)
@@ -200,44 +187,6 @@ class OneCycle:
             return self._idle.pop()
         except IndexError:
             return Vectors(self.hierarchy, self.blocks)
-
-
-class Multigrid(OneCycle):
-    """Solver of A x = b on the free voxels of a grid.
-
-    What is added to the operator is constant within each layer, cut links aside.
-
-    Attributes:
-        norm_bound: Bound of the operator's norm (Gershgorin) [m].
-    """
-
-    def __init__(
-        self,
-        grid: CylindricalGrid,
-        free: NDArray[np.bool_],
-        *,
-        blocks: PooledBlocks | None = None,
-        added: Added | None = None,
-    ) -> None:
-        """Build the levels; as `OneCycle`."""
-        super().__init__(grid, free, blocks=blocks, added=added)
-        added = added or Added()
-        assert not added.links, "one cycle takes more links, a solve does not"
-        r, t, z = steps = conductances(grid)
-        own = np.zeros_like(r)
-        if added.screening is not None:
-            own = np.ascontiguousarray(added.screening[:, 0, 0])
-        self.norm_bound = float(
-            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
-        )
-        if added.grounds is not None:
-            changes = added.grounds.changes.sum(axis=1)
-            self.norm_bound += float(changes.max(initial=0.0))
-        if blocks is not None:
-            self.norm_bound *= math.sqrt(blocks.longest)
-        self._operator = refinement.Operator.of(
-            self.free, steps, self._sizes, own, added.grounds
-        )
 
     def solve(self, rhs: Array, *, rtol: float = 1e-12) -> MultigridResult:
         """Solve A x = b.
@@ -257,6 +206,7 @@ class Multigrid(OneCycle):
             InputError: b has another shape or is not finite, or rtol is negative.
             NumericalError: The residual was not reached.
         """
+        assert self.added is None or not self.added.links, "for one cycle only"
         if not 0.0 <= rtol < 1.0:
             raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
         b, largest = self._vector(rhs)
@@ -345,3 +295,36 @@ class Multigrid(OneCycle):
         out = np.zeros_like(x)
         in_parts(partial(refinement.operate, out, x, self._operator), self._parts)
         return out
+
+
+class OneCycle(Multigrid):
+    """A⁻¹ approximated by one V-cycle; any links may be added to the operator.
+
+    The map b ↦ x is linear, symmetric and positive definite up to single precision, as
+    a preconditioner must be. With several sweeps on the finest level it is close to A⁻¹
+    in the Euclidean norm and not only in the energy norm: two such maps in a row are
+    then spectrally equivalent to A⁻².
+    """
+
+    def solve(self, rhs: Array, *, rtol: float = 0.0) -> MultigridResult:
+        """One V-cycle's answer.
+
+        Args:
+            rhs: b, shape (V,); values at fixed voxels are left out.
+            rtol: Ignored: the accuracy of one V-cycle is fixed.
+
+        Returns:
+            The answer after one cycle; its residual is not computed.
+        """
+        x = np.zeros_like(rhs)
+        most, least = (f(where=self.free, initial=0.0) for f in (rhs.max, rhs.min))
+        largest = max(float(most), -float(least))
+        if largest > 0.0:
+            work, order = self._taken(), self._operator
+            refinement.residual(work.b, rhs, rhs, order, 1.0 / largest, is_zero=True)
+            work.v_cycle(sweeps=SWEEPS)
+            refinement.add(x, work.x, largest, order)
+            self._idle.append(work)
+        if self.blocks is not None:
+            x[self.blocks.followers] = 0.0
+        return MultigridResult(x, 1, np.nan)

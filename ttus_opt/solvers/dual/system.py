@@ -13,7 +13,6 @@ positive definite; a product with it takes one solve with Lᵀ and one with L.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,6 +22,7 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array
 from ttus_opt.gaussian.prior import LaplacePrior
 from ttus_opt.laplace.system import RTOL, SquareSystem
+from ttus_opt.solvers.conjugate_gradients import Map
 
 
 class SchurComplement:
@@ -36,9 +36,13 @@ class SchurComplement:
     rows: sp.csr_array
     root_weights: Array
 
+    def __init__(self, inverse: Map, rows: sp.csr_array, root_weights: Array) -> None:
+        """Take rows over a prior whose inverse is a given linear map."""
+        self.inverse, self.rows, self.root_weights = inverse, rows, root_weights
+
     def prior(self, r: Array, rtol: float = RTOL) -> Array:
         """P⁻¹r, shape (V,)."""
-        raise NotImplementedError
+        return self.inverse(r)
 
     @cached_property
     def adjoint(self) -> sp.csr_array:
@@ -60,23 +64,6 @@ class SchurComplement:
     def apply(self, y: Array, rtol: float = RTOL) -> Array:
         """S y with solves to a relative residual, shape (m,)."""
         return y + self.measure(self.response(y, rtol))
-
-
-@dataclass(frozen=True)
-class OverPrior(SchurComplement):
-    """S of rows over a prior whose inverse is a given map.
-
-    Attributes:
-        inverse: P⁻¹, linear.
-    """
-
-    inverse: Callable[[Array], Array] = field(repr=False)
-    rows: sp.csr_array = field(repr=False)
-    root_weights: Array = field(repr=False)
-
-    def prior(self, r: Array, rtol: float = RTOL) -> Array:
-        """P⁻¹r, shape (V,)."""
-        return self.inverse(r)
 
 
 @dataclass(frozen=True)

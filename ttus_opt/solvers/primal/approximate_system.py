@@ -1,9 +1,9 @@
 """The dual system with approximate solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
 
 Where wide terms have rows at soft Dirichlet voxels, Ω is not diagonal there. Such rows
-also touch free voxels; these are eliminated once, and the Schur complement is added to
-Ω⁻¹. Dirichlet voxels lie in layers on the rim and on the surface, so that this block
-can be factorised.
+also touch free voxels: Ω is the block at the soft voxels of the inverse of Ω⁻¹ and these
+rows over both. Dirichlet voxels lie in layers on the rim and on the surface, so that
+this can be factorised.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ttus_opt.laplace.multigrid import OneCycle
 from ttus_opt.laplace.system import RTOL, BlockSystem, LaplaceSystem, SquareSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.primal.elimination import eliminated, factor
+from ttus_opt.solvers.primal.elimination import factor, without_chains
 from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
 
@@ -69,7 +69,15 @@ class FixedBlock:
         own = sp.csr_array(own[:, both])
         stiffness = np.where(soft, 1.0 / np.where(soft, compliance, 1.0), 1.0)[both]
         whole = sp.csr_array(own.T @ own + sp.diags_array(stiffness))
-        return cls(at, factor(eliminated(whole, soft[both])).solve)
+        left, ends = without_chains(whole, soft[both])
+        own, factors = soft[both][ends], factor(left)
+
+        def solve(values: Array) -> Array:
+            side = np.zeros(len(own))
+            side[own] = values
+            return np.asarray(factors.solve(side)[own])
+
+        return cls(at, solve)
 
 
 def _beside(M: sp.csr_array, soft: Mask) -> IntArray:

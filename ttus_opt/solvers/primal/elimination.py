@@ -1,37 +1,35 @@
-"""Schur complement of a sparse positive definite matrix on some of its unknowns.
+"""A sparse positive definite matrix without its chains, and a factor.
 
-Rows along one direction connect unknowns in chains. Chains are eliminated first, like
-resistors in series: the only fill is between the two ends of a chain. The rest is
-eliminated by a factorisation with the kept unknowns last, whose last block holds the
-factors of the Schur complement.
+Rows along one direction connect unknowns in chains. These are eliminated like resistors
+in series: the only fill is between the two ends of a chain.
 """
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import SuperLU, splu
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.compiled import compiled
 
-Order = Literal["MMD_AT_PLUS_A", "NATURAL"]
 Indices = NDArray[np.int32] | IntArray
 
 #: Most neighbours of an unknown inside a chain
 NEIGHBOURS = 2
 
 
-def eliminated(matrix: sp.csr_array, kept: Mask) -> sp.csc_array:
-    """The Schur complement of a matrix on some of its unknowns, shape (k, k).
+def without_chains(matrix: sp.csr_array, kept: Mask) -> tuple[sp.csc_array, Mask]:
+    """The Schur complement of a matrix on all unknowns but chains.
 
     Args:
         matrix: Symmetric positive definite, shape (n, n).
-        kept: Which unknowns are kept, k of them, shape (n,).
+        kept: Which unknowns belong to no chain, shape (n,).
+
+    Returns:
+        The complement, shape (k, k), and which unknowns it is on, shape (n,): those
+        kept, and the joints of chains.
     """
     coo = sp.coo_array(matrix)
     here, there, value = coo.row, coo.col, coo.data
@@ -41,26 +39,17 @@ def eliminated(matrix: sp.csr_array, kept: Mask) -> sp.csc_array:
     links = sp.csr_array(
         (value[aside], (here[aside], there[aside])), shape=matrix.shape
     )
-    own = matrix.diagonal()
-    change, between = _without_chains(links, own, ends)
-    at = np.flatnonzero(ends)
-    left = matrix[at][:, at] + between[at][:, at] + sp.diags_array(change[at])
-    return _last_block(sp.csr_array(left), kept[at])
-
-
-def _without_chains(
-    links: sp.csr_array, own: Array, ends: Mask
-) -> tuple[Array, sp.csr_array]:
-    """Changes of the diagonal, (n,), and between ends, (n, n), by elimination."""
     at = np.flatnonzero(ends)
     room = np.count_nonzero(~ends[links[at].indices])
-    change, found = np.zeros(len(own)), np.empty(room)
+    change, found = np.zeros(len(kept)), np.empty(room)
     pairs = np.empty((2, room), np.int64)
     csr = links.indptr, links.indices, links.data
-    n = _eliminate_chains(csr, own, at, ends, change, pairs, found)
-    here, there, value = *pairs[:, :n], found[:n]
-    places = np.r_[here, there], np.r_[there, here]
-    return change, sp.csr_array((np.r_[value, value], places), shape=links.shape)
+    n = _eliminate_chains(csr, matrix.diagonal(), at, ends, change, pairs, found)
+    (one, other), value = pairs[:, :n], found[:n]
+    places = np.r_[one, other], np.r_[other, one]
+    between = sp.csr_array((np.r_[value, value], places), shape=matrix.shape)
+    left = matrix[at][:, at] + between[at][:, at] + sp.diags_array(change[at])
+    return sp.csc_array(left), ends
 
 
 @compiled(nogil=True)
@@ -120,27 +109,11 @@ def _eliminate_chains(
     return count
 
 
-def _last_block(matrix: sp.csr_array, kept: Mask) -> sp.csc_array:
-    """The Schur complement by a factor, the kept unknowns last."""
-    inner, last = np.flatnonzero(~kept), np.flatnonzero(kept)
-    n = len(inner)
-    if not n:
-        return sp.csc_array(matrix)
-    order = reverse_cuthill_mckee(
-        sp.csr_matrix(matrix[inner][:, inner]), symmetric_mode=True
-    )
-    order = np.concatenate([inner[order], last])
-    found = factor(sp.csc_array(matrix[order][:, order]), "NATURAL")
-    places = np.sort(found.perm_r[n:])
-    lower, upper = found.L[found.perm_r[n:]], found.U[:, found.perm_c[n:]]
-    return sp.csc_array(lower[:, places] @ upper[places])
-
-
-def factor(matrix: sp.csc_array, order: Order = "MMD_AT_PLUS_A") -> SuperLU:
+def factor(matrix: sp.csc_array) -> SuperLU:
     """A factor of a symmetric positive definite matrix, pivots on its diagonal."""
     return splu(
         matrix,
-        permc_spec=order,
+        permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )

@@ -23,7 +23,7 @@ from ttus_opt.solvers.conjugate_gradients import (
     norm,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.system import OverPrior, SchurComplement
+from ttus_opt.solvers.dual.system import SchurComplement
 
 #: Most directions of S whose fields P⁻¹Dᵀd are kept
 MOST_FIELDS = 12
@@ -143,5 +143,5 @@ def with_few_rows(prior: Map, rows: sp.csr_array) -> Map:
         rows: D, shape (m, n).
     """
     m = rows.shape[0]
-    system = OverPrior(prior, rows, np.ones(m))
+    system = SchurComplement(prior, rows, np.ones(m))
     return ConstraintPreconditioner(system, np.zeros((m, 0)), INNER).field

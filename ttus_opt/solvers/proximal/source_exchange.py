@@ -22,6 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 from scipy.ndimage import maximum_filter
+from scipy.optimize import nnls
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.threads import side_by_side
@@ -195,9 +196,8 @@ class SourceExchange:
 
     def _solve(self) -> None:
         """Sizes ≥ 0 of the columns by an active set."""
-        gram = self._columns.T @ self._columns
-        side = self._columns.T @ self._left - self._charge[self._at]
-        self._sizes = nonnegative_minimum(gram, side, self._sizes)
+        charge = self._charge[self._at]
+        self._sizes = nonnegative_minimum(self._columns, self._left, charge)
         self._refine()
 
     def _refine(self) -> None:
@@ -223,44 +223,22 @@ class SourceExchange:
             self._sizes[at] = sizes
 
 
-def nonnegative_minimum(gram: Array, side: Array, start: Array) -> Array:
-    """The x ≥ 0 that minimises ½ xᵀG x − gᵀx (Lawson and Hanson's active set).
+def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
+    """The x ≥ 0 that minimises ½ ‖A x − s‖² + cᵀx (Lawson and Hanson's active set).
+
+    The rest s − A x is the point nearest to s with Aᵀ(s − A x) ≤ c: a least-distance
+    problem, which is one of least squares over x ≥ 0 with one more row.
 
     Args:
-        gram: G, symmetric positive semidefinite, shape (k, k).
-        side: g, shape (k,).
-        start: x to begin with, not negative, shape (k,).
+        columns: A, shape (m, k).
+        target: s, shape (m,).
+        charge: c, shape (k,).
     """
-    x, scale = start.copy(), 1.0 / np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    G, g = gram * np.outer(scale, scale), side * scale
-    x = x / scale
-    passive = x > 0.0
-    floor = 1e-13 * float(np.abs(g).max(initial=0.0))
-    for _ in range(20 * len(x) + 20):
-        while passive.any():
-            z = np.zeros_like(x)
-            z[passive] = np.linalg.lstsq(
-                G[np.ix_(passive, passive)], g[passive], rcond=DEPENDENT
-            )[0]
-            below = passive & (z <= 0.0)
-            if not below.any():
-                x = z
-                break
-            steps = x[below] / np.maximum(x[below] - z[below], 1e-300)
-            x = x + float(steps.min()) * (z - x)
-            passive &= x > 1e-15 * float(np.abs(x).max(initial=0.0))
-            x[~passive] = 0.0
-        slope = g - G @ x
-        slope[passive] = -np.inf
-        best = int(np.argmax(slope))
-        if not slope[best] > floor:
-            break
-        passive[best] = True
-        trial = np.zeros_like(x)
-        trial[passive] = np.linalg.lstsq(
-            G[np.ix_(passive, passive)], g[passive], rcond=DEPENDENT
-        )[0]
-        if trial[best] <= 0.0:  # rounding: the column brings nothing
-            passive[best] = False
-            break
-    return np.asarray(x * scale)
+    size = float(np.linalg.norm(target)) or 1.0
+    # of the same products, with at most k rows
+    rows = np.linalg.qr(columns, mode="r")
+    gain = (columns.T @ target - charge) / size
+    whole = np.vstack([-rows, gain])
+    scale = np.linalg.norm(whole, axis=0)
+    x = nnls(whole / scale, np.append(np.zeros(len(rows)), 1.0))[0] / scale
+    return np.asarray(x * size / (1.0 - float(gain @ x)))
