@@ -47,8 +47,10 @@ def loose_variables(program: Program, fixed: Mask) -> Mask:
     for term in program.terms:
         if not term.weight or isinstance(term.penalty, Linear):
             continue
-        if known_covariance(term.tags):  # a regular matrix
-            loose[: len(term.target)] = False
+        rows = term.laplace_rows
+        if known_covariance(term.tags) or (rows and rows.scale is None):
+            # a regular matrix
+            loose[program.variables[rows.variable if rows else "p"]] = False
         elif loose.any():
             loose &= term.column_squares() == 0.0
     return np.asarray(loose)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import solve_triangular
 from scipy.ndimage import maximum_filter
 from scipy.optimize import nnls
 
@@ -37,12 +36,6 @@ EXCESS = 1e-7
 
 #: Relative residual of the first solves for columns and η [–]
 LOOSE = 1e-8
-
-#: Pivots below this part of the largest count as dependent [–]
-DEPENDENT = 1e-13
-
-#: Newton steps of the final refinement
-REFINEMENTS = 3
 
 
 class SourceExchange:
@@ -198,29 +191,6 @@ class SourceExchange:
         """Sizes ≥ 0 of the columns by an active set."""
         charge = self._charge[self._at]
         self._sizes = nonnegative_minimum(self._columns, self._left, charge)
-        self._refine()
-
-    def _refine(self) -> None:
-        """Newton steps on the present sources, by a QR factor of their columns.
-
-        Their Gram matrix squares the condition: it determines |η| = c only to the root
-        of the rounding error.
-        """
-        at = np.flatnonzero(self._sizes > 0.0)
-        columns, charge = self._columns[:, at], self._charge[self._at[at]]
-        scale = np.linalg.norm(columns, axis=0)
-        R = np.linalg.qr(columns / scale, mode="r")
-        if len(R) < len(at) or not (np.abs(np.diagonal(R)) > DEPENDENT).all():
-            return
-        for _ in range(REFINEMENTS):
-            sizes = self._sizes[at]
-            slope = (columns.T @ (self._left - columns @ sizes) - charge) / scale
-            sizes = (
-                sizes + solve_triangular(R, solve_triangular(R, slope, trans=1)) / scale
-            )
-            if not (sizes > 0.0).all():
-                return
-            self._sizes[at] = sizes
 
 
 def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
@@ -240,5 +210,6 @@ def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
     gain = (columns.T @ target - charge) / size
     whole = np.vstack([-rows, gain])
     scale = np.linalg.norm(whole, axis=0)
-    x = nnls(whole / scale, np.append(np.zeros(len(rows)), 1.0))[0] / scale
+    unit, most = np.append(np.zeros(len(rows)), 1.0), 20 * len(charge) + 20
+    x = nnls(whole / scale, unit, maxiter=most)[0] / scale
     return np.asarray(x * size / (1.0 - float(gain @ x)))
