@@ -1,9 +1,9 @@
 """The dual system with approximate solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
 
 Where wide terms have rows at soft Dirichlet voxels, Ω is not diagonal there. Such rows
-also touch free voxels: Ω is the block at the soft voxels of the inverse of Ω⁻¹ and these
-rows over both. Dirichlet voxels lie in layers on the rim and on the surface, so that
-this can be factorised.
+also touch free voxels: Ω is the block at the soft voxels of the inverse of Ω⁻¹ and
+these rows over both. Dirichlet voxels lie in layers on the rim and on the surface, so
+that this can be factorised.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ class FixedBlock:
         stiffness = np.where(soft, 1.0 / np.where(soft, compliance, 1.0), 1.0)[both]
         whole = sp.csr_array(own.T @ own + sp.diags_array(stiffness))
         left, ends = without_chains(whole, soft[both])
-        own, factors = soft[both][ends], factor(left)
+        kept, factors = soft[both][ends], factor(left)
 
         def solve(values: Array) -> Array:
-            side = np.zeros(len(own))
-            side[own] = values
-            return np.asarray(factors.solve(side)[own])
+            side = np.zeros(len(kept))
+            side[kept] = values
+            return np.asarray(factors.solve(side)[kept])
 
         return cls(at, solve)
 

@@ -206,7 +206,7 @@ def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
     """
     size = float(np.linalg.norm(target)) or 1.0
     # of the same products, with at most k rows
-    rows = np.linalg.qr(columns, mode="r")
+    rows = np.asarray(np.linalg.qr(columns, mode="r"))
     gain = (columns.T @ target - charge) / size
     whole = np.vstack([-rows, gain])
     scale = np.linalg.norm(whole, axis=0)
