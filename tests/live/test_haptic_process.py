@@ -28,7 +28,7 @@ from ttus_opt.live.operator import Operator
 from ttus_opt.live.real_time import run_operator
 from ttus_opt.live.recording import Description, Recorder
 from ttus_opt.live.replay import replay
-from ttus_opt.live.safety import State
+from ttus_opt.live.safety import SafetyLimits, State
 from ttus_opt.message import decode, encode
 
 
@@ -44,10 +44,14 @@ class Still:
             self.position[0] = RADIUS + BALL - self._depth
 
 
-def plan(**options):
+#: Of loops whose operator falls silent only where the machine stands still
+PATIENT = SafetyLimits(stop_seconds=20.0)
+
+
+def plan(limits=PATIENT):
     _, shell, (sent, model) = parts()
     found = decode_model(ModelMessage(model).content, decode(sent), shell)
-    return found, LoopPlan(shell, partial(Still), **options)
+    return found, LoopPlan(shell, partial(Still), limits=limits)
 
 
 def test_a_device_is_shown_force_and_torque():
@@ -155,10 +159,10 @@ def test_fields_that_are_published_are_felt_and_a_stop_takes_the_force_away():
 
 @pytest.mark.slow
 def test_it_stops_and_ends_by_itself_when_the_operator_is_gone():
-    model, given = plan()
+    model, given = plan(SafetyLimits())
     loop = HapticProcess(given).begin(model.field)
     try:
-        until(lambda: loop.frames > 100, loop)
+        until(lambda: loop.frames > 100 or not loop.alive, loop)
         loop._process.join(10.0)  # no sign of life any more
         assert not loop._process.is_alive()
         assert not loop.shown.any()
@@ -224,7 +228,8 @@ def test_a_recorded_session_is_rendered_again_bit_by_bit(tmp_path):
     shell, link = parts()[1], Loopback()
     file = tmp_path / "session.mcap"
     described = Description(f"sphere:{BALL}", 200, epoch=2, apart=True)
-    plan = LoopPlan(shell, partial(Hand, path(lifted=0.2, period=1.0)))
+    hand = partial(Hand, path(lifted=0.2, period=1.0))
+    plan = LoopPlan(shell, hand, limits=PATIENT)
     start, frames = (np.eye(3), path().position[0]), []
 
     def record(frame):
@@ -261,7 +266,8 @@ def test_a_session_with_the_loop_in_its_own_process_and_its_death():
             loop._process.kill()
 
     shell = parts()[1]
-    plan = LoopPlan(shell, partial(Hand, path(lifted=0.2, period=1.0)))
+    hand = partial(Hand, path(lifted=0.2, period=1.0))
+    plan = LoopPlan(shell, hand, limits=PATIENT)
     with HapticProcess(plan) as loop:
         operator = Operator(2, shell, feedback=lambda model: loop.begin(model.field))
         start = np.eye(3), path().position[0]

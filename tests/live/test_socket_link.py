@@ -36,9 +36,9 @@ def links():
         link.close()
 
 
-def until(condition, *sides, seconds=5.0):
-    """What arrives at each side until something holds."""
-    end, got = time.monotonic() + seconds, [[] for _ in sides]
+def until(condition, *sides):
+    """What arrives at each side until something holds, for a minute at most."""
+    end, got = time.monotonic() + 60.0, [[] for _ in sides]
     while not condition(got):
         now = time.monotonic()
         assert now < end, "nothing arrived"
@@ -135,17 +135,15 @@ def test_who_has_no_key_gets_no_more_than_he_sends(links):
         sealed = b"TL" + bytes([1, 1]) + bytes(60)
         for data in (b"x", bytes(80), b"TL" + bytes([1, 0]) + bytes(48), sealed[:40]):
             stranger.sendto(data, ("127.0.0.1", there.port))
-            for _ in range(5):
-                there.receive(time.monotonic())
-                there.send(time.monotonic(), [Outgoing(b"report")])
-                time.sleep(0.06)
+            for now in np.arange(5) * 0.06:
+                there.receive(now)
+                there.send(now, [Outgoing(b"report")])
             with pytest.raises(BlockingIOError):
                 stranger.recv(1000)
         stranger.sendto(sealed, ("127.0.0.1", there.port))
-        there.receive(time.monotonic())
-        there.send(time.monotonic(), [])
-        time.sleep(0.25)
-        there.send(time.monotonic(), [])
+        there.receive(1.0)
+        for now in (1.0, 1.25):
+            there.send(now, [])
         assert len(stranger.recv(1000)) < len(sealed)
         with pytest.raises(BlockingIOError):
             stranger.recv(1000)
@@ -190,7 +188,7 @@ def test_a_stranger_does_not_take_the_stream(links, says):
     now = time.monotonic()  # stands still: the operator does not call again
     with socket.create_connection(("127.0.0.1", there.port)) as stranger:
         stranger.sendall(says)
-        end, arrived = now + 5.0, []
+        end, arrived = now + 60.0, []
         there.receive(now)
         there.send(now, [Outgoing(b"model", reliable=True)])
         while b"model" not in arrived:
@@ -237,7 +235,7 @@ def test_little_of_a_stranger_is_read(links):
         # a message that is announced and allowed, but never ends
         stranger.sendall(struct.pack("<I", UNPROVED * 2) + bytes(UNPROVED))
         stranger.setblocking(False)
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + 60.0
         while not closed(stranger):
             assert time.monotonic() < end
             there.receive(10.0)
@@ -266,6 +264,19 @@ def test_a_session_over_sockets_reaches_normal_and_survives_a_new_operator(links
     survives_a_new_operator(links)
 
 
+class Steady:
+    """A clock that stands still while the machine does: that is no link's silence."""
+
+    def __init__(self):
+        self.now, self._seen = 0.0, time.monotonic()
+
+    def __call__(self):
+        seen = time.monotonic()
+        self.now += min(seen - self._seen, 0.02)
+        self._seen = seen
+        return self.now
+
+
 def survives_a_new_operator(links):
     """A session becomes NORMAL, stops without its operator, and begins with another."""
     surface, shell, content = parts()
@@ -273,16 +284,15 @@ def survives_a_new_operator(links):
         pass
     there = links(port=0, calls=False)
     follower, patient, hand = Follower(3, surface, content), Spring(), Hand(path())
-    target = hand.rotation, hand.position
+    target, clock = (hand.rotation, hand.position), Steady()
     for epoch in (2, 4):
         here = links(port=there.port, calls=True)
         operator = Operator(epoch, shell)
         if follower.peer.safety.state is State.STOP:
             follower.rearm(0.0)
-        end = time.monotonic() + 8.0
-        states = set()
-        while State.NORMAL not in states or len(states) < 1:
-            now = time.monotonic()
+        end, met = clock() + 30.0, False
+        while not met:
+            now = clock()
             assert now < end, operator.peer.safety.cause
             sensed = patient.sense(now, *target)
             step = follower.step(now, there.receive(now), sensed)
@@ -291,15 +301,14 @@ def survives_a_new_operator(links):
             own = operator.step(now, here.receive(now), hand.rotation, hand.position)
             here.send(now, own.send)
             operator.feel(now, hand.rotation, hand.position)
-            if own.state is State.NORMAL and step.state is State.NORMAL:
-                states.add(State.NORMAL)
+            met = own.state is step.state is State.NORMAL
             time.sleep(0.002)
         assert operator.model is not None
         # the operator's process is gone
-        deadline = time.monotonic() + 3.0
+        end = clock() + 3.0
         while follower.peer.safety.state is not State.STOP:
-            now = time.monotonic()
-            assert now < deadline
+            now = clock()
+            assert now < end
             there.send(now, follower.step(now, there.receive(now), sensed).send)
             time.sleep(0.002)
     assert np.isfinite(target[1]).all()

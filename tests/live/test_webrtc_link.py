@@ -51,7 +51,7 @@ def connect(here, there):
         there.send(time.monotonic(), [Outgoing(b"fro")])
         return b"fro" in got[0] and b"to" in got[1]
 
-    until(both, here, there, seconds=15.0)
+    until(both, here, there)
 
 
 def test_datagrams_and_stream_arrive(links):
@@ -108,7 +108,7 @@ def test_who_stands_between_is_not_heard(links, monkeypatch):
         connection = here._connection
         return connection is not None and connection.connectionState == "failed"
 
-    assert until(refused, here, there, seconds=15.0) == [[], []]
+    assert until(refused, here, there) == [[], []]
 
 
 def test_what_is_no_packet_is_refused(links):
@@ -116,7 +116,6 @@ def test_what_is_no_packet_is_refused(links):
     longest = HEADER.size + LONGEST_DATAGRAM
     rng, peer, sent = random.Random(0), Peer(1), [b"", "text", bytes(longest + 1)]
     sent += [rng.randbytes(rng.randrange(1, 200)) for _ in range(300)]
-    sent += [bytes(longest)]
     described = there._connection.localDescription.sdp
     host, port = re.search(r" ([\d.]+) (\d+) typ host", described).groups()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -126,8 +125,14 @@ def test_what_is_no_packet_is_refused(links):
             stranger.sendto(b"\x16\xfe\xfd" + rng.randbytes(50), (host, int(port)))
             time.sleep(0.001)
     inside = {data[HEADER.size :] for data in sent[3:]}
-    got = until(lambda got: bytes(LONGEST_DATAGRAM) in got[1], here, there)[1]
-    assert {*got} - {b"to"} <= inside - {b""}
+    last = bytes(LONGEST_DATAGRAM)
+
+    def arrived(got):  # of what is not kept a busy machine may lose any
+        here._loop.call_soon_threadsafe(here._channel.send, bytes(longest))
+        return last in got[1]
+
+    got = until(arrived, here, there)[1]
+    assert {*got} - {b"to", last} <= inside - {b""}
     assert len(got) > 100  # of 256 at most that wait
     for data in got:
         assert peer.receive(0.0, data) is None
@@ -139,7 +144,7 @@ def test_a_description_that_is_none_leaves_silence(links):
     there = links(port=0, calls=False)
     forger = SessionStream(KEY, "127.0.0.1", there.port, calls=True)
     forger.send([SIGNAL + b"v=0\r\nm=nonsense", SIGNAL + bytes([255]) * 50, b"model"])
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while not there._early:
         now = time.monotonic()
         assert now < end
@@ -161,7 +166,7 @@ def test_the_stream_waits_for_the_channel(links):
         assert there._is_open or not got[1]
         return b"hello" in got[1]
 
-    until(arrived, here, there, seconds=15.0)
+    until(arrived, here, there)
 
 
 @pytest.mark.slow
@@ -183,7 +188,7 @@ def test_a_side_that_is_killed_falls_silent_and_another_takes_its_place(links):
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=operate, args=(there.port,), daemon=True)
     process.start()
-    until(lambda got: b"to" in got[0], there, seconds=60.0)
+    until(lambda got: b"to" in got[0], there)
     process.kill()
     process.join()
     there.receive(time.monotonic())

@@ -252,9 +252,9 @@ def test_hostile_headers(at, value, words):
     "text", [b"", b"[", b"[" * 60_000, b"[1, 2]", b'[{"a": "b"}, {}]', b"[{}]"]
 )
 def test_hostile_parameters(text, monkeypatch):
-    base = sent()[0]  # which is kept for other tests, so before the patch
+    field, base = fitted(), sent()[0]  # kept for other tests, so before the patch
     monkeypatch.setattr("json.dumps", lambda _: text.decode())
-    message = encode(fitted(), base=base)
+    message = encode(field, base=base)
     refuses(InputError, "parameters", decode, message, base=base)
 
 
