@@ -1,6 +1,5 @@
 """What many tests need: errors, refusals, a torso, a probe, presses, scenes."""
 
-import contextlib
 import functools
 import os
 import socket
@@ -61,14 +60,18 @@ def refuses(error, words, call, /, *given, **options):
 
 def own_port():
     """A free port of this machine that the system gives to nobody who asks for any."""
-    for port in range(20_000 + os.getpid() % 10_000, 32_000):
-        kinds = (socket.SOCK_STREAM, socket.SOCK_DGRAM)
-        with contextlib.ExitStack() as tried, contextlib.suppress(OSError):
-            for kind in kinds:
-                one = tried.enter_context(socket.socket(socket.AF_INET, kind))
+    return next(filter(is_free, range(20_000 + os.getpid() % 10_000, 32_000)))
+
+
+def is_free(port):
+    """Whether a port of this machine is free for streams and datagrams."""
+    for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+        with socket.socket(socket.AF_INET, kind) as one:
+            try:
                 one.bind(("127.0.0.1", port))
-            return port
-    raise AssertionError("every port is taken")
+            except OSError:
+                return False
+    return True
 
 
 def some(values, quick):

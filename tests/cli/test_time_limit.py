@@ -87,7 +87,7 @@ def test_other_interrupts_and_statuses_stay():
 
 @pytest.mark.slow
 def test_a_solver_that_never_listens_is_ended(files, tmp_path):
-    process = deaf_at_work("fit --time-limit 8", files, tmp_path)
+    process = deaf_at_work("fit --time-limit 20", files, tmp_path)
     try:
         _, told = process.communicate(timeout=60.0)
     except subprocess.TimeoutExpired:

@@ -13,7 +13,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.kit import own_port, torso
+from tests.kit import is_free, own_port, torso
 from tests.viewer.conftest import field, probe, recorded
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
@@ -301,6 +301,7 @@ def test_it_closes_twice_and_frees_its_port():
     assert one._served.server.get_port() == port
     one.close()
     one.close()
+    until(lambda: is_free(port))  # viser waits a second at most for its thread
     again = tt.view(field(), probe(), port=port)
     assert again._served.server.get_port() == port
     assert again.url != one.url
