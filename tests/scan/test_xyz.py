@@ -48,20 +48,4 @@ def test_a_box_crops_a_room(tmp_path):
     np.testing.assert_allclose(read_cloud(path, unit="mm", box=box), POINTS)
     half = read_cloud(path, unit="mm", box=(0.0, 0.4, -0.4, 0.4, -1, 1))
     np.testing.assert_allclose(half, POINTS[POINTS[:, 0] >= 0])
-
-
-@pytest.mark.parametrize(
-    ("box", "message"),
-    [
-        (
-            (5, 6, 5, 6, 5, 6),
-            r"no point lies in the box: the scan reaches x -0\.\d+ to",
-        ),
-        ((1, -1, 0, 1, 0, 1), "xmin 1 and xmax -1"),
-        ((0, 1, 0, 1), "xmin,xmax,ymin"),
-        ((0, 1, 0, np.nan, 0, 1), "xmin,xmax,ymin"),
-    ],
-)
-def test_a_box_that_cannot_be_used(box, message, tmp_path):
-    np.save(tmp_path / "c.npy", POINTS)
-    refuses(InputError, message, read_cloud, tmp_path / "c.npy", box=box)
+    refuses(InputError, "xmin 1 and xmax -1", read_cloud, path, box=(1, -1, 0, 1, 0, 1))

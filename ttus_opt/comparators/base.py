@@ -19,7 +19,6 @@ from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.renderer import Wrench
-from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, pose_of, rotations
 from ttus_opt.probe.trajectory import Trajectory
@@ -170,10 +169,8 @@ class Comparator(ABC):
         """Refuse recordings in which no shell point is ever below the surface."""
         local = self.shell.points
         for t in np.argsort(-np.linalg.norm(force, axis=1)):
-            r, theta, z = cylindrical(
-                local @ recording.rotation[t].T + recording.position[t]
-            )
-            if (r < self.surface.radius_at(theta, z)).any():
+            points = local @ recording.rotation[t].T + recording.position[t]
+            if (self.surface.depth_of(points) > 0.0).any():
                 return
         raise InputError(
             f"{self.name}: the probe touches the surface in no frame: check the "

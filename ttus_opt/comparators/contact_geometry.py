@@ -244,11 +244,7 @@ class ContactGeometry:
         r = np.hypot(points[:, 0], points[:, 1])
         if r.min() > self._reach:
             return np.zeros(len(points), dtype=bool)
-        theta = np.arctan2(points[:, 1], points[:, 0])
-        # the margin is larger than the spline's distance from the bilinear surface
-        return np.asarray(
-            r < self.surface.surface.radius_at(theta, points[:, 2]) + 0.005
-        )
+        return np.asarray(self.surface.surface.depth_of(points) > -0.005)
 
 
 def wrench_of(forces: Array, arms: Array) -> Array:

@@ -83,13 +83,6 @@ def places_below(surface: Surface, points: Array) -> tuple[Array, Array]:
     return np.arctan2(foot[:, 1], foot[:, 0]), foot[:, 2]
 
 
-def deepest(surface: Surface, points: Array) -> Array:
-    """Depth of the deepest of the points of every pose, (k, m, 3), shape (k,) [m]."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
-    return np.asarray(depth.max(axis=1))
-
-
 def depth_of(
     surface: Surface, shell: PointShell, rotation: Array, position: Array
 ) -> Array:
@@ -105,7 +98,7 @@ def depth_of(
         Shape (k,) [m].
     """
     turned = np.einsum("tij,mj->tmi", rotation, shell.points)
-    return deepest(surface, position[:, None] + turned)
+    return np.asarray(surface.depth_of(position[:, None] + turned).max(axis=1))
 
 
 def usual_hold(
@@ -158,7 +151,8 @@ def standing(
         shift, last = np.zeros(len(turned)), np.zeros(len(turned))
         rate = np.ones(len(turned))
         for _ in range(STEPS):
-            excess = deepest(surface, position[part, None] + turned) - depth
+            deepest = surface.depth_of(position[part, None] + turned).max(axis=1)
+            excess = deepest - depth
             # a shift along the normal changes the depth by about as much: secants
             far = np.abs(shift) > TOLERANCE
             rate[far] = np.clip((last - excess)[far] / shift[far], *RATES)

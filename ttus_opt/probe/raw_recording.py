@@ -7,6 +7,7 @@ Every reader of poses or wrenches returns these. What is wrong with one is liste
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.core import io
 from ttus_opt.core.arrays import Array, IntArray, Mask
 
 #: Names of the components of each array
@@ -101,6 +103,21 @@ class RawRecording:
         """All numbers as one table, shape (T, k)."""
         shape = {name: (len(self), len(of)) for name, of in COMPONENTS.items()}
         return np.hstack([v.reshape(shape[k]) for k, v in self.arrays().items()])
+
+    def save(self, path: str | os.PathLike[str], *, digits: int = 17) -> None:
+        """Write the table that a reader of tables reads, whole or not at all.
+
+        Raises:
+            FileError: The file cannot be written.
+        """
+        names = [name for part in self.arrays() for name in COMPONENTS[part]]
+        # 17 digits restore every double, but repr's are fewer where they suffice
+        written = repr if digits >= 17 else f"{{:.{digits}g}}".format
+        lines = [",".join(map(written, row)) for row in self.rows().tolist()]
+        if len(parts(self.segment)) > 1:
+            names.append("segment")
+            lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
+        io.write_text(path, "\n".join([",".join(names), *lines, ""]))
 
     def select(self, rows: Mask | IntArray) -> RawRecording:
         """Some of the rows, in the order given."""

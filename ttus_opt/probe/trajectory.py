@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ttus_opt.core import io
 from ttus_opt.core.arguments import expect_numbers
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError, InputError, located
@@ -34,15 +33,7 @@ from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.repair import repaired_aloud
 from ttus_opt.probe.rigid_motion import composed
-from ttus_opt.probe.trajectory_csv import (
-    FORCE,
-    POSITION,
-    QUATERNION,
-    SEGMENT,
-    TIME,
-    TORQUE,
-    raw_trajectory,
-)
+from ttus_opt.probe.trajectory_csv import raw_trajectory
 
 #: Largest rate that `thinned` accepts [Hz]
 HIGHEST = 1e9
@@ -381,18 +372,8 @@ class Trajectory:
         Raises:
             FileError: The folder cannot be written to.
         """
-        names = [*TIME, *POSITION, *QUATERNION]
-        columns = [self.time[:, None], self.position, self.quat_wxyz]
-        for own, values in ((FORCE, self.force), (TORQUE, self.torque)):
-            if values is not None:
-                names += own
-                columns.append(values)
-        written = repr if digits >= 17 else f"{{:.{digits}g}}".format
-        lines = [",".join(map(written, row)) for row in np.hstack(columns).tolist()]
-        if len(self.parts) > 1:
-            names.append(SEGMENT)
-            lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
-        io.write_text(path, "\n".join([",".join(names), *lines, ""]))
+        values = self.time, self.position, self.quat_wxyz, self.force, self.torque
+        RawRecording("", *values, self.segment).save(path, digits=digits)
 
 
 def read_trajectory(

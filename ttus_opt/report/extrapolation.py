@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from ttus_opt.contact.standing import skin_points
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
-from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Errors, Evaluation
@@ -56,16 +56,13 @@ class Contacts:
             some = slice(start, start + CHUNK)
             points = shell.points @ poses.rotation[some].transpose(0, 2, 1)
             points += poses.position[some, None]
-            r, theta, z = cylindrical(points.reshape(-1, 3))
-            deep = np.maximum(surface.radius_at(theta, z) - r, 0.0)
+            deep, z = np.maximum(surface.depth_of(points), 0.0), points[..., 2]
             deep[(z < surface.z[0]) | (z > surface.z[-1])] = 0.0  # no skin is known
-            deep = deep.reshape(points.shape[:2])
             depth[some] = deep.max(axis=1)
             share = shell.areas * deep
             share /= np.maximum(share.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-            r, theta, z = cylindrical(np.einsum("tm,tmi->ti", share, points))
-            foot = surface.radius_at(theta, z)
-            place[some] = np.c_[foot * np.cos(theta), foot * np.sin(theta), z]
+            x, y, z = np.einsum("tm,tmi->it", share, points)
+            place[some] = skin_points(surface, np.arctan2(y, x), z)
         return cls(place, depth)
 
 

@@ -36,15 +36,28 @@ class _Header:
     body: bytes
 
     @property
-    def record(self) -> np.dtype[np.void]:
-        """A point as a structured type; padding fields ("_") get unique names."""
-        values = enumerate(zip(self.types, self.counts, strict=True))
-        return np.dtype([(f"{m}", code, (count,)) for m, (code, count) in values])
+    def sizes(self) -> list[int]:
+        """Bytes of every field of a point."""
+        pairs = zip(self.types, self.counts, strict=True)
+        return [np.dtype(code).itemsize * count for code, count in pairs]
 
     @property
     def xyz(self) -> list[int]:
         """Places of x, y and z among the fields."""
         return [self.fields.index(name) for name in "xyz"]
+
+    def points(self, raw: bytes, *, by_field: bool) -> Array:
+        """Coordinates of packed records, or of fields one after the other, (n, 3)."""
+        sizes, n = np.array(self.sizes), self.n_points
+        begins = (np.cumsum(sizes) - sizes) * (n if by_field else 1)
+        step = sizes if by_field else np.full_like(sizes, sizes.sum())
+        return np.stack(
+            [
+                np.ndarray((n,), self.types[m], raw, int(begins[m]), (int(step[m]),))
+                for m in self.xyz
+            ],
+            axis=1,
+        ).astype(np.float64)
 
 
 def read_pcd(path: Path) -> Array:
@@ -155,14 +168,10 @@ def _ascii(header: _Header, path: Path) -> Array:
 
 
 def _binary(header: _Header, path: Path) -> Array:
-    record = header.record
-    available = len(header.body) // max(record.itemsize, 1)
+    available = len(header.body) // sum(header.sizes)
     if available < header.n_points:
         raise truncated(path, header.n_points, available)
-    table = np.frombuffer(header.body, dtype=record, count=header.n_points)
-    return np.stack(
-        [table[f"{m}"][:, 0].astype(np.float64) for m in header.xyz], axis=1
-    )
+    return header.points(header.body, by_field=False)
 
 
 def _compressed(header: _Header, path: Path) -> Array:
@@ -170,7 +179,7 @@ def _compressed(header: _Header, path: Path) -> Array:
         raise truncated(path, header.n_points, 0)
     packed_size, size = np.frombuffer(header.body, "<u4", 2).tolist()
     packed = header.body[8 : 8 + packed_size]
-    expected = header.n_points * header.record.itemsize
+    expected = header.n_points * sum(header.sizes)
     if size != expected:
         raise FileError(
             f"{path} unpacks to {size} bytes, expected {expected}: damaged, export it "
@@ -187,21 +196,7 @@ def _compressed(header: _Header, path: Path) -> Array:
         raise FileError(
             f"{path} cannot be unpacked ({error}): damaged, export it again"
         ) from error
-    widths = [
-        np.dtype(code).itemsize * count
-        for code, count in zip(header.types, header.counts, strict=True)
-    ]
-    starts = np.concatenate([[0], np.cumsum(widths)]) * header.n_points
-    points = np.empty((header.n_points, 3))
-    for column, m in enumerate(header.xyz):
-        values = np.frombuffer(
-            raw,
-            header.types[m],
-            header.n_points * header.counts[m],
-            offset=int(starts[m]),
-        )
-        points[:, column] = values[:: header.counts[m]]
-    return points
+    return header.points(raw, by_field=True)
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:

@@ -151,6 +151,11 @@ class Surface:
         )
         return np.asarray(flat).reshape(theta.shape)
 
+    def depth_of(self, points: Array) -> Array:
+        """R(θ, z) − r of points (…, 3) [m]: how deep they are, shape (…) [m]."""
+        x, y, z = np.moveaxis(points, -1, 0)
+        return np.asarray(self.radius_at(np.arctan2(y, x), z) - np.hypot(x, y))
+
     def seen_at(self, theta: Array, z: Array) -> NDArray[np.bool_]:
         """Whether the scan saw the skin at the nodes nearest to places, shape (k,).
 

@@ -114,8 +114,7 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
             f"{100 * share:.0f} % of the forces are in contact: the offset needs a "
             "recording that makes and breaks contact"
         )
-    x, y, z = poses.position.T
-    depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
+    depth, z = surface.depth_of(poses.position), poses.position[:, 2]
     deep = depth > np.quantile(depth, 1.0 - share)
     beside = z - np.clip(z, surface.z[0], surface.z[-1])
     away = float(np.median(np.hypot(depth, beside)[deep]))

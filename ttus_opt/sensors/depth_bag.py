@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
 from ttus_opt.sensors.ros_bag import reading
+from ttus_opt.sensors.stream_format import one_of
 
 T = TypeVar("T")
 
@@ -157,16 +158,8 @@ def _images(path: Path, reader: Any, topic: str | None) -> list[Any]:
     if not names:
         topics = ", ".join(sorted(c.topic for c in reader.connections))
         raise FileError(f"{path} has no topic of depth images, but {topics}")
-    if topic is None and len(names) > 1:
-        raise FileError(
-            f"{path} has several topics of depth images: {', '.join(names)}: choose "
-            f"one, for instance name='{names[0]}'"
-        )
-    if topic not in (None, *names):
-        raise FileError(
-            f"{path} has no topic {topic} of depth images: one of {', '.join(names)}"
-        )
-    return [c for c in reader.connections if c.topic == (topic or names[0])]
+    chosen = one_of(path, names, topic, "topics of depth images")
+    return [c for c in reader.connections if c.topic == chosen]
 
 
 def _topics(reader: Any) -> list[str]:

@@ -66,7 +66,6 @@ def chosen(
         for raw in found
         if (raw.has_wrenches if wanted.kind == "wrenches" else raw.has_poses)
     ]
-    names = [raw.name for raw in of_kind]
     if not of_kind:
         other = "poses" if wanted.kind == "wrenches" else "wrenches"
         if found and not any(raw.name for raw in found):
@@ -74,15 +73,28 @@ def chosen(
         listed = ", ".join(raw.name for raw in found)
         but = f", but {listed}" if listed else ""
         raise FileError(f"{file} has no {word} of {kind}{but}: record one")
-    if wanted.name is None:
-        if len(of_kind) > 1:
-            raise FileError(
-                f"{file} has several {word}s of {kind}: {', '.join(names)}: choose "
-                f"one, for instance name='{names[0]}'"
-            )
-        return of_kind[0]
-    if wanted.name not in names:
+    names = [raw.name for raw in of_kind]
+    return of_kind[names.index(one_of(file, names, wanted.name, f"{word}s of {kind}"))]
+
+
+def one_of(file: Path, names: Sequence[str], wanted: str | None, what: str) -> str:
+    """The wanted name, or the only one.
+
+    Args:
+        file: Their file, for the message.
+        names: One or more.
+        wanted: None for the only one.
+        what: What they are names of: topics of poses, …
+
+    Raises:
+        FileError: No such name, or several to choose from.
+    """
+    if wanted is None and len(set(names)) > 1:
         raise FileError(
-            f"{file} has no {word} {wanted.name} of {kind}: one of {', '.join(names)}"
+            f"{file} has several {what}: {', '.join(names)}: choose one, for instance "
+            f"name='{names[0]}'"
         )
-    return of_kind[names.index(wanted.name)]
+    if wanted not in (None, *names):
+        one = what.replace("s of ", f" {wanted} of ", 1)
+        raise FileError(f"{file} has no {one}: one of {', '.join(names)}")
+    return wanted or names[0]

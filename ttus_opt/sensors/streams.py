@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.text_table import read_text_table
 from ttus_opt.probe.trajectory import Trajectory, interpolated
-from ttus_opt.probe.trajectory_csv import recording_of
-
-FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+from ttus_opt.probe.trajectory_csv import FORCE, recording_of
 
 #: Larger readings are refused [N, N·m]
 LARGEST = 1e5
@@ -73,13 +70,8 @@ class WrenchStream:
         Raises:
             FileError: The file cannot be written.
         """
-        columns = [self.time[:, None], self.force]
-        names = ["t", *FORCE]
-        if self.torque is not None:
-            columns.append(self.torque)
-            names += TORQUE
-        lines = [",".join(map(repr, row)) for row in np.hstack(columns).tolist()]
-        io.write_text(path, "\n".join([",".join(names), *lines, ""]))
+        recorded = RawRecording("", self.time, force=self.force, torque=self.torque)
+        recorded.save(path)
 
 
 def raw_wrenches(file: Path, columns: Mapping[str, str] | None = None) -> RawRecording:

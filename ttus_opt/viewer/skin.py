@@ -160,9 +160,9 @@ def place_on_ray(
 
     def above(t: Array) -> Array:
         """Height above the skin; the body ends at its first and last slice."""
-        x, y, z = (origin + t[:, None] * ray).T
-        radial = np.hypot(x, y) - surface.radius_at(np.arctan2(y, x), z)
-        return np.asarray(np.maximum(radial, np.maximum(low - z, z - high)))
+        points = origin + t[:, None] * ray
+        beyond = np.maximum(low - points[:, 2], points[:, 2] - high)
+        return np.asarray(np.maximum(-surface.depth_of(points), beyond))
 
     heights = above(along)
     inside = np.flatnonzero(heights <= 0.0)

@@ -171,9 +171,9 @@ class _Frames:
 
 def _touches(surface: Surface, points: Array) -> bool:
     """Whether any of the points (M, 3) [m] is inside the skin."""
-    x, y, z = points.T
-    inside = np.hypot(x, y) < surface.radius_at(np.arctan2(y, x), z)
-    return bool((inside & (z >= surface.z[0]) & (z <= surface.z[-1])).any())
+    z = points[:, 2]
+    known = (z >= surface.z[0]) & (z <= surface.z[-1])
+    return bool((known & (surface.depth_of(points) > 0.0)).any())
 
 
 def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
