@@ -78,12 +78,7 @@ def compensate(
     clean.save(output)
     if model is not None:
         io.write_text(model, json.dumps(facts, indent=2) + "\n")
-    centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
-    lines = [
-        f"{output}: {len(clean)} frames; load {load.mass:.4g} ± {load.mass_std:.2g} "
-        f"kg, centre of mass ({centre}) mm from the point, sensor axes; free air "
-        f"leaves {load.force_residual:.2g} N and {1e3 * load.torque_residual:.2g} mN m"
-    ]
+    lines = [f"{output}: {len(clean)} frames; load {load}"]
     if not load.handedness_told:
         lines.append("the free poses cannot reveal a left-handed sensor")
     tell(facts, *lines)

@@ -108,9 +108,7 @@ def hand_eye(
         "correlation": found.correlation,
         "pairs": found.pairs,
         "left_out": found.outliers,
-        "loop_m": found.loop.gap,
-        "loop_worst_m": found.loop.worst,
-        "loop_degrees": float(np.rad2deg(found.loop.twist)),
+        **found.loop.facts(),
         "median_loop_m": found.median_gap,
         "median_loop_degrees": float(np.rad2deg(found.median_twist)),
     }
@@ -119,9 +117,8 @@ def hand_eye(
     tell(
         facts,
         f"{name.replace('_', ' ')}: ({place}) m ± ({spread}) mm, ± {degrees:.3f}°",
-        f"{found.pairs} pairs, loops close to {1e3 * found.loop.gap:.2f} mm and "
-        f"{np.rad2deg(found.loop.twist):.3f}° on average, {found.outliers} frames or "
-        "pairs left out",
+        f"{found.pairs} pairs, loops {found.loop} on average, {found.outliers} frames "
+        "or pairs left out",
         f"the hand's clock moved by {found.offset:.4f} "
         + (f"± {found.offset_std:.4f} s" if offset is None else "s, as given"),
     )

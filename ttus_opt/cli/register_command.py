@@ -136,17 +136,14 @@ def hand_eye(
         name: found.camera,
         "pairs": found.pairs,
         "solver": found.solver,
-        "loop_m": found.loop.gap,
-        "loop_worst_m": found.loop.worst,
-        "loop_degrees": np.rad2deg(found.loop.twist),
+        **found.loop.facts(),
         "spread_m": found.spread,
         "solvers": solvers,
     }
     lines.append(
-        f"{name.replace('_', ' ')} by {found.solver}: {found.pairs} pairs, loops close "
-        f"to {1e3 * found.loop.gap:.2f} mm and {np.rad2deg(found.loop.twist):.3f}° on "
-        f"average, solvers differ by {1e3 * found.spread:.2f} mm; read as marker to "
-        "camera and hand to base"
+        f"{name.replace('_', ' ')} by {found.solver}: {found.pairs} pairs, loops "
+        f"{found.loop} on average, solvers differ by {1e3 * found.spread:.2f} mm; read "
+        "as marker to camera and hand to base"
     )
     tell(facts, *lines)
 

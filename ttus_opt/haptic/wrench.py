@@ -32,7 +32,13 @@ from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, STILL, Way, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.haptic.presliding import add_presliding, bend, flank_of, strength_of
-from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
+from ttus_opt.probe.pose import EXACT, ROUNDING
+
+#: Steps of the Newton-Schulz iteration for the polar factor, R ← R (3I − RᵀR)/2, which
+#: squares the error: 1e-5 → 1e-10 → below `EXACT` (Björck & Bowie, An iterative
+#: algorithm for computing the best estimate of an orthogonal matrix, SIAM J. Numer.
+#: Anal. 8, 1971)
+STEPS = 2
 
 #: Returned by a frame instead of a count if its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3

@@ -5,10 +5,8 @@ frame's origin in the patient frame. R may be given as a matrix, a SciPy `Rotati
 unit quaternion whose order is named, or within a homogeneous 4×4 matrix.
 
 A rotation matrix rounded to float32 has an ‖RᵀR − I‖ of about 1e-6. Up to `ROUNDING` it
-is replaced by the nearest rotation, by the Newton-Schulz iteration for the polar
-factor, R ← R (3I − RᵀR)/2, which squares the error (Björck & Bowie, An iterative
-algorithm for computing the best estimate of an orthogonal matrix, SIAM J. Numer. Anal.
-8, 1971). A matrix farther off has scale or shear, and is refused.
+is replaced by the nearest rotation. A matrix farther off has scale or shear, and is
+refused.
 """
 
 from __future__ import annotations
@@ -32,9 +30,6 @@ PoseLike: TypeAlias = "ArrayLike | Rotation | RigidTransform"
 #: Largest entry of |RᵀR − I| that is corrected as rounding, and largest that is
 #: accepted without correction [–]
 ROUNDING, EXACT = 1e-5, 1e-12
-
-#: Newton-Schulz steps: 1e-5 → 1e-10 → below `EXACT`
-STEPS = 2
 
 #: Largest deviation of a quaternion's length from 1, before normalisation [–]
 QUATERNION_TOLERANCE = 0.01
@@ -194,36 +189,34 @@ def rotation_vectors_to_quaternions(vectors: Array) -> Array:
     return np.hstack([np.cos(angle / 2), 0.5 * vectors * np.sinc(angle / (2 * np.pi))])
 
 
-def rotations(matrices: Array) -> Array:
-    """Rotation matrices, orthonormalised where they were rounded.
+def rotations(matrices: Array, largest: float = ROUNDING) -> Array:
+    """Rotation matrices, the nearest ones where they were rounded.
 
     Args:
         matrices: Shape (T, 3, 3), or one of shape (3, 3) [–].
+        largest: Entry of |RᵀR − I| up to which it is rounding.
 
     Returns:
         The same shape; the same array where nothing was rounded.
 
     Raises:
-        InputError: Values that are not finite, a matrix farther than `ROUNDING` from
-            orthonormal, or a reflection; the message has the frame's number.
+        InputError: Values that are not finite, a matrix farther from orthonormal, or a
+            reflection; the message has the frame's number.
     """
     if not np.isfinite(matrices).all():
         raise InputError("a rotation contains NaN or infinite values")
     if matrices.size == 0:
         return matrices
     error = _off(matrices)
-    _refuse(error > ROUNDING, error, "orthonormal columns are expected")
-    for _ in range(STEPS):
-        if (rounded := error > EXACT).any():
-            gram = np.swapaxes(matrices, -1, -2) @ matrices
-            nearer = 0.5 * matrices @ (3.0 * np.eye(3) - gram)
-            matrices = np.where(rounded[..., None, None], nearer, matrices)
-            error = _off(matrices)
+    _refuse(error > largest, error, "orthonormal columns are expected")
     _refuse(
         np.linalg.det(matrices) < 0.0,
         error,
         "a reflection (determinant −1): swap two axes or change the sign of one",
     )
+    if (rounded := error > EXACT).any():
+        U, _, Vt = np.linalg.svd(matrices)
+        matrices = np.where(rounded[..., None, None], U @ Vt, matrices)
     return matrices
 
 
@@ -240,12 +233,9 @@ def nearest_rotations(matrices: Array) -> tuple[Array, float]:
     Raises:
         InputError: Farther off than `DEVICE_ROUNDING`, not finite, or a reflection.
     """
-    finite = bool(np.isfinite(matrices).all())
-    worst = float(_off(matrices).max(initial=0.0)) if finite else np.inf
-    if not ROUNDING < worst <= DEVICE_ROUNDING:
-        return rotations(matrices), 0.0
-    U, _, Vt = np.linalg.svd(matrices)
-    return rotations(U @ Vt), worst
+    found = rotations(matrices, DEVICE_ROUNDING)
+    worst = float(_off(matrices).max(initial=0.0))
+    return found, worst if worst > ROUNDING else 0.0
 
 
 def _off(matrices: Array) -> Array:

@@ -68,6 +68,18 @@ class Loop(NamedTuple):
     twist: float
     worst: float
 
+    def facts(self) -> dict[str, float]:
+        """By name, with units, for JSON."""
+        degrees = float(np.rad2deg(self.twist))
+        return {
+            "loop_m": self.gap,
+            "loop_worst_m": self.worst,
+            "loop_degrees": degrees,
+        }
+
+    def __str__(self) -> str:
+        return f"close to {1e3 * self.gap:.2f} mm and {np.rad2deg(self.twist):.3f}°"
+
 
 class Candidate(NamedTuple):
     """What one solver found.

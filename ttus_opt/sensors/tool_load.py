@@ -72,6 +72,14 @@ class ToolLoad:
     drift: Array = field(repr=False)
     handedness_told: bool = field(repr=False)
 
+    def __str__(self) -> str:
+        centre = ", ".join(f"{1e3 * v:.1f}" for v in self.centre)
+        return (
+            f"{self.mass:.4g} ± {self.mass_std:.2g} kg, centre of mass ({centre}) mm "
+            f"from the sensor's point, its axes; free air leaves "
+            f"{self.force_residual:.2g} N and {1e3 * self.torque_residual:.2g} mN m"
+        )
+
     def facts(self) -> dict[str, Any]:
         """The load by name, with units, as a model's file stores it."""
         return {

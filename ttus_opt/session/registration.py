@@ -68,9 +68,8 @@ class Registration:
             facts |= {
                 "pairs": self.tags.pairs,
                 "solver": self.tags.solver,
-                "loop_m": self.tags.loop.gap,
-                "loop_degrees": float(np.rad2deg(self.tags.loop.twist)),
                 "solvers_differ_m": self.tags.spread,
+                **self.tags.loop.facts(),
             }
         return facts
 

@@ -170,9 +170,7 @@ def _registration(result: SessionResult) -> str:
         return "motions as given"
     return (
         f"tracker to scan from {tags.pairs} pairs of tag poses ({tags.solver}): loops "
-        f"close to {1e3 * tags.loop.gap:.2f} mm and "
-        f"{np.rad2deg(tags.loop.twist):.2f}°, solvers differ by "
-        f"{1e3 * tags.spread:.2f} mm"
+        f"{tags.loop}, solvers differ by {1e3 * tags.spread:.2f} mm"
     )
 
 
@@ -190,11 +188,4 @@ def _clock(result: SessionResult) -> str:
 
 def _load(result: SessionResult) -> str:
     load = result.load
-    if load is None:
-        return "readings were compensated already"
-    centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
-    return (
-        f"{load.mass:.3f} ± {load.mass_std:.2g} kg, centre ({centre}) mm from the "
-        f"sensor's point; free air leaves {load.force_residual:.2g} N and "
-        f"{1e3 * load.torque_residual:.2g} mN m"
-    )
+    return "readings were compensated already" if load is None else str(load)
