@@ -1,15 +1,11 @@
-"""L, b, N and W written straightforwardly: what the compiled assembly is judged by.
+"""L and b by Kronecker products of scipy: what the compiled assembly is judged by.
 
-`plain_laplace` is Kronecker products of scipy, `plain_rows` whole-array numpy pose by
-pose.
+N and W are judged by whole-array numpy (`ttus_opt.benchmark.parts.rendering`).
 """
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
-
-from ttus_opt.benchmark.parts.rendering import plain_samples
-from ttus_opt.contact.rows import REFERENCE_AREA
 
 
 def plain_laplace(voxmap, inner, outer):
@@ -87,38 +83,3 @@ def _with_identity(M, fixed):
     """The matrix with identity rows where a value is given."""
     keep = sp.diags_array((~fixed).astype(float))
     return sp.csr_array(keep @ M + sp.diags_array(fixed.astype(float)))
-
-
-def plain_rows(voxmap, shell, rotation, position, sampling):
-    """N and W of paper eqs. 6 and 7.
-
-    Args:
-        voxmap: Grid and surface.
-        shell: The probe.
-        rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, shape (T, 3) [m].
-        sampling: ``voxel-mean`` or ``trilinear``.
-
-    Returns:
-        N and W, shape (3T, V) each.
-    """
-    rows, columns, force, torque = [], [], [], []
-    for t, (R, at) in enumerate(zip(rotation, position, strict=True)):
-        points = shell.points @ R.T + at
-        inside, voxel, share = plain_samples(voxmap, points, sampling)
-        if sampling == "trilinear":
-            share = share * (shell.areas[inside] / REFERENCE_AREA)[:, None]
-        normals = shell.normals[inside] @ R.T
-        moments = np.cross((shell.points[inside] - shell.reference) @ R.T, normals)
-        for axis in range(3):
-            rows.append(np.full(voxel.size, 3 * t + axis))
-            columns.append(voxel.reshape(-1))
-            force.append((share * normals[:, axis, None]).reshape(-1))
-            torque.append((share * moments[:, axis, None]).reshape(-1))
-    shape = (3 * len(position), voxmap.grid.n_voxels)
-    at_entries = (np.concatenate(rows), np.concatenate(columns))
-    # a voxel that several points sample is summed when the rows are compressed
-    return (
-        sp.csr_array(sp.coo_array((np.concatenate(force), at_entries), shape=shape)),
-        sp.csr_array(sp.coo_array((np.concatenate(torque), at_entries), shape=shape)),
-    )
