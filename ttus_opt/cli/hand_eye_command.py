@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ttus_opt.cli.console import Stages, as_options, tell
-from ttus_opt.cli.options import begin_apart
-from ttus_opt.core.errors import InputError
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.options import compared_clocks
 
 
 def hand_eye(
@@ -57,7 +56,6 @@ def hand_eye(
     import numpy as np
 
     from ttus_opt.probe.rigid_motion import write_rigid_motion
-    from ttus_opt.sensors.clock import UnlikeSignalsError
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses
     from ttus_opt.sensors.stream_hand_eye import stream_hand_eye
@@ -70,7 +68,9 @@ def hand_eye(
         )
         begin("clocks, pairs and fit")
         around = float(first.time[0] - second.time[0]) if together else 0.0
-        try:
+        begun, search = (first.time[0], second.time[0]), (around, largest_offset)
+        named = {"camera": "--camera", "inverted": "--inverted"}
+        with compared_clocks(begun, search, **named):
             found = stream_hand_eye(
                 first,
                 second,
@@ -80,18 +80,6 @@ def hand_eye(
                 around=around,
                 largest=largest_offset,
             )
-        except UnlikeSignalsError as error:
-            search = (around, largest_offset)
-            apart = begin_apart(first.time, second.time, search)
-            raise InputError(f"{error}{apart}") from error
-        except InputError as error:
-            in_words = as_options(
-                str(error),
-                largest="--largest-offset",
-                camera="--camera",
-                inverted="--inverted",
-            )
-            raise InputError(in_words) from error
     if output is not None:
         write_rigid_motion(output, found.camera)
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"

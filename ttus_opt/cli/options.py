@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import contextlib
+from collections.abc import Iterator
 
+from ttus_opt.cli.console import as_options
 from ttus_opt.core.errors import InputError
-
-if TYPE_CHECKING:
-    from ttus_opt.core.arrays import Array
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
@@ -61,24 +59,29 @@ def listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def begin_apart(
-    first: Sequence[float] | Array,
-    second: Sequence[float] | Array,
+@contextlib.contextmanager
+def compared_clocks(
+    begun: tuple[float, float],
     search: tuple[float, float],
-) -> str:
-    """What to try where the clocks of two recordings were not found.
+    advice: str = "",
+    **options: str,
+) -> Iterator[None]:
+    """Tell by options what to try where the clocks of two recordings were not found.
 
     Args:
-        first: Times of one [s].
-        second: Times of the other [s].
-        search: Middle and half width of the searched offsets [s].
-
-    >>> begin_apart([1000.0], [0.0], (0.0, 5.0))
-    '; give --together if both began at about the same time'
-    >>> begin_apart([1000.0], [0.0], (1000.0, 5.0))
-    ''
+        begun: Times of their first frames [s].
+        search: The offset around which was searched, and how far [s].
+        advice: What else to try where the signals are unlike.
+        options: Options by the names that the library's messages give.
     """
-    around, largest = search
-    if abs(first[0] - second[0] - around) <= largest:
-        return ""
-    return "; give --together if both began at about the same time"
+    from ttus_opt.sensors.clock import UnlikeSignalsError
+
+    try:
+        yield
+    except UnlikeSignalsError as error:
+        if abs(begun[0] - begun[1] - search[0]) > search[1]:
+            advice = f"; give --together if both began at about the same time{advice}"
+        raise InputError(f"{error}{advice}") from error
+    except InputError as error:
+        told = as_options(str(error), largest="--largest-offset", **options)
+        raise InputError(told) from error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ttus_opt.cli.console import as_options, tell
-from ttus_opt.cli.options import begin_apart
+from ttus_opt.cli.options import compared_clocks
 from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
@@ -173,16 +173,10 @@ def _found(
     around, largest = search
     if not isinstance(other, Trajectory) and by != "contact":
         raise InputError(f"--by takes contact or angular-speed, got {by!r}")
-    advice = begin_apart(track.time, other.time, search)
-    try:
+    advice = place.advice if by == "contact" else ""
+    with compared_clocks((track.time[0], other.time[0]), search, advice):
         if isinstance(other, Trajectory):
             return angular_offset(track, other, around=around, largest=largest)
-        advice += place.advice
         second = clock.contact_of_force(other.time, other.force)
         first = place.depths(track, float(second.values.mean()))
         return clock.clock_offset(first, second, around=around, largest=largest)
-    except clock.UnlikeSignalsError as error:
-        raise InputError(f"{error}{advice}") from error
-    except InputError as error:
-        told = as_options(str(error), largest="--largest-offset")
-        raise InputError(told) from error

@@ -160,19 +160,35 @@ def write_rigid_motion(path: str | os.PathLike[str], motion: Array) -> None:
 
 def _from_file(name: str) -> Array:
     """The motion of a file; `FileError` where it holds none."""
-    file = io.existing_file(Path(name), "rigid motion", LARGEST_FILE)
+    how = "a matrix (4, 4), or x,y,z,qx,qy,qz,qw"
+    values = read_numbers(name, "a rigid motion", how, LARGEST_FILE)
+    with located(name, FileError):
+        return _motion(values)
+
+
+def read_numbers(
+    path: str | os.PathLike[str], what: str, how: str, largest: int
+) -> Array:
+    """Numbers of a NPY file, of JSON or of other text.
+
+    Args:
+        path: The file.
+        what: What it should hold, for errors.
+        how: What to write instead.
+        largest: Largest accepted size [byte].
+
+    Raises:
+        FileError: Missing, or none that can be read.
+    """
+    file = io.existing_file(Path(path), what.removeprefix("a "), largest)
     try:
         if file.suffix.lower() == ".npy":
-            values = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-        else:
-            values = _numbers(file.read_text(encoding="utf-8-sig"))
+            return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+        return _numbers(file.read_text(encoding="utf-8-sig"))
     except Exception as error:  # numpy raises nearly every class on damaged headers
         raise FileError(
-            f"{file} cannot be read as a rigid motion ({type(error).__name__}): write "
-            "a matrix (4, 4), or x,y,z,qx,qy,qz,qw"
+            f"{file} cannot be read as {what} ({type(error).__name__}): write {how}"
         ) from error
-    with located(file, FileError):
-        return _motion(values)
 
 
 def _numbers(text: str) -> Array:

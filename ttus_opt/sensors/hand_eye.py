@@ -14,7 +14,6 @@ motions that do not determine X, nor inverted poses: both are tested here.
 from __future__ import annotations
 
 import functools
-import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -23,10 +22,14 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, GeometryError, InputError, located, warn
-from ttus_opt.probe.rigid_motion import homogeneous, inverse, rigid_motion
+from ttus_opt.probe.rigid_motion import (
+    homogeneous,
+    inverse,
+    read_numbers,
+    rigid_motion,
+)
 
 Camera = Literal["fixed", "moving"]
 
@@ -137,21 +140,11 @@ def read_pose_pairs(path: str | os.PathLike[str]) -> tuple[Array, Array]:
     Raises:
         FileError: Missing, damaged, or of another shape.
     """
-    file = io.existing_file(path, "pose pairs", LARGEST_FILE)
-    try:
-        if file.suffix.lower() == ".npy":
-            pairs = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-        else:
-            content = json.loads(file.read_text(encoding="utf-8-sig"))
-            pairs = np.array(content, dtype=np.float64)
-    except Exception as error:  # numpy raises nearly every class on damaged headers
-        raise FileError(
-            f"{file} cannot be read as pairs of poses ({type(error).__name__}): write "
-            "JSON or NPY of shape (n, 2, 4, 4)"
-        ) from error
+    how = "JSON or NPY of shape (n, 2, 4, 4)"
+    pairs = read_numbers(path, "pairs of poses", how, LARGEST_FILE)
     if pairs.ndim != 4 or pairs.shape[1:] != (2, 4, 4):
         raise FileError(
-            f"{file} has shape {pairs.shape}, expected (n, 2, 4, 4): marker in camera, "
+            f"{path} has shape {pairs.shape}, expected (n, 2, 4, 4): marker in camera, "
             "then hand in base, as matrices"
         )
     return pairs[:, 0], pairs[:, 1]
