@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import NUMBERS, only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.rigid_motion import (
     homogeneous,
@@ -102,16 +101,6 @@ def test_words_that_are_no_file():
     refuses(FileError, "not found: nowhere", read_rigid_motion, "nowhere")
     refuses(InputError, "got 3 numbers", read_rigid_motion, "1,2,3")
     refuses(InputError, "got 17 numbers", read_rigid_motion, ",".join("1" * 17))
-
-
-@pytest.mark.parametrize("n", NUMBERS)
-@pytest.mark.filterwarnings("ignore")
-def test_mutations_raise_nothing_but_our_own(n, tmp_path):
-    np.savetxt(tmp_path / "m.txt", motion(), header="base to scan")
-    np.save(tmp_path / "m.npy", motion())
-    (tmp_path / "m.json").write_text(json.dumps(motion().tolist()))
-    (tmp_path / "seven.csv").write_text("0.1,0.2,0.3,0,0,0,1")
-    only_our_errors(sorted(tmp_path.iterdir()), read_rigid_motion, n)
 
 
 @pytest.mark.parametrize("turn", [[0.3, -0.2, 0.5], [2.0, 1.0, -1.5], [1e-6, 0, 0]])

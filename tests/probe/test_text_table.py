@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.hostile import NUMBERS, only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.column_names import known_name
 from ttus_opt.probe.text_table import read_text_table
@@ -165,11 +164,3 @@ def test_numbers_are_taken_whatever_their_form(tmp_path):
     values, unread = read_text_table(file, ["t"]).readable(["t", "x"])
     np.testing.assert_array_equal(values, [[1e-3, -2.0]])
     assert not unread
-
-
-@pytest.mark.parametrize("n", NUMBERS)
-def test_mutations_raise_nothing_but_our_own(n, tmp_path):
-    write(tmp_path, ",".join(OURS), lines(",")).rename(tmp_path / "own.csv")
-    body = [f"{1_700_000_000 + i},{i}" + ",0.5" * 13 for i in range(3)]
-    write(tmp_path, ROS, body).rename(tmp_path / "ros.csv")
-    only_our_errors(sorted(tmp_path.iterdir()), tt.read_trajectory, n)

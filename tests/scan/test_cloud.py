@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ttus_opt as tt
-from tests.hostile import NUMBERS, only_our_errors
 from tests.kit import FileError, InputError, TtusError, refuses, shared_data, torso
 from ttus_opt.scan.cloud import extent_words, inside, read_cloud
 
@@ -354,12 +353,6 @@ def seeds(folder):
     binary = head.format(count="1 1 1", points=len(SKIN), kind="binary").encode()
     (folder / "b.pcd").write_bytes(binary + SKIN.astype("<f4").tobytes())
     return sorted(folder.iterdir())
-
-
-@pytest.mark.parametrize("n", NUMBERS)
-@pytest.mark.filterwarnings("ignore")
-def test_mutations_raise_nothing_but_our_own(n, tmp_path):
-    only_our_errors(seeds(tmp_path), read_cloud, n)
 
 
 @pytest.mark.slow

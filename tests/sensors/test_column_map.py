@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import InputError, refuses
 from ttus_opt.sensors.column_map import column_map, read_column_map
 from ttus_opt.sensors.stream_files import read_poses, read_wrenches
@@ -75,10 +74,3 @@ def test_files_without_columns(tmp_path):
     with pytest.raises(InputError, match="leave the column map out"):
         read_poses(tmp_path / "a.mha", columns={"px": "x"})
     refuses(InputError, "NAME=COLUMN", read_column_map, "px")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
-    (tmp_path / "map.yaml").write_text(MAP)
-    only_our_errors([tmp_path / "map.yaml"], read_column_map, n)

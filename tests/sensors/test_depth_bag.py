@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.depth import read_depth_image
 from ttus_opt.sensors.depth_files import read_depth
@@ -154,8 +153,3 @@ def test_what_is_refused(tmp_path):
         refuses(
             FileError, "cannot be read as a ROS recording", read, tmp_path / "no.bag"
         )
-
-
-@pytest.mark.parametrize("n", [30, pytest.param(1000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    only_our_errors([recorded(tmp_path / "scan.bag")], read_depth, n)

@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.depth_files import read_depth
 
@@ -89,16 +88,3 @@ def test_other_files(tmp_path):
     refuses(FileError, "suffix", read_depth, tmp_path / "a.jpg")
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n nothing")
     refuses(FileError, "damaged", read_depth, tmp_path / "a.png")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(4000, marks=pytest.mark.slow)])
-def test_mutations(n, tmp_path):
-    rng = np.random.default_rng(0)
-    depth = 0.8 + 0.01 * rng.standard_normal((20, 24))
-    sources = [
-        written(tmp_path, "a.png", whole(depth)),
-        written(tmp_path, "b.tiff", whole(depth)),
-        written(tmp_path, "c.tif", depth.astype(np.float32)),
-        written(tmp_path, "d.npy", depth),
-    ]
-    only_our_errors(sources, read_depth, n)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, GeometryError, InputError, TtusWarning, refuses
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.sensors.hand_eye import HAND_EYE, ROBOT_WORLD, hand_eye, read_pose_pairs
@@ -142,16 +141,3 @@ def test_files_of_pairs(tmp_path, suffix):
 def test_files_that_hold_none(tmp_path, text):
     (tmp_path / "pairs.json").write_text(text)
     refuses(FileError, "", read_pose_pairs, tmp_path / "pairs.json")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutations(tmp_path, n):
-    both = np.stack(pairs("fixed", 4), axis=1)
-    (tmp_path / "pairs.json").write_text(json.dumps(both.round(6).tolist()))
-    np.save(tmp_path / "pairs.npy", both)
-    only_our_errors(
-        [tmp_path / "pairs.json", tmp_path / "pairs.npy"],
-        lambda file: hand_eye(*read_pose_pairs(file), "fixed"),
-        n,
-    )

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, MissingPackageError, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics, read_intrinsics
 
@@ -105,18 +104,6 @@ def test_without_yaml_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "yaml", None)
     with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
         read_intrinsics(tmp_path / "camera.yaml")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
-    sources = []
-    for i, text in enumerate((OPENCV, ROS, MESSAGE)):
-        sources.append(tmp_path / f"camera{i}.yaml")
-        sources[-1].write_text(text)
-    sources.append(tmp_path / "camera.json")
-    sources[-1].write_text(json.dumps({"K": FLAT, "D": [0.1] * 5, "width": 640}))
-    only_our_errors(sources, read_intrinsics, n)
 
 
 REALSENSE = {

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, refuses
 from ttus_opt.sensors.mapping_file import LARGEST_FILE, read_mapping
 
@@ -59,8 +58,3 @@ def test_large_and_missing_files_are_refused(tmp_path):
     refuses(FileError, "not found", read_mapping, tmp_path / "s.yaml", "session")
     (tmp_path / "s.yaml").write_text("a: " + "x" * LARGEST_FILE)
     refuses(FileError, "", read_mapping, tmp_path / "s.yaml", "session")
-
-
-def test_mutations(tmp_path):
-    (tmp_path / "k.yml").write_text(OPENCV)
-    only_our_errors([tmp_path / "k.yml"], lambda f: read_mapping(f, "camera"), 60)

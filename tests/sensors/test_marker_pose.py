@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, TtusWarning, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.marker_pose import (
@@ -189,15 +188,6 @@ def test_files_that_are_no_image(tmp_path, content):
     (tmp_path / "photo.png").write_bytes(content)
     with pytest.raises(FileError, match=r"photo\.png is a damaged or truncated PNG"):
         read_image(tmp_path / "photo.png")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutated_photos(tmp_path, n):
-    grey = drawn(looking([0.6, 0.1, 0.2], [0.02, -0.01, 0.35]))[200:280, 300:400]
-    photos = [tmp_path / f"photo.{suffix}" for suffix in ("png", "jpg", "tiff")]
-    for photo in photos:
-        cv2.imwrite(str(photo), grey)
-    only_our_errors(photos, read_image, n)
 
 
 def test_the_facts_of_a_pose():

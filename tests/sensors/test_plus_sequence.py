@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.sensors.stream_files import read_poses
 
@@ -87,11 +86,6 @@ def test_frames_without_times(tmp_path):
             found = read_poses(tmp_path / "t.mha")
         np.testing.assert_allclose(found.time, expected.time - 100.0 + begin)
         np.testing.assert_array_equal(found.position, expected.position)
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    only_our_errors([sequence(tmp_path / "s.mha")], read_poses, n)
 
 
 def apart(file):

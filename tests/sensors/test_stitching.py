@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, MissingPackageError, refuses
 from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
 from tests.sensors.test_stream_formats import SAMPLES
@@ -170,12 +169,6 @@ def test_poses_of_a_tracker(tmp_path):
     file = SAMPLES["press.trc"](tmp_path / "press.trc")
     found = read_camera_poses(file, 6)
     np.testing.assert_allclose(found[:, :3, 3], read_poses(file).position)
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    file = poses_file(tmp_path / "poses.csv")
-    only_our_errors([file], lambda path: read_camera_poses(path, 2), n)
 
 
 def test_where_a_body_was_seen_from():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.sensors.column_map import read_column_map
 from ttus_opt.sensors.stream_files import (
@@ -418,16 +417,9 @@ def test_a_file_has_one_format(tmp_path):
     }
     assert titles["tum.txt"] == titles["rtde.csv"] == titles["euroc.csv"] == "table"
     assert titles["toolbox.csv"] == titles["api.csv"]
-    # every format of text has a sample here, which `test_mutations` damages
+    # every format of text has a sample here, which `tests/laws` damages
     assert set(titles.values()) == {kind.title for kind in FORMATS[3:]}
     for name, kind in itertools.product(SAMPLES, FORMATS[3:-1]):
         head = (tmp_path / name).read_text()[:8000]
         alone = kind.recognises(tmp_path / name, head)
         assert alone == (kind.title == titles[name])
-
-
-@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-@pytest.mark.parametrize("n", [40, pytest.param(2000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    files = [make(tmp_path / name) for name, make in SAMPLES.items()]
-    only_our_errors(files, raw_recordings, n)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.stream_files import read_wrenches
@@ -107,8 +106,3 @@ def test_a_table_of_wrenches(tmp_path):
 def test_tables_that_are_none(tmp_path, text):
     (tmp_path / "w.csv").write_text(text)
     refuses(FileError, "", read_wrenches, tmp_path / "w.csv")
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    only_our_errors([table(tmp_path / "w.csv")], read_wrenches, n)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import only_our_errors
 from tests.sensors.readings import (
     CENTRE,
     DOWN,
@@ -19,10 +18,8 @@ from tests.sensors.readings import (
     tilts,
 )
 from ttus_opt.core.errors import GeometryError, InputError, TtusWarning
-from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 from ttus_opt.sensors.tool_load import identify_load
-from ttus_opt.sensors.wrench_compensation import compensated
 
 
 @pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
@@ -142,20 +139,6 @@ def test_readings_without_weight_are_told():
     assert load.mass == 0.0
     assert not load.handedness_told
     np.testing.assert_allclose(load.force_bias, FORCE_BIAS, atol=0.05)
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutations(tmp_path, n):
-    file = tmp_path / "free.csv"
-    readings(tilts(12), noise=0.01).save(file, digits=6)
-
-    def read(path):
-        free = read_trajectory(path)
-        load = identify_load(free, SENSOR, DOWN)
-        compensated(free, SENSOR, load, DOWN, np.zeros(3), inertia=True)
-
-    only_our_errors([file], read, n)
 
 
 def test_what_is_refused():

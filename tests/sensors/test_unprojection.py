@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.hostile import only_our_errors
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection, read_unprojection
@@ -84,11 +83,3 @@ def test_what_is_no_table(tmp_path, values, words):
 def test_no_rays():
     refuses(InputError, "unit vectors", Unprojection, np.ones((20, 30, 3)))
     refuses(InputError, r"height, width, 3", Unprojection, np.ones((20, 30)))
-
-
-@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
-def test_mutations(tmp_path, n):
-    np.save(tmp_path / "a.npy", np.random.default_rng(0).normal(size=(20, 24, 2)))
-    np.save(tmp_path / "b.npy", np.ones((20, 24, 3), np.float32))
-    sources = [tmp_path / "a.npy", tmp_path / "b.npy"]
-    only_our_errors(sources, read_unprojection, n)
