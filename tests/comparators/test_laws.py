@@ -79,7 +79,7 @@ def test_a_straight_press_never_pulls_in_nor_out(name):
 @those(name for name in NAMES if kind(name).continuous)
 def test_force_is_continuous_in_the_pose(name):
     jumps = []
-    for n in (40, 320):
+    for n in (20, 160):
         path = [_along(share) for share in np.linspace(0.0, 1.0, n)]
         steps = np.diff([wrench(name, *pose) for pose in path], axis=0)
         jumps.append(np.abs(steps[:, :3]).max())

@@ -94,7 +94,7 @@ def surface_folder(name):
 
 
 CASES = [
-    pytest.param(name, grid, marks=pytest.mark.slow if grid == "M" else ())
+    pytest.param(name, grid, marks=pytest.mark.slow if grid in "SM" else ())
     for name, grids in (("example", GRIDS), ("phantom_frictionless", ["coarse", "S"]))
     for grid in grids
 ]

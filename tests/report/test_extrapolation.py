@@ -57,7 +57,7 @@ def test_a_probe_beyond_the_ends_touches_nothing():
     """Where a robot waits, lower than the skin: it was no place, and is no frame."""
     poses = presses(np.zeros(5), np.full(5, 0.01))
     poses.position[:, 2] = 0.1, 0.3, -0.2, 0.19, 0.23
-    found = Contacts.of(cylinder(), tt.PointShell.sphere(BALL, 3000), poses)
+    found = Contacts.of(cylinder(), tt.PointShell.sphere(BALL, 800), poses)
     np.testing.assert_array_equal(found.depth > 0.0, [1, 0, 0, 1, 0])
     kept = FittedContacts.of(found)
     assert kept is not None
@@ -66,7 +66,7 @@ def test_a_probe_beyond_the_ends_touches_nothing():
 
 def test_distances_of_a_recording_from_what_was_fitted():
     """Along a cylinder, at chords of known arcs."""
-    shell, surface = tt.PointShell.sphere(BALL, 3000), cylinder()
+    shell, surface = tt.PointShell.sphere(BALL, 800), cylinder()
     one = presses(np.zeros(3), np.array([0.002, 0.008, 0.004]))
     fitted = FittedContacts.of(Contacts.of(surface, shell, one))
     assert fitted is not None

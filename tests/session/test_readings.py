@@ -69,7 +69,7 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(recording, frame)
     assert timing.offset == pytest.approx(0.35, abs=0.02)
     assert set(timing.second.values) == {0.0, 1.0}
     joined = joined_streams(session, poses, wrenches, replace(timing, offset=0.35))
-    shell = tt.PointShell.from_spec(session.probe)
+    shell = tt.PointShell.from_spec(session.probe, n_points=120)
     found, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None and found.force is not None and found.torque is not None
     at = np.searchsorted(own.time, found.time)
@@ -117,7 +117,7 @@ def test_contact_wrenches_of_another_frame(recording):
     session = read_description(recording)
     timing = synchronise(session, poses, read_forces(session), SURFACE, frames)
     joined = joined_streams(session, poses, read_forces(session), timing)
-    shell = tt.PointShell.from_spec(session.probe)
+    shell = tt.PointShell.from_spec(session.probe, n_points=120)
     contact, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None
     again = [np.interp(contact.time, own.time + 23.0, c) for c in own.force.T]

@@ -60,6 +60,8 @@ def viewer():
 
 def test_the_colour_of_a_node_is_that_of_its_value(viewer):
     skin = viewer.page.skin
+    skin.show("Stiffness")
+    assert viewer.page.jobs.wait(30.0)
     lows, highs = zip(*(one.span for one in skin.colourings("Stiffness")), strict=True)
     span = min(lows), max(highs)  # one scale for both fields
     for nodes, found in zip(
