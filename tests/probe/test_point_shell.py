@@ -109,8 +109,15 @@ def test_the_seed_decides():
     np.testing.assert_array_equal(one.points, two.points)
     other = PointShell.sphere(0.02, 64, seed=1)
     assert np.abs(other.points - one.points).max() > 1e-3
-    passed = PointShell.sphere(0.02, 64, seed=np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    passed, on = (PointShell.sphere(0.02, 64, seed=rng) for _ in range(2))
     np.testing.assert_array_equal(passed.points, one.points)
+    assert np.abs(on.points - one.points).max() > 1e-3
+    for array in (one.points, one.normals, one.areas):  # one's own
+        array[:] = 0.0
+    again = PointShell.sphere(0.02, 64)
+    for name in ("points", "normals", "areas"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(two, name))
 
 
 @pytest.mark.parametrize("n_points", [4, 5, 49, 50])

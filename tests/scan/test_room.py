@@ -11,7 +11,7 @@ from ttus_opt.scan.room import alone_in_room
 
 def person(x=0.0):
     """The front half of a flat trunk with two arms behind its middle, at z = 2 m."""
-    angle, y = np.meshgrid(np.linspace(0, np.pi, 75), np.linspace(-0.8, 0.4, 150))
+    angle, y = np.meshgrid(np.linspace(0, np.pi, 50), np.linspace(-0.8, 0.4, 100))
     parts = [(0.17, 0.11, 0.0), (0.045, 0.045, 0.27), (0.045, 0.045, -0.27)]
     return np.concatenate(
         [
@@ -22,7 +22,7 @@ def person(x=0.0):
 
 
 def room():
-    u, v = np.meshgrid(np.linspace(-1.5, 1.5, 100), np.linspace(-1.5, 1.1, 100))
+    u, v = np.meshgrid(np.linspace(-1.5, 1.5, 70), np.linspace(-1.5, 1.1, 70))
     wall = np.stack([u, v, np.full_like(u, 3.5)], -1).reshape(-1, 3)
     floor = np.stack([u, np.full_like(u, 1.1), 2.4 + v * 0.8], -1).reshape(-1, 3)
     return np.concatenate([wall, floor])

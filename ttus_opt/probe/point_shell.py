@@ -7,6 +7,7 @@ in the probe's frame.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Callable
@@ -225,21 +226,11 @@ class PointShell:
         axes = _lengths(semi_axes, 3, "ellipsoid semi-axes")
         _require_points(n_points)
         require_plausible_extent(2.0 * axes.max(), "the probe", in_a_unit=False)
-        rng = np.random.default_rng(seed)
-        # an area element of the unit sphere grows by abc |D⁻¹u| on the ellipsoid
-        lattice = sphere_lattice(max(FINE * n_points, 8000))
-        unit = lattice[rng.permutation(len(lattice))]
-        growth = axes.prod() * np.linalg.norm(unit / axes, axis=1)
-        area = ellipsoid_area(axes)
-        dense = SurfaceSamples(
-            unit * axes, _normalised(unit / axes), area * growth / growth.sum()
-        )
-        even = spread_evenly(dense, n_points)
-        exact = SurfaceSamples(
-            even.points, _normalised(even.points / axes**2), even.areas
-        )
-        even = match_moments(exact, area, np.zeros(3), np.zeros(3))
-        return cls(even.points, -even.normals, even.areas, np.zeros(3))
+        given = tuple(axes.tolist()), n_points, seed
+        known = isinstance(seed, int)  # a generator goes on
+        even = _on_ellipsoid(*given) if known else _on_ellipsoid.__wrapped__(*given)
+        points, areas = even.points.copy(), even.areas.copy()  # others have them too
+        return cls(points, -even.normals, areas, np.zeros(3))
 
     @classmethod
     def sphere(
@@ -318,6 +309,25 @@ class PointShell:
         if len(values) != count:
             raise _bad_spec(text)
         return build(values if count == 3 else values[0], n_points, seed=seed)
+
+
+@functools.lru_cache(maxsize=32)
+def _on_ellipsoid(
+    semi_axes: tuple[float, float, float], n_points: int, seed: Seed
+) -> SurfaceSamples:
+    """Even points of an ellipsoid, a tenth of a second's work, kept for next time."""
+    axes, rng = np.array(semi_axes), np.random.default_rng(seed)
+    # an area element of the unit sphere grows by abc |D⁻¹u| on the ellipsoid
+    lattice = sphere_lattice(max(FINE * n_points, 8000))
+    unit = lattice[rng.permutation(len(lattice))]
+    growth = axes.prod() * np.linalg.norm(unit / axes, axis=1)
+    area = ellipsoid_area(axes)
+    dense = SurfaceSamples(
+        unit * axes, _normalised(unit / axes), area * growth / growth.sum()
+    )
+    even = spread_evenly(dense, n_points)
+    exact = SurfaceSamples(even.points, _normalised(even.points / axes**2), even.areas)
+    return match_moments(exact, area, np.zeros(3), np.zeros(3))
 
 
 def ellipsoid_area(semi_axes: Array) -> float:

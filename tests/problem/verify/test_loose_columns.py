@@ -64,20 +64,17 @@ MORE = {
 @pytest.mark.parametrize("idea", MORE)
 def test_every_idea_has_a_bound(idea):
     """Of its answer a small one, of other points one above the excess."""
-    model = eq10() + tt.CvxpyTerm("edge", MORE[idea], 0.05)
-    solution = tt.fit(SCENE, model)
+    solution = tt.fit(SCENE, eq10() + tt.CvxpyTerm("edge", MORE[idea], 0.05))
     assert solution.status is tt.Status.SOLVED
     assert solution.kkt is not None and solution.kkt.is_bound
-    answer = tt.Fitter(model, solver=solution.solver)._prepared.solve()
-    whole = reduce(model.compile()).program
-    x = answer.x
+    whole, x, duals = solution.program, solution.candidate, solution.duals
     best, rng = whole.objective(x), np.random.default_rng(0)
     for size in (1e-3, 1e-1):
         near = {
             name: y * (1.0 + size * rng.normal(size=len(y)))
-            for name, y in answer.duals.rows.items()
+            for name, y in duals.rows.items()
         }
-        kkt = kkt_residuals(whole, x, replace(answer.duals, rows=near))
+        kkt = kkt_residuals(whole, x, replace(duals, rows=near))
         assert kkt.is_bound
         assert kkt.gap >= -1e-6 * best
 
