@@ -28,7 +28,6 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import NumericalError
@@ -48,9 +47,6 @@ CLOSE_ENOUGH = 1e-2
 
 #: Largest bound at θ = 0, over the requested gap, for which θ > 0 is tried [–]
 HOPEFUL = 1e3
-
-#: Most variables for which the matrix is factorised
-SMALL = 3000
 
 #: Factor on a norm that is measured with the preconditioner [–]
 GENEROUS = 3.0
@@ -214,9 +210,7 @@ class _Matrix:
         return image
 
     def _preconditioner(self) -> _Map:
-        """An approximate inverse: a factor, L, a network, or the diagonal."""
-        if len(self._fixed) <= SMALL:
-            return self._factorised()
+        """An approximate inverse: of every field L, a network, or the diagonal."""
         fields = [
             (part, solve)
             for name, part in self._program.variables.items()
@@ -248,27 +242,6 @@ class _Matrix:
             if solve is not None:
                 return solve
         return None
-
-    def _factorised(self) -> _Map:
-        """By a factor, shifted by rounding; for few variables."""
-        free = np.flatnonzero(~self._fixed)
-        roots = [(1.0, t) for t in self._terms]
-        roots += [(self.theta * 2.0 * t.weight, t) for t in _squares(self._program)]
-        n = len(self._fixed)
-        H = sp.csr_array((n, n))
-        for root, term in roots:
-            if root:
-                H = H + root * (term.matrix.T @ term.matrix)
-        block = sp.csc_array(sp.csr_array(H)[free][:, free])
-        tiny = n * np.finfo(float).eps * float(block.diagonal().max(initial=0.0))
-        factors = splu(block + sp.csc_array(sp.eye_array(len(free)) * (tiny or 1.0)))
-
-        def solve(v: Array) -> Array:
-            z = np.zeros_like(v)
-            z[free] = factors.solve(v[free])
-            return z
-
-        return solve
 
 
 def _by_laplace(

@@ -47,10 +47,8 @@ def loose_variables(program: Program, fixed: Mask) -> Mask:
     for term in program.terms:
         if not term.weight or isinstance(term.penalty, Linear):
             continue
-        rows = term.laplace_rows
-        if known_covariance(term.tags) or (rows and rows.scale is None):
-            # a regular matrix
-            loose[program.variables[rows.variable if rows else "p"]] = False
+        if known_covariance(term.tags):  # a regular matrix
+            loose[: len(term.target)] = False
         elif loose.any():
             loose &= term.column_squares() == 0.0
     return np.asarray(loose)
