@@ -102,7 +102,8 @@ def test_conductances_along_theta_are_those_at_the_geometric_mean_of_radii():
     grid = LAPLACE.grid
     where = np.zeros(grid.shape)
     where[1], where[5] = 3.0, 1.0  # at 48 and 122 mm
-    own = _Waves.of(grid, where.reshape(-1)).own
+    waves = _Waves.of(grid, where.reshape(-1))
+    own = np.linalg.lstsq(waves.bend, waves.stiffness)[0]
     radius = (grid.r[1] ** 3 * grid.r[5]) ** 0.25
     steps = grid.r_step / np.array([grid.r_step, radius * grid.theta_step, grid.z_step])
-    np.testing.assert_allclose(own, steps**2, rtol=1e-12)
+    np.testing.assert_allclose(own, steps**2, rtol=1e-10)

@@ -34,12 +34,8 @@ SAMPLE, LONGEST = 4000, 48
 WAVES = 6
 #: Strengths at which a term is fitted, and the least over the largest [–]
 STRENGTHS, LEAST = 6, 1e-8
-#: Steps of the fit
-FIT_STEPS = 12
 #: A symbol below this is zero [–]
 ROUNDING = 1e-9
-#: Conductances below this part of L's are dropped [–]
-NEGLIGIBLE = 0.02
 
 
 @dataclass(frozen=True)
@@ -104,13 +100,11 @@ class _Waves:
         waves: Shape (n, 3) [rad per step].
         bend: 2 - 2 cos f, the symbol of a unit conductance, shape (n, 3) [–].
         stiffness: λ, the symbol of -L, shape (n,) [–].
-        own: L's conductances along r, θ and z [–].
     """
 
     waves: Array = field(repr=False)
     bend: Array = field(repr=False)
     stiffness: Array = field(repr=False)
-    own: Array
 
     @classmethod
     def of(cls, grid: CylindricalGrid, where: Array) -> _Waves:
@@ -124,12 +118,12 @@ class _Waves:
         each = [np.geomspace(f, np.pi, WAVES) for f in longest]
         waves = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
         bend = 2.0 - 2.0 * np.cos(waves)
-        return cls(waves, bend, bend @ own, own)
+        return cls(waves, bend, bend @ own)
 
     def fit(self, b: Array, most: float = np.inf) -> Array:
         """Fit c and d along r, θ, z to a symbol b of B, shape (4,).
 
-        Minimises the squared logarithm of (λ + X̂)/√(λ² + b) by Gauss-Newton.
+        Least squares of (λ + X̂)/√(λ² + b) − 1.
 
         Args:
             b: At every wave, shape (n,).
@@ -137,21 +131,11 @@ class _Waves:
         """
         goal = np.sqrt(self.stiffness**2 + b)
         basis = np.column_stack([np.ones(len(b)), self.bend])
-        found = _bounded(basis / goal[:, None], 1.0 - self.stiffness / goal, most)
-        for _ in range(FIT_STEPS):
-            now = self.stiffness + basis @ found
-            slope = basis / now[:, None]
-            full = _bounded(slope, slope @ found - np.log(now / goal), most)
-            found = 0.5 * (found + full)
+        matrix, side = basis / goal[:, None], 1.0 - self.stiffness / goal
+        found = nnls(matrix, side)[0]
+        if found[0] > most:
+            found = np.r_[most, nnls(matrix[:, 1:], side - most * matrix[:, 0])[0]]
         return np.asarray(found)
-
-
-def _bounded(matrix: Array, side: Array, most: float) -> Array:
-    """Least squares over x ≥ 0, the first entry limited from above."""
-    found = nnls(matrix, side)[0]
-    if found[0] > most:
-        found = np.r_[most, nnls(matrix[:, 1:], side - most * matrix[:, 0])[0]]
-    return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -261,7 +245,6 @@ def _root(
         # the limit X would penalise it at every voxel
         most = float(np.sqrt(soft_values / every))
     fits = np.array([waves.fit(step * symbol, most) for step in steps])
-    fits[:, 1:][fits[:, 1:] < NEGLIGIBLE * waves.own] = 0.0
     found = np.zeros((4, grid.n_voxels))
     # all of them are about proportional to the root of the strength
     root = np.sqrt(strength[at])
