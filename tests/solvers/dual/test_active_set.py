@@ -100,11 +100,6 @@ def test_a_model_is_asked_where_bounds_alone_are_violated(monkeypatch):
     assert at.predicted(replace(found, links=links)) is None
     at.active.links[3] = True
     assert at.predicted(found) is None
-    # of soft values it needs a minimiser, of a second field less will do
-    assert not at.problem.predicts_roughly
-    scene = contested_pair(1, noise=0.2)
-    pair = FieldPair.of(coulomb(scene, 1.0, largest_friction=0.1).compile())
-    assert pair.predicts_roughly
 
 
 def test_violations_that_may_remain_count_by_the_smaller_field():

@@ -612,7 +612,7 @@ def test_how_exactly_working_sets_are_solved(monkeypatch):
     limits = SpokeLimits((n, 1, 1), -free, free, np.zeros(n, bool), -free, {})
     problem = SimpleNamespace(
         limits=limits, shape=(n, 1, 1), alone=True, links_along_spokes=False,
-        predicts_roughly=True, objective=lambda _: 0.0,
+        objective=lambda _: 0.0,
     )  # fmt: skip
 
     def asked(*lines):
@@ -622,13 +622,12 @@ def test_how_exactly_working_sets_are_solved(monkeypatch):
         primal_dual_active_set(given, None, 1e-6, Accuracy(1e-9))
         return told
 
-    # without a model by the worst violation, 1e-3 at most; to the end with none left
+    # by the worst violation, 1e-3 at most; to the end with none left
     plain = asked((8, 0.5, None), (6, 0.02, None), (0, 0.0, None), (0, 0.0, None))
     assert [rtol for rtol, _ in plain] == pytest.approx([1e-3, 1e-3, 2e-4, 1e-9])
-    # with one 1e-2 will do, a hundredth of it where that left no fewer violations, and
-    # a prediction that hardly differs is solved to the end
-    guided = asked((9, 0.5, 200), (9, 0.5, 300), (4, 0.5, 304), (2, 0.5, 150))
-    assert guided[1:] == [(1e-2, 200), (1e-4, 300), (1e-9, 304)]
+    # the set that a model predicts, where there is one
+    guided = asked((9, 0.5, 200), (9, 0.5, 300), (4, 0.02, 304), (2, 0.5, 150))
+    assert guided[1:] == [(1e-3, 200), (1e-3, 300), (2e-4, 304)]
     # stalled: the same to the end first, and only then the safeguard
     stuck = asked(*[(3, 0.5, None)] * 8)
     assert stuck == [

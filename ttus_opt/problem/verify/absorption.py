@@ -27,7 +27,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import NumericalError

@@ -57,20 +57,9 @@ ACCEPTABLE, ACCEPTABLE_SETS = 0.1, 2
 #: Relative residual of the last dual over the KKT tolerance [–]
 DUAL_MARGIN = 1e-2
 
-#: Relative residual of the dual of a predicted working set: the next prediction needs
-#: no more [–]
-PREDICTED = 1e-2
-
 #: It is progress if the worst violation or their number falls below this part of the
 #: least so far, or if more limits are active than ever [–]
 PROGRESS = 0.8
-
-#: A predicted working set that changes at most this share of limits is solved fully [–]
-FEW = 0.15
-
-#: Factor on the residual of a predicted working set if the last one left no fewer
-#: violations: its accuracy may have limited the prediction [–]
-TIGHTER = 1e-2
 
 
 class SolvableSubproblem(Protocol):
@@ -91,13 +80,11 @@ class LimitedProblem(abc.ABC):
         limits: Its limits.
         links_along_spokes: Whether links are between neighbours of a field, not between
             two fields.
-        predicts_roughly: Whether a rough minimiser is enough for the next prediction.
     """
 
     program: Program
     limits: SpokeLimits = field(repr=False)
     links_along_spokes: ClassVar[bool] = True
-    predicts_roughly: ClassVar[bool] = False
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -289,34 +276,26 @@ def primal_dual_active_set(
     """
     iteration = ActiveSetIteration(problem, start, tolerance, accuracy)
     progress, safeguard = _Progress(), _Safeguard()
-    rtol, rough = options.LOOSEST_SUBPROBLEM, PREDICTED
+    rtol = options.LOOSEST_SUBPROBLEM
     if accuracy.rtol < DUAL_MARGIN * tolerance and start is not None:
         rtol = accuracy.rtol  # the start is an answer that was not accurate enough
     found = iteration.solve(iteration.active, rtol)
-    fewest = len(problem.limits.lower)
     while not iteration.over:
         active = iteration.active
-        if found.count >= fewest:  # the same accuracy would lead back to this set
-            rough = max(TIGHTER * rough, accuracy.rtol)
-        fewest = min(found.count, fewest)
         if found.count == 0 or (progress.stalled and rtol > accuracy.rtol):
             rtol = accuracy.rtol
         elif progress.stalled:
             height = problem.objective(iteration.p)
             chosen = _chosen(problem, found, active)
             active = safeguard.following(iteration.limits, active, chosen, height)
-        elif (predicted := iteration.predicted(found)) is not None:
-            progress.note(found, active)
-            few = predicted.differs(active) <= FEW * predicted.count
-            enough = _rough(found, accuracy)
-            enough = rough if problem.predicts_roughly else min(rough, enough)
-            rtol = accuracy.rtol if few else enough
-            active = predicted
         else:
             progress.note(found, active)
             rtol = _rough(found, accuracy)
-            chosen = _chosen(problem, found, active)
-            active = chosen.pivoted(iteration.limits, active)
+            predicted = iteration.predicted(found)
+            if predicted is None:
+                chosen = _chosen(problem, found, active)
+                predicted = chosen.pivoted(iteration.limits, active)
+            active = predicted
         found = iteration.solve(active, rtol)
     return iteration
 

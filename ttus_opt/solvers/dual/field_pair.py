@@ -52,7 +52,6 @@ class FieldPair(LimitedProblem):
     units: Array = field(repr=False)
     links_along_spokes: ClassVar[bool] = False
     alone: ClassVar[bool] = False
-    predicts_roughly: ClassVar[bool] = True
 
     @classmethod
     def of(cls, program: Program) -> FieldPair:
