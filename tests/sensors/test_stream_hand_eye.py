@@ -135,7 +135,7 @@ def test_streams_of_other_bodies_or_times():
 
 def test_the_wrong_place_of_the_camera_is_named():
     """A fixed camera taken for a moving one, and poses that are inverted."""
-    seen, other = streams(seconds=5.0)
+    seen, other = streams(seconds=3.0)
     refuses(
         InputError, "camera=fixed", stream_hand_eye, seen, other, "moving", offset=LATE
     )
@@ -158,7 +158,7 @@ def test_the_wrong_place_of_the_camera_is_named():
 @pytest.mark.parametrize("near", [-0.15, 0.0, 0.2])
 def test_angles_between_instants_tell_the_offset(near):
     """From a poor one, with a quarter of outliers; 2 ms is the step."""
-    seen, other = streams(outliers=0.25)
+    seen, other = streams(outliers=0.25, seconds=6.0)
     assert offset_by_angles(seen, other, LATE + near) == pytest.approx(LATE, abs=3e-3)
 
 

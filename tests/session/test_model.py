@@ -132,7 +132,7 @@ def no_solve(*_, **__):
 def test_a_likely_mistake_is_named_by_its_key(cause, monkeypatch):
     """Before anything is solved, with a warning that --strict makes an error."""
     press = spoilt(tt.read_trajectory(example.path("press_fit.csv")), cause)
-    plan = replace(session().fit, shape=(12, 28, 12), r_inner=0.03)
+    plan = replace(session().fit, shape=(8, 20, 8), r_inner=0.03)
     told = SimpleNamespace(fit=plan, fitted=["press"])
     surface = tt.Surface.load(example.path("surface.nc"))
     shell = tt.PointShell.from_spec(example.PROBE, n_points=120)

@@ -33,7 +33,7 @@ SWAP = [1, 0, 2]
 @functools.cache
 def geometry():
     surface = tt.Surface.load(example.path("surface.nc"))
-    voxmap = tt.Voxmap.from_surface(surface, shape=(20, 48, 24), r_inner=0.03)
+    voxmap = tt.Voxmap.from_surface(surface, shape=(12, 32, 16), r_inner=0.03)
     return voxmap, tt.PointShell.from_spec(example.PROBE, n_points=150)
 
 

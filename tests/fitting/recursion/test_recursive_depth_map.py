@@ -95,7 +95,7 @@ def test_learns_friction(patient, shell):
     slid = recording("sweep_drag_fit")
     model = RecursiveDepthMap(patient, shell, PRIOR)
     assert model.friction == 0.0
-    fold(model, slid, twist=slid.twist(), stride=2)
+    fold(model, slid, twist=slid.twist(), stride=4)
     assert model.friction == pytest.approx(example.DRAG, abs=0.04)
     assert model.field.parameters["friction_coefficient"] == model.friction
 
@@ -103,7 +103,7 @@ def test_learns_friction(patient, shell):
 def test_no_friction_where_there_is_none(patient, shell):
     slid = recording("sweep_fit")
     model = RecursiveDepthMap(patient, shell, PRIOR)
-    fold(model, slid, twist=slid.twist(), stride=2)
+    fold(model, slid, twist=slid.twist(), stride=4)
     assert model.friction < 0.03
 
 
@@ -117,7 +117,7 @@ def test_a_press_and_its_release_are_one_stiffness(patient, shell):
     R, at = press.rotation[deepest], press.position[deepest]
     outward = press.force[deepest] / np.linalg.norm(press.force[deepest])
     model, found = RecursiveDepthMap(patient, shell, PRIOR), []
-    for k in range(12 * 20):
+    for k in range(8 * 20):
         stroke, step = divmod(k, 20)
         pressing = stroke % 2 == 0
         lifted = 5e-4 * (20 - step if pressing else step)
