@@ -12,6 +12,7 @@ from ttus_opt.experiment.report import best_setting
 from ttus_opt.experiment.scores import Row
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Errors
+from ttus_opt.report.tables import FORCE
 
 
 def row(patient, recording, setting, error, told=0.5, against="true"):
@@ -59,9 +60,7 @@ def test_winner_is_bold_per_recording_and_best_is_the_least_told_apart():
         row("lean", "sweep_test", "laplace_scaled", 0.4, told=0.0),
         row("lean", "sweep_fit", "depth_map", 0.0, told=0.0),
     ]
-    found = tables.winners_table(
-        result(rows), lambda s: s.force_magnitude_error_N, ".2f"
-    )
+    found = tables.winners_table(result(rows), FORCE)
     assert found.rows[0][1:] == ["0.30", "**0.20**", "–"]
     assert found.rows[1][1:] == ["**0.10**", "0.40", "0.40"]
     assert best_setting(result(rows)) == "eq10"

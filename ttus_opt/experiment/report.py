@@ -35,6 +35,7 @@ from ttus_opt.report.document import (
     write_report,
 )
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+from ttus_opt.report.tables import ANGLE, FORCE
 
 TITLE = "The paper's experiment on three phantom patients"
 
@@ -94,8 +95,11 @@ def summary(result: ExperimentResult) -> list[Block]:
         ),
     ):
         blocks += [Text(told), tables.comparison_table(result, against)]
-    for told, reading, form in _WINNERS:
-        blocks += [Text(told), tables.winners_table(result, reading, form)]
+    for told, column in (
+        ("Which wins where, mean magnitude error against the truth [N]:", FORCE),
+        ("The same for the mean angle [°]:", ANGLE),
+    ):
+        blocks += [Text(told), tables.winners_table(result, column)]
     beside, weights = tables.rivals_table(result, best), tables.weights_table(result)
     for heading, about, table in (
         ("Other ways, same data", _about_rivals(result), beside),
@@ -104,16 +108,6 @@ def summary(result: ExperimentResult) -> list[Block]:
     ):
         blocks += [Heading(heading), about, table] if table else []
     return [*blocks, *_aims(result, best)]
-
-
-_WINNERS = (
-    (
-        "Which wins where, mean magnitude error against the truth [N]:",
-        lambda s: s.force_magnitude_error_N,
-        ".2f",
-    ),
-    ("The same for the mean angle [°]:", lambda s: s.force_angle_error_deg, ".1f"),
-)
 
 
 def _what_was_done(result: ExperimentResult) -> list[Block]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -24,9 +23,7 @@ from ttus_opt.experiment.settings import (
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
 from ttus_opt.report.metrics import FORCE_THRESHOLD, Errors, hysteresis_share
-from ttus_opt.report.tables import number
-
-Reading = Callable[[Errors], float]
+from ttus_opt.report.tables import ANGLE, FORCE, Column, number
 
 #: Names of settings as tables print them
 TITLES = {
@@ -40,8 +37,9 @@ TITLES = {
     ITSELF: "(the phantom itself)",
 }
 
-_FORCE: Reading = lambda s: s.force_magnitude_error_N  # noqa: E731
-_ANGLE: Reading = lambda s: s.force_angle_error_deg  # noqa: E731
+_TORQUE = Column("torque [%]", lambda e: 100 * e.torque_share, ".0f")
+_TORQUE_ANGLE = Column("torque angle [°]", lambda e: e.torque_angle_error_deg, ".0f")
+_APART = Column("told apart [%]", lambda e: 100 * e.share_told_apart, ".0f")
 
 
 def title(setting: str) -> str:
@@ -65,10 +63,9 @@ def _by_place(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return places
 
 
-def mean(rows: Sequence[Row], reading: Reading) -> float:
-    """Mean over rows; NaN without any."""
-    values = [reading(row.score) for row in rows]
-    return float(np.mean(values)) if values else math.nan
+def _errors(rows: Iterable[Row], **wanted: object) -> list[Errors]:
+    """Errors of rows with the given attributes."""
+    return [row.score for row in select(rows, **wanted)]
 
 
 def paper_tables(result: ExperimentResult, best: str) -> dict[str, Table]:
@@ -83,36 +80,17 @@ def paper_tables(result: ExperimentResult, best: str) -> dict[str, Table]:
     )
     tables = {}
     for seen, motion in ((True, "same trajectory"), (False, "new trajectory")):
-        for name, reading, form in (
-            ("Magnitude error [N]", _FORCE, ".2f"),
-            ("Angle [°]", _ANGLE, ".1f"),
-        ):
-            tables[f"{name}, {motion}"] = _errors(
-                result, columns, seen, reading, form, _paper_row(name, seen)
-            )
+        rows = select(result.rows, seen=seen, against="measured")
+        for name, read in (("Magnitude error [N]", FORCE), ("Angle [°]", ANGLE)):
+            lines = [
+                [place, *(read.cell(*_errors(there, setting=c)) for c in columns)]
+                for place, there in _by_place(rows).items()
+            ]
+            means = [read.cell(*_errors(rows, setting=c)) for c in columns]
+            lines.append(["**mean**", *(f"**{cell}**" for cell in means)])
+            lines.append([*_paper_row(name, seen), *[""] * (len(columns) - 2)])
+            tables[f"{name}, {motion}"] = Table(["", *map(title, columns)], lines)
     return tables
-
-
-def _errors(
-    result: ExperimentResult,
-    columns: Sequence[str],
-    seen: bool,
-    reading: Reading,
-    form: str,
-    paper_row: Sequence[str],
-) -> Table:
-    """A row per patient and recording, the mean, and the paper's values."""
-    rows = select(result.rows, seen=seen, against="measured")
-    lines = []
-    for place, there in _by_place(rows).items():
-        cells = [
-            number(mean(select(there, setting=name), reading), form) for name in columns
-        ]
-        lines.append([place, *cells])
-    means = [mean(select(rows, setting=name), reading) for name in columns]
-    lines.append(["**mean**", *(f"**{number(value, form)}**" for value in means)])
-    lines.append([*paper_row, *[""] * (len(columns) - 2)])
-    return Table(["", *map(title, columns)], lines)
 
 
 def _paper_row(name: str, seen: bool) -> list[str]:
@@ -152,26 +130,20 @@ def recordings_table(result: ExperimentResult) -> Table:
 def torque_table(result: ExperimentResult) -> Table:
     """Torque and force errors without and with the torque term."""
     pair = ("eq10_force_only", "eq10")
-    columns: tuple[tuple[str, Reading, str], ...] = (
-        ("torque [mN·m]", lambda s: 1e3 * s.torque_magnitude_error_Nm, ".1f"),
-        ("torque [%]", lambda s: 100 * s.torque_share, ".0f"),
-        ("torque angle [°]", lambda s: s.torque_angle_error_deg, ".1f"),
-        ("force [N]", _FORCE, ".2f"),
+    columns = (
+        Column("torque [mN·m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
+        _TORQUE,
+        _TORQUE_ANGLE._replace(form=".1f"),
+        FORCE,
     )
     lines = []
     for seen, motion in ((True, "same"), (False, "new")):
         rows = select(result.rows, seen=seen, against="measured")
         for patient in dict.fromkeys(r.patient for r in rows):
-            of_patient = select(rows, patient=patient)
-            cells = [
-                " → ".join(
-                    number(mean(select(of_patient, setting=name), reading), form)
-                    for name in pair
-                )
-                for _, reading, form in columns
-            ]
+            both = [_errors(rows, patient=patient, setting=name) for name in pair]
+            cells = [" → ".join(c.cell(*errors) for errors in both) for c in columns]
             lines.append([f"{patient}, {motion}", *cells])
-    return Table(["", *(name for name, _, _ in columns)], lines)
+    return Table(["", *(column.title for column in columns)], lines)
 
 
 def uncertainty_table(result: ExperimentResult) -> Table:
@@ -217,25 +189,23 @@ def boundary_table(result: ExperimentResult) -> Table:
 
 def comparison_table(result: ExperimentResult, against: str) -> Table:
     """Every setting over all new trajectories, and how many aims it meets."""
-    columns: tuple[tuple[str, Reading, str], ...] = (
-        ("median [N]", lambda s: s.force_median_N, ".2f"),
-        ("median [%]", lambda s: 100 * s.force_median_share, ".1f"),
-        ("worst 5 % [N]", lambda s: s.force_worst_N, ".2f"),
-        ("angle [°]", _ANGLE, ".1f"),
-        ("worst 5 % [°]", lambda s: s.angle_worst_deg, ".0f"),
-        ("torque [%]", lambda s: 100 * s.torque_share, ".0f"),
-        ("torque angle [°]", lambda s: s.torque_angle_error_deg, ".0f"),
-        ("told apart [%]", lambda s: 100 * s.share_told_apart, ".0f"),
+    columns = (
+        Column("median [N]", lambda e: e.force_median_N),
+        Column("median [%]", lambda e: 100 * e.force_median_share, ".1f"),
+        Column("worst 5 % [N]", lambda e: e.force_worst_N),
+        ANGLE,
+        Column("worst 5 % [°]", lambda e: e.angle_worst_deg, ".0f"),
+        *(_TORQUE, _TORQUE_ANGLE, _APART),
     )
     rows = _unseen(result, against)
     lines = []
     for name in dict.fromkeys(r.setting for r in rows):
         scored = select(rows, setting=name)
-        cells = [number(mean(scored, reading), form) for _, reading, form in columns]
+        cells = [column.cell(*_errors(scored)) for column in columns]
         met = [all(row.meets().values()) for row in scored]
         parts = _parts_met(scored)
         lines.append([title(name), *cells, parts, f"{sum(met)}/{len(met)}"])
-    header = [name for name, _, _ in columns]
+    header = [column.title for column in columns]
     return Table(["", *header, "each aim met", "all met"], lines)
 
 
@@ -251,16 +221,18 @@ def _parts_met(rows: Sequence[Row]) -> str:
     return ", ".join(str(sum(each[name] for each in met)) for name in met[0])
 
 
-def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Table:
+def winners_table(result: ExperimentResult, column: Column) -> Table:
     """Errors of every setting per unseen recording, the least in bold."""
     rows = _unseen(result, "true")
     names = list(dict.fromkeys(r.setting for r in rows))
     lines = []
     for place, there in _by_place(rows).items():
-        values = [mean(select(there, setting=name), reading) for name in names]
+        values = [column.mean(_errors(there, setting=name)) for name in names]
         least = np.nanmin(values)
+        cells = [number(value, column.form) for value in values]
         cells = [
-            f"**{number(v, form)}**" if v == least else number(v, form) for v in values
+            f"**{cell}**" if value == least else cell
+            for cell, value in zip(cells, values, strict=True)
         ]
         lines.append([place, *cells])
     return Table(["", *map(title, names)], lines)
@@ -309,7 +281,13 @@ def rivals_table(result: ExperimentResult, best: str) -> Table:
     whose = {each.patient.name for each in examined}
     rows = select(result.rows, seen=False, against="true")
     rows = [row for row in rows if row.patient in whose]
-    lines = [[f"({title(best)})", *_rival_errors(rows, best), "–", "–"]]
+    columns = (FORCE, ANGLE, _TORQUE, _TORQUE_ANGLE, _APART)
+
+    def means(setting: str) -> list[str]:
+        errors = _errors(rows, setting=setting)
+        return [column.cell(*errors) for column in columns]
+
+    lines = [[f"({title(best)})", *means(best), "–", "–"]]
     for name in names:
         facts = [r.facts for each in examined for r in each.rivals if r.name == name]
         failures = [f["failure"] for f in facts if "failure" in f]
@@ -320,19 +298,7 @@ def rivals_table(result: ExperimentResult, best: str) -> Table:
             float(np.median([f[key] for f in facts]))
             for key in ("ms_per_frame", "ripple")
         )
-        errors = _rival_errors(rows, PREFIX + name)
-        lines.append([name, *errors, number(frame, ".2g"), number(100 * ripple, ".2g")])
-    header = ["", "force [N]", "angle [°]", "torque [%]", "torque angle [°]"]
-    return Table([*header, "told apart [%]", "ms per frame", "ripple [%]"], lines)
-
-
-def _rival_errors(rows: Sequence[Row], setting: str) -> list[str]:
-    """Mean errors of a comparator over recordings, as its table prints them."""
-    scored = select(rows, setting=setting)
-    return [
-        number(mean(scored, _FORCE)),
-        number(mean(scored, _ANGLE), ".1f"),
-        number(100 * mean(scored, lambda s: s.torque_share), ".0f"),
-        number(mean(scored, lambda s: s.torque_angle_error_deg), ".0f"),
-        number(100 * mean(scored, lambda s: s.share_told_apart), ".0f"),
-    ]
+        times = number(frame, ".2g"), number(100 * ripple, ".2g")
+        lines.append([name, *means(PREFIX + name), *times])
+    header = ["", *(column.title for column in columns)]
+    return Table([*header, "ms per frame", "ripple [%]"], lines)

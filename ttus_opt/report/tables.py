@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ttus_opt.report.document import Block, Heading, Table, Text
 from ttus_opt.report.metrics import Errors, Evaluation
@@ -37,28 +39,50 @@ class Comparison:
         }
 
 
-_COLUMNS: tuple[tuple[str, Callable[[Errors], float], str], ...] = (
-    ("force [N]", lambda e: e.force_magnitude_error_N, ".2f"),
-    ("rmse [N]", lambda e: e.force_magnitude_rmse_N, ".2f"),
-    ("angle [°]", lambda e: e.force_angle_error_deg, ".1f"),
-    ("torque [mN m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
-    ("angle [°]", lambda e: e.torque_angle_error_deg, ".1f"),
+class Column(NamedTuple):
+    """A figure of errors as tables have it.
+
+    Attributes:
+        title: Its name and unit.
+        read: Reads it, in this unit.
+        form: How it is written.
+    """
+
+    title: str
+    read: Callable[[Errors], float]
+    form: str = ".2f"
+
+    def mean(self, errors: Sequence[Errors]) -> float:
+        """Mean over recordings; NaN without any."""
+        return float(np.mean([*map(self.read, errors)])) if errors else math.nan
+
+    def cell(self, *errors: Errors) -> str:
+        """The mean as a cell."""
+        return number(self.mean(errors), self.form)
+
+
+FORCE = Column("force [N]", lambda e: e.force_magnitude_error_N)
+ANGLE = Column("angle [°]", lambda e: e.force_angle_error_deg, ".1f")
+
+_COLUMNS = (
+    FORCE,
+    Column("rmse [N]", lambda e: e.force_magnitude_rmse_N),
+    ANGLE,
+    Column("torque [mN m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
+    Column("angle [°]", lambda e: e.torque_angle_error_deg, ".1f"),
 )
 
 
 def error_table(comparisons: Sequence[Comparison]) -> Table:
     """Errors before → after and the frames in contact, one row per recording."""
-    header = ["recording", "frames", *(name for name, _, _ in _COLUMNS)]
+    header = ["recording", "frames", *(column.title for column in _COLUMNS)]
     rows = []
     for case in comparisons:
         before, after = case.before.errors, case.after.errors
         kind = "same" if case.seen else "new"
         cells = [f"{case.recording} ({kind})"]
         cells.append(f"{after.frames_in_contact}/{after.frames}")
-        cells += [
-            f"{number(read(before), form)} → {number(read(after), form)}"
-            for _, read, form in _COLUMNS
-        ]
+        cells += [f"{c.cell(before)} → {c.cell(after)}" for c in _COLUMNS]
         rows.append(cells)
     return Table(header, rows)
 
@@ -85,11 +109,11 @@ def error_section(comparisons: Sequence[Comparison]) -> list[Block]:
 
 def errors_by_name(named: Mapping[str, Errors]) -> Table:
     """Errors and the frames in contact, one row per name."""
-    header = ["", "frames", *(name for name, _, _ in _COLUMNS), "felt [%]"]
+    header = ["", "frames", *(column.title for column in _COLUMNS), "felt [%]"]
     rows = []
     for name, errors in named.items():
         cells = [name, f"{errors.frames_in_contact}/{errors.frames}"]
-        cells += [number(read(errors), form) for _, read, form in _COLUMNS]
+        cells += [column.cell(errors) for column in _COLUMNS]
         rows.append([*cells, number(100.0 * errors.share_told_apart, ".1f")])
     return Table(header, rows)
 
