@@ -3,6 +3,8 @@
 import functools
 import os
 import socket
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +58,29 @@ def refuses(error, words, call, /, *given, **options):
     message = str(told.value)
     assert "\n" not in message, "a message is one line"
     return message
+
+
+def python(*words, status=0, timeout=300.0, cwd=None, **environment):
+    """Run Python in a process of its own, with these words; what it said.
+
+    Args:
+        words: As on its command line.
+        status: With which it has to end.
+        timeout: After which it is ended [s].
+        cwd: Where it runs; here by default.
+        environment: Beside what is set.
+    """
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        cwd=cwd,
+        env={**os.environ, **environment},
+        check=False,
+    )
+    assert done.returncode == status, done.stderr
+    return done
 
 
 def own_port():

@@ -1,15 +1,13 @@
 """Cases: what they are made of, and what stands in for them."""
 
 import json
-import subprocess
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.kit import FileError, InputError, refuses
+from tests.kit import FileError, InputError, python, refuses
 from ttus_opt import example
 from ttus_opt.benchmark.cases import (
     PERTURBATIONS,
@@ -92,12 +90,7 @@ print(len(before), *sorted(ready() - before), sep="\\n")
 @pytest.mark.slow
 def test_small_case_compiles_all_that_a_case_calls():
     # in a process of its own: in this one other tests have compiled much already
-    told = subprocess.run(
-        [sys.executable, "-c", WARM_UP_PROGRAM],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    told = python("-c", WARM_UP_PROGRAM)
     count, *late = told.stdout.split("\n")[:-1]
     assert int(count) > 5
     assert not late

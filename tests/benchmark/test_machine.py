@@ -1,13 +1,12 @@
 """The machine's description and memory."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.kit import python
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.machine import describe
 
@@ -36,12 +35,7 @@ def test_peak_memory_sees_an_allocation_and_forgets_it():
     if not Path("/proc/self/clear_refs").exists():
         pytest.skip("this system does not tell a process's peak")
     # in a process of its own: this one has freed pages that an array would take again
-    told = subprocess.run(
-        [sys.executable, "-c", MEMORY_PROGRAM],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    told = python("-c", MEMORY_PROGRAM)
     before, during, after = map(int, told.stdout.split())
     assert during - before >= 0.9 * 128 * 2**20
     assert after < during - 64 * 2**20

@@ -1,13 +1,13 @@
 """The test set of qpbenchmark: the problems it yields are this package's."""
 
 import importlib.util
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from tests.kit import python
 
 FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "ttus.py"
 
@@ -49,13 +49,7 @@ def test_its_documented_command_runs(test_set, tmp_path):
     words[words.index("ttus.csv")] = str(tmp_path / "ttus.csv")
     program = "from qpbenchmark.benchmark import main; main()"
     limits = ["--problem", "XXS_eq10", "--solver", "osqp"]
-    subprocess.run(
-        [sys.executable, "-c", program, *words[1:], *limits],
-        check=True,
-        capture_output=True,
-        cwd=tmp_path,
-        timeout=300,
-    )
+    python("-c", program, *words[1:], *limits, cwd=tmp_path)
     rows = (tmp_path / "ttus.csv").read_text().splitlines()
     assert len(rows) == 1 + len(test_set.tolerances)
     assert (tmp_path / "ttus.md").read_text().startswith("# ")

@@ -2,8 +2,6 @@
 
 import importlib.metadata
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, fit_words, refused
-from tests.kit import presses, torso
+from tests.kit import presses, python, torso
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.flat_file import write_flat
 
@@ -304,14 +302,7 @@ def test_version(run):
 
 @pytest.mark.slow
 def test_module_runs_as_a_process(tmp_path):
-    process = subprocess.run(
-        [sys.executable, "-m", "ttus_opt", "surface"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert process.returncode == 2
+    process = python("-m", "ttus_opt", "surface", status=2)
     assert process.stdout == ""
     assert len(process.stderr.splitlines()) == 1
     assert process.stderr.startswith("error: missing: ")
@@ -331,11 +322,4 @@ def test_module_runs_as_a_process(tmp_path):
 )
 def test_nothing_is_loaded_that_is_not_used(used, unwanted):
     code = f"import sys; {used}; print([m for m in {unwanted} if m in sys.modules])"
-    told = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
-    assert told.stdout.strip() == "[]"
+    assert python("-c", code).stdout.strip() == "[]"

@@ -1,14 +1,13 @@
 """What the commands refuse: one line, status 2, nothing written."""
 
 import json
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
 from tests.cli.conftest import PROBE, empty, fit_words, refused, scene_words
-from tests.kit import presses, torso
+from tests.kit import presses, python, torso
 from ttus_opt.cli import fit_command
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -325,6 +324,5 @@ def test_a_terminated_command_leaves_nothing_behind(tmp_path):
         "lines.program = lambda: begin\n"
         "lines.main(['demo'])\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
-    assert done.returncode == 143
+    python("-c", code, status=143)
     assert empty(tmp_path)

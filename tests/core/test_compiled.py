@@ -18,7 +18,7 @@ import pytest
 from filelock import FileLock
 from numba.core import event
 
-from tests.kit import some
+from tests.kit import python, some
 from ttus_opt.core import compiled as module
 from ttus_opt.core.cache_folder import cache_folder
 from ttus_opt.core.compiled import compiled, content_key, is_cached
@@ -212,13 +212,8 @@ for path in sorted(root.glob("*/**/*kernels.py")):
 @pytest.mark.slow
 def test_keys_are_the_same_in_all_processes():
     """The order of a set, in which options are given, is another in each."""
-    other = subprocess.run(
-        [sys.executable, "-c", KEYS],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONHASHSEED": "1", "PYTHONPATH": str(Path.cwd())},
-    ).stdout.splitlines()
+    own = {"PYTHONHASHSEED": "1", "PYTHONPATH": str(Path.cwd())}
+    other = python("-c", KEYS, **own).stdout.splitlines()
     here = io.StringIO()
     with contextlib.redirect_stdout(here):  # as a rule with a seed of its own
         exec(KEYS, {})

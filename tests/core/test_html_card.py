@@ -3,8 +3,6 @@
 import base64
 import io
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.kit import small_scene
+from tests.kit import python, small_scene
 from ttus_opt.core.html_card import card, sections_svg, signed_map
 from ttus_opt.fitting.checks.sanity import check_recordings
 from ttus_opt.solvers.registry import solvers
@@ -161,7 +159,4 @@ def test_a_card_loads_no_plotting_package():
         "import sys, tests.core.test_html_card as t; t.FIELD._repr_html_()\n"
         "print('matplotlib' in sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
+    assert python("-c", program).stdout.strip() == "False"

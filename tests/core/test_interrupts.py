@@ -1,12 +1,11 @@
 """Signals wait until a file is written, each of them, and then do what they would."""
 
 import signal
-import subprocess
-import sys
 import threading
 
 import pytest
 
+from tests.kit import python
 from ttus_opt.core.interrupts import (
     ALARM,
     INTERRUPT,
@@ -75,11 +74,8 @@ with ended_at_once():
     except BaseException:
         print("seen")
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == f"\n{STOPPED}\n"
+    done = python("-c", program, status=130)
+    assert (done.stdout, done.stderr) == ("", f"\n{STOPPED}\n")
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, INTERRUPT])

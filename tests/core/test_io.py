@@ -2,8 +2,6 @@ import errno
 import os
 import signal
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import netCDF4
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.kit import FileError, InputError, TtusWarning, refuses
+from tests.kit import FileError, InputError, TtusWarning, python, refuses
 from ttus_opt import example
 from ttus_opt.core import io
 from ttus_opt.scan.surface import Surface
@@ -290,8 +288,7 @@ def test_files_of_killed_writers_go_at_the_next_write(tmp_path):
         "with io.replacing(sys.argv[1]) as file:\n"
         "    file.write_text('half')\n    os.kill(os.getpid(), 9)\n"
     )
-    words = [sys.executable, "-c", program, str(target)]
-    assert subprocess.run(words, check=False).returncode == -9
+    python("-c", program, target, status=-9)
     (left,) = tmp_path.iterdir()
     elsewhere = left.with_name(left.name.replace(io._machine(), "0" * 8))
     elsewhere.write_text("another machine's")

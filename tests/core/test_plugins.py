@@ -1,9 +1,6 @@
 """What a user's code raises is told with its line; what is ours passes as it is."""
 
 import importlib.util
-import os
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -11,7 +8,7 @@ import pytest
 
 import ttus_opt.problem.constraints
 import ttus_opt.problem.terms
-from tests.kit import InputError, refuses
+from tests.kit import InputError, python, refuses
 from ttus_opt.core import plugins
 from ttus_opt.core.plugins import defined_at, user_errors
 from ttus_opt.problem.terms.wrench import ForceTerm
@@ -75,38 +72,18 @@ def test_a_users_own_file_of_that_name_changes_nothing(tmp_path):
     (tmp_path / "formulations.py").write_text("raise SystemExit('not ours')\n")
     script = tmp_path / "run.py"
     script.write_text(SHOW)
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    assert done.stdout == "True\n", done.stderr
+    assert python(script, PYTHONPATH=str(ROOT)).stdout == "True\n"
 
 
 @pytest.mark.slow
 def test_a_wheel_carries_them_inside_the_package(tmp_path):
     """Built and unpacked: no other top-level package, and eq10 is found."""
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
-    done = subprocess.run(
-        [*build, "--wheel-dir", str(tmp_path), str(ROOT)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    build = ["-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir"]
+    python(*build, tmp_path, ROOT)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         tops = {name.split("/")[0] for name in archive.namelist()}
         archive.extractall(tmp_path / "site")
     assert {top for top in tops if not top.endswith(".dist-info")} == {"ttus_opt"}
-    shown = subprocess.run(
-        [sys.executable, "-c", SHOW],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
-        cwd=tmp_path,
-    )
+    shown = python("-c", SHOW, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
     assert shown.stdout == "True\n", shown.stderr

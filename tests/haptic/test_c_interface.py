@@ -1,11 +1,9 @@
 """The frame called from C agrees with `render_into` bit for bit, updates included."""
 
 import ctypes
-import os
 import re
 import shutil
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,7 +13,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.kit import DRAG, TWIST, TtusError, deepest_pose, pressing, small_scene
+from tests.kit import (
+    DRAG,
+    TWIST,
+    TtusError,
+    deepest_pose,
+    pressing,
+    python,
+    small_scene,
+)
 from ttus_opt.haptic import c_interface
 from ttus_opt.haptic.c_interface import DONE, HEADER, WAITING, frame_address
 from ttus_opt.haptic.renderer import LIMITS, Renderer
@@ -248,14 +254,7 @@ def test_the_how_to_page_runs(scene, tmp_path):
         quick = text.replace("...  #", "import time; time.sleep(0.1)  #")
         (tmp_path / name).write_text(quick)
     pressing(scene).save(tmp_path / "patient.nc")
-    done = subprocess.run(
-        [sys.executable, "host.py"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(page.parents[2])},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("host.py", cwd=tmp_path, PYTHONPATH=str(page.parents[2]))
     assert re.fullmatch(r"[1-9]\d+ frames", done.stdout.strip())
 
 

@@ -1,7 +1,5 @@
 import itertools
 import pickle
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.kit import InputError, refuses, small_scene
+from tests.kit import InputError, python, refuses, small_scene
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.wrench import render_frame
 
@@ -206,7 +204,7 @@ def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
         "wrenches = [[*w.force, *w.torque] for w in felt]\n"
         "np.save(sys.argv[1] + '/felt.npy', wrenches)\n"
     )
-    subprocess.run([sys.executable, "-c", code, tmp_path], check=True, timeout=300)
+    python("-c", code, tmp_path)
     there = np.load(tmp_path / "felt.npy")
     own = tt.Renderer(newest, scene.shell, force_limit=0.5)
     here = [own.render(R, x) for R, x in zip(*poses, strict=True)]

@@ -4,13 +4,13 @@ import multiprocessing
 import random
 import re
 import socket
-import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
 
+from tests.kit import python
 from tests.live.test_socket_link import survives_a_new_operator, until
 from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.live.impairment import Impairment
@@ -224,9 +224,8 @@ while b"to" not in there.receive(time.monotonic()):
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["here.close(); there.close()", "there.close()", ""])
 def test_nothing_is_said_at_exit(links, end):
-    words = [sys.executable, "-X", "dev", "-c", EXIT + end]
-    found = subprocess.run(words, capture_output=True, text=True, timeout=100)
-    assert (found.returncode, found.stderr, found.stdout) == (0, "", "")
+    found = python("-X", "dev", "-c", EXIT + end)
+    assert (found.stderr, found.stdout) == ("", "")
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch):

@@ -1,8 +1,6 @@
 """A path that was stopped: another call ends with what one call would have found."""
 
 import functools
-import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +13,7 @@ from tests.kit import (
     InputError,
     TtusWarning,
     presses,
+    python,
     refuses,
     small_scene,
     some,
@@ -237,10 +236,7 @@ def checksums(given, scene=None, **options):
 
 @pytest.mark.slow
 def test_another_process_finds_the_same():
-    found = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
-    )
-    assert found.stdout.strip() == str(checksums("coulomb_global"))
+    assert python("-c", SCRIPT).stdout.strip() == str(checksums("coulomb_global"))
 
 
 def test_last_digits_of_computed_numbers_do_not_count():
