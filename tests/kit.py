@@ -2,6 +2,7 @@
 
 import functools
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -81,6 +82,20 @@ def python(*words, status=0, timeout=300.0, cwd=None, **environment):
     )
     assert done.returncode == status, done.stderr
     return done
+
+
+def started(*words, cwd=None):
+    """A process of Python with these words, which heeds interrupts, in a session."""
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
 
 
 def own_port():

@@ -2,13 +2,12 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
 
 from tests.cli.conftest import PROBE, empty
+from tests.kit import started
 from ttus_opt import example
 from ttus_opt.solvers import registry
 from ttus_opt.voxmap.field import PotentialField
@@ -32,20 +31,6 @@ SOLVERS = [Deaf()]
 """
 
 
-def started(words, folder):
-    """The command line in a process that heeds interrupts."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "ttus_opt", *words],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-
-
 def interrupted(process, *, terminal):
     """Interrupt as `kill -INT` or a terminal does, and wait until it has ended."""
     (os.killpg if terminal else os.kill)(process.pid, signal.SIGINT)
@@ -67,7 +52,7 @@ def deaf_at_work(command, files, folder):
         f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
         f"-o {folder / 'output' / 'f.nc'}"
     ).split()
-    process = started(words, folder)
+    process = started("-m", "ttus_opt", *words, cwd=folder)
     while not (folder / "at_work").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
@@ -126,7 +111,7 @@ def test_every_solver_on_a_large_grid(solver, tmp_path):
         f"--trajectory {example.path('press_fit.csv')} --shape 48,120,60 "
         f"--formulation {formulation} --solver {solver} -o {tmp_path / 'f.nc'}"
     ).split()
-    process = started(words, tmp_path)
+    process = started("-m", "ttus_opt", *words, cwd=tmp_path)
     time.sleep(10.0)
     if process.poll() is not None:  # it was quicker: solved, or told why not
         _, told = process.communicate()

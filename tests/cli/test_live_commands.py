@@ -4,20 +4,20 @@ import contextlib
 import json
 import math
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.kit import own_port
+from tests.kit import own_port, python, started
 from ttus_opt.cli.live_commands import _say
 
 pytest.importorskip("msgspec", reason="needs ttus-opt[live]")
 pytest.importorskip("cryptography", reason="needs ttus-opt[live]")
 
 from ttus_opt.live.peer import Peer
+
+LIVE = "-m", "ttus_opt", "live"
 
 
 @pytest.mark.slow
@@ -29,21 +29,13 @@ def test_both_commands_meet(link, tmp_path):
     key.write_text(bytes(32).hex())
     key.chmod(0o600)
     words = f"--key {key} --port {own_port()} --link {link} --json --seconds".split()
-    live = [sys.executable, "-m", "ttus_opt", "live"]
-    follower = subprocess.Popen(
-        [*live, "follower", *words, "60"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    follower = started(*LIVE, "follower", *words, "60")
     try:
         assert follower.stderr.readline().startswith("follower: ")  # it is at work
-        command = [*live, "operator", *words, "10"]
-        told = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        told = python(*LIVE, "operator", *words, "10")
     finally:
         follower.kill()
         follower.communicate()
-    assert told.returncode == 0, told.stderr
     assert "NORMAL" in json.loads(told.stdout)["seen"]
 
 
@@ -62,20 +54,14 @@ def members(session):
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks in /proc")
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_demo_that_is_ended_leaves_no_process(kind, tmp_path):
-    words = [sys.executable, "-m", "ttus_opt", "live", "demo", "--no-page", "-o"]
-    demo = subprocess.Popen(
-        [*words, str(tmp_path / "demo")],
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    demo = started(*LIVE, "demo", "--no-page", "-o", tmp_path / "demo")
     end = time.monotonic() + 60.0
     while len(members(demo.pid)) < 5:  # it, its watch, two workers, their memory's
         assert time.monotonic() < end
         time.sleep(0.1)
     time.sleep(3.0)
     demo.send_signal(kind)
-    demo.wait(30.0)
+    demo.communicate(timeout=30.0)
     end = time.monotonic() + 10.0
     while left := members(demo.pid):
         assert time.monotonic() < end, left

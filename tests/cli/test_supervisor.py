@@ -3,11 +3,11 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
+from tests import kit
 from ttus_opt import cli
 from ttus_opt.cli import supervisor
 from ttus_opt.core.interrupts import INTERRUPTED
@@ -44,14 +44,7 @@ def started(tmp_path):
 def command(does, started, grace=20.0, before=""):
     """A supervised process, once it says that it is at work."""
     script = COMMAND.format(file=supervisor.__file__, grace=grace, before=before)
-    process = subprocess.Popen(
-        [sys.executable, "-c", f"{script}\nprint('at work', flush=True)\n{does}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = kit.started("-c", f"{script}\nprint('at work', flush=True)\n{does}")
     started.append(process)
     assert process.stdout.readline() == "at work\n"
     return process

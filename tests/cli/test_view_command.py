@@ -1,9 +1,7 @@
 """``ttus-opt view``: serves until Ctrl-C, and says what is wrong before it does."""
 
 import json
-import os
 import signal
-import subprocess
 import sys
 import urllib.request
 from dataclasses import replace
@@ -16,6 +14,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE
+from tests.kit import started
 from ttus_opt.core.interrupts import INTERRUPTED
 
 pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
@@ -24,14 +23,7 @@ pytest.importorskip("viser", reason="needs ttus-opt[viewer]")
 @pytest.mark.slow
 def test_it_serves_until_it_is_interrupted(field, files):
     words = f"view {field} --probe {PROBE} --trajectory {files / 'press.csv'}".split()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ttus_opt", *words, "--port", "0", "--no-browser"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = started("-m", "ttus_opt", *words, "--port", "0", "--no-browser")
     url = process.stdout.readline().strip()
     told = process.stdout.readline()
     try:
