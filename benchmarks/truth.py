@@ -41,7 +41,7 @@ from ttus_opt import comparators, example
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.core import io
-from ttus_opt.core.arrays import Array, Mask
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import available
 
@@ -49,6 +49,10 @@ PHANTOMS = "phantom phantom_frictionless phantom_stiff phantom_stiff_frictionles
 
 #: A frame is judged above this force [N]; a difference is felt beyond both of these
 LEAST, FELT = 0.5, (0.07, 0.36)
+
+#: Frames of one press: no further apart than this [m] and [s]; frames within this time
+#: [s] share their errors, where the probe slides on
+JUMP, PAUSE, STRETCH = 0.004, 0.5, 2.0
 
 #: Contacts a process is given at most; forces below are not fitted [N]
 MOST, LEAST_FITTED = 400, 0.1
@@ -136,6 +140,19 @@ RIVALS: dict[str, Callable[[Contacts, Array], Law]] = {
 def distance(a: Array, b: Array) -> Array:
     """Distances of rows, shape (n, m)."""
     return np.asarray(np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)))
+
+
+def stretches(poses: tt.Trajectory, judged: Mask) -> IntArray:
+    """Numbers of the stretches of judged frames whose errors are alike, (judged,).
+
+    A stretch is one press, or `STRETCH` of it: frames without a jump of the probe.
+    """
+    at, time = poses.position[judged], poses.time[judged]
+    new = np.linalg.norm(np.diff(at, axis=0, prepend=at[:1]), axis=1) > JUMP
+    new |= np.diff(time, prepend=time[:1]) > PAUSE
+    start = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+    part = ((time - time[start]) / STRETCH).astype(int)
+    return np.unique(np.stack([start, part]), axis=1, return_inverse=True)[1].ravel()
 
 
 def sizes(poses: tt.Trajectory) -> Array:
@@ -256,10 +273,13 @@ class Case:
             touch = np.zeros(len(size), dtype=bool)
             touch[np.loadtxt(self.folder / "scored.txt", int)] = True
         off = error > np.maximum(FELT[0] * size, FELT[1])
+        stretch = stretches(self.unseen[name], touch)
         return {
             "error_N": float(error[touch].mean()),
             "off_percent": 100.0 * float(off[touch].mean()),
             "frames": int(touch.sum()),
+            "frames_of_stretches": np.bincount(stretch).tolist(),
+            "errors_of_stretches_N": np.bincount(stretch, error[touch]).tolist(),
         }
 
     def forces(self, model: str) -> tuple[dict[str, Array], str]:

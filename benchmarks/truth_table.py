@@ -76,7 +76,7 @@ def table(results: Mapping[str, Mapping[str, Row]]) -> str:
         lines.append(line)
     text = [f"| {' | '.join(line)} |" for line in lines]
     if "best" in summary:
-        text += ["", *_where(found, summary["best"])]
+        text += ["", *_where(results, found, summary["best"])]
     notes = {(m, r["note"]) for own in results.values() for m, r in own.items()}
     told = [f"- `{model}`: {note}" for model, note in sorted(notes) if note]
     return "\n".join([*text, *[""][: len(told)], *told])
@@ -89,7 +89,33 @@ def _beside(own: Row | None) -> list[str]:
     return [f"{own['mean_ratio']:.2f}", str(len(own["loses"])), str(len(own["wins"]))]
 
 
-def _where(found: Mapping[str, Mapping[str, float]], best: Row) -> list[str]:
+def standard_error(one: Row, other: Row) -> float:
+    """Of the difference of two models' mean errors, over the stretches of a recording.
+
+    The frames of a stretch count as one sample (W. G. Cochran, Sampling Techniques,
+    1977, eq. 6.13, of a ratio).
+
+    Args:
+        one: Scores of a model on the recording.
+        other: Those of the other.
+
+    Returns:
+        [N]; NaN for a single stretch.
+    """
+    frames = np.array(one["frames_of_stretches"], dtype=float)
+    off = np.subtract(one["errors_of_stretches_N"], other["errors_of_stretches_N"])
+    left = off - off.sum() / frames.sum() * frames
+    k = len(frames)
+    if k < 2:
+        return float("nan")
+    return float(np.sqrt(k / (k - 1) * (left @ left)) / frames.sum())
+
+
+def _where(
+    results: Mapping[str, Mapping[str, Row]],
+    found: Mapping[str, Mapping[str, float]],
+    best: Row,
+) -> list[str]:
     """Recordings on which the default loses to the best rival, or wins."""
     lines = [
         f"Over the best rival of each of {best['recordings']} recordings: "
@@ -100,11 +126,14 @@ def _where(found: Mapping[str, Mapping[str, float]], best: Row) -> list[str]:
         for name, ratio in best[word].items():
             rivals = {m: e for m, e in found[name].items() if m != "default"}
             model = min(rivals, key=rivals.__getitem__)
+            case, _, recording = name.rpartition(" ")
+            scores = (results[case][m]["scores"][recording] for m in ("default", model))
             told.append(
                 f"- {name}: {found[name]['default']:.3f} N, `{model}` "
-                f"{rivals[model]:.3f} N (× {ratio:.2f})"
+                f"{rivals[model]:.3f} N (× {ratio:.2f}, ± {standard_error(*scores):.3f} N)"
             )
-        lines += ["", f"The default {word} by more than 5 % on {len(told)}:", "", *told]
+        head = f"The default {word} by more than 5 % on {len(told)}"
+        lines += ["", f"{head} (± the standard error of the difference):", "", *told]
     return lines
 
 

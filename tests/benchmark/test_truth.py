@@ -146,6 +146,35 @@ def test_scores_are_over_the_frames_of_each_kind(truth, tmp_path):
     assert tissue["error_N"] == pytest.approx(0.1 * size[rows].mean())
 
 
+def test_frames_of_a_press_are_one_sample(truth):
+    time = np.r_[0.0:1.0:0.1, 1.0:6.0:0.1]
+    at = np.zeros((60, 3))
+    at[10:] = 0.02  # the second press is elsewhere, and lasts 5 s
+    force = np.ones((60, 3))
+    poses = tt.Trajectory(time, at, np.tile(np.eye(3), (60, 1, 1)), force, force)
+    judged = np.ones(60, dtype=bool)
+    assert np.bincount(truth.stretches(poses, judged)).tolist() == [10, 20, 20, 10]
+    judged[30:40] = False  # a pause ends it, too
+    assert np.bincount(truth.stretches(poses, judged)).tolist() == [10, 20, 20]
+
+
+def test_a_standard_error_is_that_of_presses_drawn_again(truth):
+    import truth_table
+
+    rng = np.random.default_rng(0)
+    frames = rng.integers(5, 40, 50)
+    one, other = (frames * rng.gamma(4.0, 0.02, 50) for _ in range(2))
+    rows = [
+        {"frames_of_stretches": frames, "errors_of_stretches_N": e}
+        for e in (one, other)
+    ]
+    drawn = rng.integers(50, size=(20_000, 50))
+    means = (one - other)[drawn].sum(axis=1) / frames[drawn].sum(axis=1)
+    assert truth_table.standard_error(*rows) == pytest.approx(means.std(), rel=0.03)
+    single = [{name: values[:1] for name, values in row.items()} for row in rows]
+    assert np.isnan(truth_table.standard_error(*single))
+
+
 def test_losses_and_wins_by_hand(truth):
     found = {
         "a press": {"default": 0.2, "eq10": 0.1, "r:x": 0.8},
