@@ -130,7 +130,8 @@ def _where(
             scores = (results[case][m]["scores"][recording] for m in ("default", model))
             told.append(
                 f"- {name}: {found[name]['default']:.3f} N, `{model}` "
-                f"{rivals[model]:.3f} N (× {ratio:.2f}, ± {standard_error(*scores):.3f} N)"
+                f"{rivals[model]:.3f} N (× {ratio:.2f}, "
+                f"± {standard_error(*scores):.3f} N)"
             )
         head = f"The default {word} by more than 5 % on {len(told)}"
         lines += ["", f"{head} (± the standard error of the difference):", "", *told]
