@@ -47,9 +47,6 @@ class Directions(Protocol):
     def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate and keep it; False if nothing is left of it."""
 
-    def step(self, rest: Array) -> tuple[Array, Array]:
-        """The step after a direction was added, and the residual that it leaves."""
-
 
 @dataclass(frozen=True)
 class Run:
@@ -99,7 +96,7 @@ def conjugate_gradients(
             direction, rtol(rest)
         ):
             return Run(*best, steps)
-        step, rest = directions.step(rest)
+        step, rest = directions.project(rest)
         y, steps = y + step, steps + 1
     return Run(y, rest, steps)
 
@@ -138,8 +135,6 @@ class LastDirection:
         direction, image, curvature = self._kept
         part = self._pairing(right_side, direction) / curvature
         return part * direction, right_side - part * image
-
-    step = project
 
     def extend(self, direction: Array, rtol: float) -> bool:
         """Replace it by a new one, conjugate to it where that adds a part of it."""
@@ -215,19 +210,9 @@ class RecycledSubspace:
     the weights.
     """
 
-    def __init__(
-        self,
-        system: DualOperator,
-        exact: bool = False,
-    ) -> None:
-        """Start without directions.
-
-        Args:
-            system: The operator.
-            exact: Whether its products are a fixed linear map, so that a step along the
-                last direction leaves no rest on the others.
-        """
-        self.system, self._exact = system, exact
+    def __init__(self, system: DualOperator) -> None:
+        """Start without directions of an operator."""
+        self.system = system
         #: Directions and their images, with space for more, shape (2, k, m)
         self._store = np.empty((2, 16, len(system.root_weights)))
         self._count = 0
@@ -279,16 +264,9 @@ class RecycledSubspace:
         Returns:
             y and right_side - S y, shape (m,) each.
         """
-        return self._projected(right_side, 0)
-
-    def step(self, rest: Array) -> tuple[Array, Array]:
-        """`project`; onto the last direction alone where products are exact."""
-        return self._projected(rest, self._count - 1 if self._exact else 0)
-
-    def _projected(self, rest: Array, first: int) -> tuple[Array, Array]:
-        d, images = self._store[:, first : self._count]
-        parts = _products(d, rest)
-        return _combination(parts, d), rest - _combination(parts, images)
+        d, images = self._kept
+        parts = _products(d, right_side)
+        return _combination(parts, d), right_side - _combination(parts, images)
 
     def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate to the others, normalise and store it.

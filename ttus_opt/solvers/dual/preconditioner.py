@@ -156,7 +156,7 @@ class SchurPreconditioner:
 
     @cached_property
     def _subspace(self) -> RecycledSubspace:
-        return RecycledSubspace(self._approximate, exact=True)
+        return RecycledSubspace(self._approximate)
 
     def __call__(self, residual: Array) -> Array:
         """S̃⁻¹ residual, shape (m,), nearly linear in it and positive definite."""

@@ -25,22 +25,15 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.conjugate_gradients import (
     LastDirection,
-    Map,
     conjugate_gradients,
     inner_product,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
 from ttus_opt.solvers.dual.solver import Accuracy
-from ttus_opt.solvers.primal.approximate_system import (
-    ApproximateSystem,
-)
-from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
+from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
+from ttus_opt.solvers.primal.preconditioner import INNER, ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields
-
-#: Residual of the preconditioner's dual system over the energy norm of its solution [–]
-INNER = 0.1
 
 #: A run ends where a round leaves more than this part of the gap [–]
 GAIN = 0.5
@@ -150,14 +143,7 @@ def preconditioner(
     system = ApproximateSystem.matched(
         split.few.system, split.operator, split.wide, root, unseen
     )
-    return ConstraintPreconditioner(
-        system, split.few.columns[:, free], inner, schur_of(system)
-    )
-
-
-def schur_of(system: ApproximateSystem) -> Map:
-    """About S⁻¹."""
-    return SchurPreconditioner(system) if system.adjoint.nnz else np.copy
+    return ConstraintPreconditioner(system, split.few.columns[:, free], inner)
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,9 @@ from ttus_opt.solvers.dual.subproblem import (
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.least_squares import (
-    INNER,
     Goal,
     LeastSquares,
     minimise,
-    schur_of,
 )
 from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
@@ -82,8 +80,7 @@ class LimitedSum(LimitedProblem):
         more = sp.csr_array(more @ kept)
         more.eliminate_zeros()
         near = ApproximateSystem.of(system, laplace, cycle, more, split.wide)
-        columns = np.zeros((len(left.t), 0))
-        return ConstraintPreconditioner(near, columns, INNER, schur_of(near))
+        return ConstraintPreconditioner(near)
 
 
 @dataclass(frozen=True)

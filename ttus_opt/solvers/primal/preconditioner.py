@@ -23,7 +23,8 @@ from ttus_opt.solvers.conjugate_gradients import (
     norm,
 )
 from ttus_opt.solvers.dual.linear_parameters import Complement
-from ttus_opt.solvers.dual.system import SchurComplement
+from ttus_opt.solvers.dual.preconditioner import SchurPreconditioner
+from ttus_opt.solvers.dual.system import DualSystem, SchurComplement
 
 #: Most directions of S whose fields P⁻¹Dᵀd are kept
 MOST_FIELDS = 12
@@ -34,8 +35,8 @@ OUTSIDE = 1e-12
 #: Most directions of S
 MOST = 2000
 
-#: Default residual of S's system over the energy norm of its solution [–]
-INNER = 0.03
+#: Residual of S's system over the energy norm of its solution [–]
+INNER = 0.1
 
 
 class ConstraintPreconditioner:
@@ -48,21 +49,24 @@ class ConstraintPreconditioner:
     def __init__(
         self,
         system: SchurComplement,
-        columns: Array,
-        inner: float,
-        schur: Map = np.copy,
+        columns: Array | None = None,
+        inner: float = INNER,
     ) -> None:
         """Start without directions.
 
         Args:
             system: S over P.
-            columns: E of the free unknowns c, shape (m, k).
+            columns: E of the free unknowns c, shape (m, k); None for none.
             inner: Residual of S's system over the energy norm of its solution [–].
-            schur: About S⁻¹.
         """
         self._system, self._inner = system, inner
         self._responses = _Responses(system)
         self._subspace = RecycledSubspace(self._responses)
+        schur: Map = np.copy
+        if isinstance(system, DualSystem) and system.adjoint.nnz:
+            schur = SchurPreconditioner(system)
+        if columns is None:
+            columns = np.zeros((len(system.root_weights), 0))
         self.complement = Complement(columns, schur)
 
     @property
@@ -142,6 +146,5 @@ def with_few_rows(prior: Map, rows: sp.csr_array) -> Map:
         prior: P⁻¹, linear.
         rows: D, shape (m, n).
     """
-    m = rows.shape[0]
-    system = SchurComplement(prior, rows, np.ones(m))
-    return ConstraintPreconditioner(system, np.zeros((m, 0)), INNER).field
+    system = SchurComplement(prior, rows, np.ones(rows.shape[0]))
+    return ConstraintPreconditioner(system).field
