@@ -8,7 +8,6 @@ import ttus_opt as tt
 from tests.kit import TtusWarning, ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.contact_spread import (
     OWN_ERROR,
-    USUAL_PLACES,
     contact_spread,
     independent_places,
     telling_places,
@@ -100,15 +99,17 @@ def test_places_that_tell_the_deviation_count_by_how_far_they_differ():
 def test_one_place_is_widened_by_bodies_in_general_and_told():
     depth = np.full(30, 0.006)
     mean = tt.terms.UncertainMean(
-        np.zeros((1, 0)), np.zeros(30), 1.0, 0.1, 0.4, 0.01, (0.03, 0.7)
+        np.zeros((1, 0)), np.zeros(30), 1.0, 0.1, (0.4, 0.7), 0.01, (0.03, 0.7)
     )
     one = scene_of(np.full(30, 0.5), np.full(30, 0.1), depth)
     with pytest.warns(
         TtusWarning, match="more than one place, not how stiffness varies"
     ):
         variance = told_variance(one, mean)
-    n = USUAL_PLACES
-    assert variance == pytest.approx((1.0 + n * 16.0) / (1.0 + n), rel=0.05)
+    told = 1.0 / 0.7**2, 2.0 * telling_places(one, 0.01)  # of bodies, of the place
+    average = np.average(np.log([0.4, 0.1]), weights=told)
+    assert variance == pytest.approx(np.exp(average) ** 2 / 0.1**2)
+    assert 3.0 < variance < 5.0
     many = scene_of(np.repeat([0.5, 2.5, 4.5], 10), np.full(30, 0.1), depth)
     assert 1.0 < told_variance(many, mean) < 0.7 * variance
     assert told_variance(many, replace(mean, deviation=0.8)) == 1.0

@@ -21,6 +21,7 @@ from tests.fitting.uncertainty.test_field_uncertainty import exact as laplace
 from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
+from ttus_opt.fitting.uncertainty.wrench_noise import LEAST_SHARE, MeasuredWrenches
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import known_covariance, whitening
 
@@ -188,6 +189,15 @@ def test_errors_of_places_are_told_of_the_usual_force():
     square = np.sum(rendered[scene.touching] ** 2, axis=1).mean()
     assert exact().noise.usual_force == pytest.approx(np.sqrt(square), rel=1e-6)
     assert np.isnan(laplace().noise.usual_force)
+
+
+def test_a_place_of_a_depth_map_is_never_exact(monkeypatch):
+    """However little its places differ from it; a Laplace field's may be."""
+    exactly = replace(exact().noise, place_share=0.001)
+    monkeypatch.setattr(MeasuredWrenches, "estimate", lambda *_: (1.0, exactly))
+    assert uncertainty(fitted(), scene_of(LEAST)).noise.place_share == LEAST_SHARE
+    plain = tt.fit(three_presses(), "eq10", **WEIGHTS)
+    assert uncertainty(plain, three_presses()).noise.place_share == 0.001
 
 
 def test_forces_without_torques_have_an_uncertainty_too():

@@ -27,10 +27,6 @@ MOST_FRAMES = 300
 #: do not count as many [–]
 OWN_ERROR = 0.05
 
-#: Number of places that what is known of bodies in general counts for: 1 and 2 cover
-#: as much at new places of two simulated torsos, 1 states less [–]
-USUAL_PLACES = 1.0
-
 #: Number of independent places below which a warning is given [–]
 FEW_PLACES = 2.0
 
@@ -102,17 +98,18 @@ def telling_places(scene: Scene, length: float) -> float:
 def told_variance(scene: Scene, mean: UncertainMean) -> float:
     """Variance about the mean that the recordings bear out, over that of the fit [–].
 
-    The deviation found at places that tell as much as n independent ones counts n
-    times, the one of bodies in general `USUAL_PLACES` times; never less than 1. A
-    `TtusWarning` tells when the recordings cannot tell how stiffness varies.
+    The logarithms of the deviation found and of that of bodies in general are averaged
+    by what is known of each: 2 n of n places (`telling_places`), 1/s² of bodies, with s
+    the deviation of its logarithm. Never less than 1. A `TtusWarning` tells when the
+    recordings cannot tell how stiffness varies.
 
     Args:
         scene: What was fitted.
         mean: The mean, and the deviation found from it.
     """
-    n = telling_places(scene, mean.length)
-    usual = (mean.usual / mean.deviation) ** 2
-    variance = max((n + USUAL_PLACES * usual) / (n + USUAL_PLACES), 1.0)
+    usual, spread = mean.usual
+    told = 2.0 * spread**2 * telling_places(scene, mean.length)
+    variance = max((usual / mean.deviation) ** (2.0 / (1.0 + told)), 1.0)
     if independent_places(scene, mean.length) < FEW_PLACES:
         warnings.warn(
             "the recordings tell hardly more than one place, not how stiffness varies: "

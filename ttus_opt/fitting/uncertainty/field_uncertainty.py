@@ -40,6 +40,7 @@ from ttus_opt.fitting.uncertainty.posterior_draws import (
     skin_voxels,
 )
 from ttus_opt.fitting.uncertainty.wrench_noise import (
+    LEAST_SHARE,
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
@@ -316,6 +317,8 @@ def _errors(
     else:
         known = told_variance(scene, mean)
         variance, noise = seen.estimate(likeliest, known, mean.shared_error)
+        share = max(noise.place_share, LEAST_SHARE)
+        noise = replace(noise, place_share=share)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])
     # whole places turned and shifted like residuals, as the noise of a depth map,
     # would predict new places half as well as the errors by parts that it takes

@@ -133,12 +133,17 @@ class DepthMapTerm(Term):
             part = replace(self.profile, exponents=(a,), coefficients=(1.0,))
             power = c * voxel_profile(self.scene, part)
             drift.append(PRIOR["exponent"][1] * a * log_depth * power)
-        usual = PRIOR["deviation"][0]
-        columns = np.stack(drift, axis=1)
-        scene, own = self.scene, (self.deviation, usual, self.surface_length)
+        scene = self.scene
         slopes = size_slopes(scene.patches.spread, least_length(scene.sampling))
-        size = slopes, PRIOR["least_length"][1]
-        return UncertainMean(columns, *size, *own, PRIOR["shared_error"])
+        return UncertainMean(
+            np.stack(drift, axis=1),
+            slopes,
+            PRIOR["least_length"][1],
+            self.deviation,
+            PRIOR["deviation"],
+            self.surface_length,
+            PRIOR["shared_error"],
+        )
 
 
 def signed_depth(voxmap: Voxmap) -> Array:

@@ -77,7 +77,8 @@ class UncertainMean:
             `contact-size`, shape (T,) [–].
         size_deviation: Prior standard deviation of ln ℓ₀ [–].
         deviation: Relative standard deviation of the field about its mean [–].
-        usual: What it is in bodies in general [–].
+        usual: What it is in bodies in general, and the standard deviation of its
+            logarithm [–].
         length: Length over which it varies along the surface [m].
         shared_error: Median and logarithmic standard deviation of the prior of the
             relative error that frames of a place share [–].
@@ -87,7 +88,7 @@ class UncertainMean:
     size_slopes: Array = field(repr=False)
     size_deviation: float
     deviation: float
-    usual: float
+    usual: tuple[float, float]
     length: float
     shared_error: tuple[float, float]
 
