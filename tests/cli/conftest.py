@@ -34,8 +34,9 @@ Run = Callable[[str], Answer]
 
 
 @pytest.fixture
-def run(capsys):
-    """Runs ``ttus-opt <words>`` in this process."""
+def run(capsys, monkeypatch):
+    """Runs ``ttus-opt <words>`` in this process, in 80 columns."""
+    monkeypatch.setenv("COLUMNS", "80")
 
     def call(words):
         with pytest.raises(SystemExit) as stop:

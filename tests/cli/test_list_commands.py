@@ -24,8 +24,7 @@ def test_auto_is_told_with_installed_solvers_only(run, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["solvers", "formulations"])
-def test_lists_fit_80_columns_and_leave_nothing_out(run, monkeypatch, name):
-    monkeypatch.setenv("COLUMNS", "80")
+def test_lists_fit_80_columns_and_leave_nothing_out(run, name):
     told = run(name).out
     assert max(map(len, told.splitlines())) <= 80
     known = {"solvers": registry.solvers(), "formulations": formulation.available()}

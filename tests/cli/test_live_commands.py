@@ -29,7 +29,7 @@ def test_both_commands_meet(link, tmp_path):
     key.write_text(bytes(32).hex())
     key.chmod(0o600)
     words = f"--key {key} --port {own_port()} --link {link} --json --seconds".split()
-    follower = started(*LIVE, "follower", *words, "60")
+    follower = started(*LIVE, "follower", *words, "600")
     try:
         assert follower.stderr.readline().startswith("follower: ")  # it is at work
         told = python(*LIVE, "operator", *words, "10")

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import ttus_opt as tt
 from tests.kit import FileError, presses, refuses, small_scene, torso
@@ -16,7 +15,7 @@ from ttus_opt.fitting.path.path_dataset import (
 )
 from ttus_opt.fitting.path.weight_grid import WeightGrid
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.problem.solution import Status, Timings
 
 FORCE, TORQUE = [0.1, 10.0], [0.5, 5.0]
 TWO = np.arange(12) >= 7  # frames of the second recording
@@ -63,9 +62,6 @@ def noted():
         criteria = {"gcv": 10.0 + index[1]} if index == (0, 1) else None
         record.add(index, solution, criteria)
     return record.dataset(), points
-
-
-Noted = tuple[xr.Dataset, dict[tuple[int, int], Solution]]
 
 
 def test_every_point_has_its_status(noted):
