@@ -1,22 +1,13 @@
 """The parts of `benchmarks/experiment_causes.py` that need no fit."""
 
-import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.experiment_causes import raised, too_deep
 from ttus_opt.probe.trajectory import Trajectory
-
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "experiment_causes.py"
-
-
-@pytest.fixture(scope="module")
-def script():
-    """Names of the script."""
-    return runpy.run_path(str(SCRIPT))
 
 
 def pressed():
@@ -28,10 +19,10 @@ def pressed():
     )
 
 
-def test_reported_too_deep_on_average_over_contact(script):
+def test_reported_too_deep_on_average_over_contact():
     true = pressed()
     off = np.array([[-1e-3, 5e-3, 0.0], [-2e-3, 0.0, 7e-3], [9e-3, 0.0, 0.0]])
     reported = replace(true, position=off)
-    assert script["too_deep"](reported, true) == pytest.approx(1.5e-3)
-    level = script["raised"](reported, 1.5e-3)
-    assert script["too_deep"](level, true) == pytest.approx(0.0, abs=1e-12)
+    assert too_deep(reported, true) == pytest.approx(1.5e-3)
+    level = raised(reported, 1.5e-3)
+    assert too_deep(level, true) == pytest.approx(0.0, abs=1e-12)

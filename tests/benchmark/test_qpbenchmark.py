@@ -1,6 +1,5 @@
 """The test set of qpbenchmark: the problems it yields are this package's."""
 
-import importlib.util
 import warnings
 from pathlib import Path
 
@@ -17,11 +16,10 @@ def test_set():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its packages are full of deprecations
         pytest.importorskip("qpbenchmark", reason="qpbenchmark is not installed")
-        spec = importlib.util.spec_from_file_location("ttus_test_set", FILE)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        made = module.Ttus()
-        made.__doc_of_file__ = module.__doc__
+        from benchmarks import ttus
+
+        made = ttus.Ttus()
+        made.__doc_of_file__ = ttus.__doc__
         return made
 
 

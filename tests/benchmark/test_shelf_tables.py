@@ -1,25 +1,15 @@
 """The documentation's tables of the shelf, and its rows that are measured."""
 
-import importlib.util
 import json
 import math
 from pathlib import Path
 
 import pytest
 
+from benchmarks import performance_rows, shelf_tables
 from tests.benchmark.rows import failed, row
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-def script(name):
-    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-TABLES = script("shelf_tables")
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def answer(formulation, seconds, **other):
@@ -43,27 +33,27 @@ ROWS = [
 def test_ratios_growth_and_failures_by_hand():
     lines = {
         line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
-        for line in TABLES.shelf_table(ROWS).splitlines()[2:]
+        for line in shelf_tables.shelf_table(ROWS).splitlines()[2:]
     }
     assert list(lines) == ["eq10", "tikhonov", "robust", "total_variation"]
     assert lines["eq10"][:5] == ["structured", "0.1", "1 ×", "1", "1 ×"]
     assert lines["eq10"][7] == "1.00"  # ten times the voxels, ten times the time
     assert lines["tikhonov"][1:6] == ["0.2", "2 ×", "6", "6 ×", "41"]
     assert lines["total_variation"][3] == "(time limit)"
-    assert math.isnan(TABLES.growth(ROWS[:1]))
+    assert math.isnan(shelf_tables.growth(ROWS[:1]))
 
 
 def test_late_by_the_clock_of_a_busy_machine_is_not_late():
     late = answer("eq10", 30.0, status="time limit", detail="solved after 184 s")
-    assert TABLES.solved(late)  # its limit is 100 s
-    assert not TABLES.solved(late | {"cpu_first": 101.0})
-    assert not TABLES.solved(late | {"detail": "MaxTime"})
-    (told,) = TABLES.profile_rows([late | {"solver": "scs"}])
+    assert shelf_tables.solved(late)  # its limit is 100 s
+    assert not shelf_tables.solved(late | {"cpu_first": 101.0})
+    assert not shelf_tables.solved(late | {"detail": "MaxTime"})
+    (told,) = shelf_tables.profile_rows([late | {"solver": "scs"}])
     assert (told["status"], told["seconds_first"]) == ("solved", 30.0)
 
 
 def test_missed_goals_are_told_and_met_ones_are_not():
-    told = TABLES.missed(ROWS)
+    told = shelf_tables.missed(ROWS)
     assert [line.split(":")[0].split(" (")[0] for line in told] == [
         "`tikhonov` on M",
         "`total_variation` on M",
@@ -78,28 +68,27 @@ def test_a_folder_is_read_once_and_markers_are_filled(tmp_path):
     text = "".join(json.dumps([each]) + "\n" for each in (*ROWS, ROWS[0]))
     (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
     keys = {each["key"] for each in ROWS}
-    assert sorted(each["key"] for each in TABLES.read([tmp_path, tmp_path])) == sorted(
-        keys
-    )
-    by_clock = TABLES.read([tmp_path], wall=True)
+    assert sorted(
+        each["key"] for each in shelf_tables.read([tmp_path, tmp_path])
+    ) == sorted(keys)
+    by_clock = shelf_tables.read([tmp_path], wall=True)
     assert {each["cpu_first"] for each in by_clock if each["status"] == "solved"} == {
         99.0
     }
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- a: begin -->\nold\n<!-- a: end -->\nafter\n")
     for _ in range(2):  # filling in again changes nothing
-        TABLES.filled(page, "a", "new")
+        shelf_tables.filled(page, "a", "new")
         assert page.read_text() == (
             "before\n<!-- a: begin -->\n\nnew\n\n<!-- a: end -->\nafter\n"
         )
     with pytest.raises(ValueError, match="markers"):
-        TABLES.filled(page, "b", "new")
+        shelf_tables.filled(page, "b", "new")
 
 
 def test_the_markers_are_in_the_pages():
-    root = FOLDER.parent
     for page, names in (
-        (root / "docs" / "benchmark.md", "shelf general profile perturbed missed"),
+        (ROOT / "docs" / "benchmark.md", "shelf general profile perturbed missed"),
     ):
         text = page.read_text(encoding="utf-8")
         for name in names.split():
@@ -108,10 +97,11 @@ def test_the_markers_are_in_the_pages():
 
 
 def test_every_row_of_the_page_is_measured():
-    rows = script("performance_rows")
-    assert [rows.begins(row) for row in rows.told_rows()] == list(rows.ROWS)
+    assert [
+        performance_rows.begins(row) for row in performance_rows.told_rows()
+    ] == list(performance_rows.ROWS)
     with pytest.raises(KeyError, match="put it into ROWS"):
-        rows.begins("a new row")
+        performance_rows.begins("a new row")
 
 
 def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path):
@@ -121,8 +111,8 @@ def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path):
         (tmp_path / name).mkdir()
         told = [row | {"key": f"{name} {n}"} for n, row in enumerate(rows)]
         (tmp_path / name / "rows.jsonl").write_text(json.dumps(told) + "\n")
-    found = TABLES.read([tmp_path / "a", tmp_path / "b"])
-    own = TABLES.by(found, "S")
+    found = shelf_tables.read([tmp_path / "a", tmp_path / "b"])
+    own = shelf_tables.by(found, "S")
     assert own["eq10"]["cpu_first"] == 0.1
     assert own["tikhonov"]["cpu_first"] == 0.4
-    assert TABLES.times(own["tikhonov"], own["eq10"]) == pytest.approx(2.0)
+    assert shelf_tables.times(own["tikhonov"], own["eq10"]) == pytest.approx(2.0)

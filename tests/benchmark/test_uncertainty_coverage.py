@@ -1,20 +1,17 @@
 """Coverage over draws: `uncertainty_coverage.py`, without the finite elements."""
 
-import runpy
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import ttus_opt as tt
+from benchmarks import uncertainty_coverage as script
 from ttus_opt import example
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import RECORDINGS, Examination, patients
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
-
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "uncertainty_coverage.py"
 
 FIGURES = {
     "force_coverage": 0.9,
@@ -31,12 +28,6 @@ FIGURES = {
 
 
 @pytest.fixture(scope="module")
-def script():
-    """Names of the script."""
-    return SimpleNamespace(**runpy.run_path(str(SCRIPT)))
-
-
-@pytest.fixture(scope="module")
 def examination():
     """The bundled recordings without noise of poses, as if of a patient."""
     surface = tt.Surface.load(example.path("surface.nc"))
@@ -44,7 +35,7 @@ def examination():
     return Examination(patients()[0], surface, {}, true, {})
 
 
-def rows(script, patient, draw, *coverage):
+def rows(patient, draw, *coverage):
     """A row for each coverage, all of one draw."""
     names = RECORDINGS
     return [
@@ -53,12 +44,12 @@ def rows(script, patient, draw, *coverage):
     ]
 
 
-def test_recordings_of_a_draw_are_not_taken_for_independent(script):
+def test_recordings_of_a_draw_are_not_taken_for_independent():
     made = [
-        *rows(script, "lean", 0, 0.8, 0.8),
-        *rows(script, "lean", 1, 1.0, 1.0),
-        *rows(script, "stout", 0, 0.9, 1.0),
-        *rows(script, "stout", 1, 0.9, 1.0),
+        *rows("lean", 0, 0.8, 0.8),
+        *rows("lean", 1, 1.0, 1.0),
+        *rows("stout", 0, 0.9, 1.0),
+        *rows("stout", 1, 0.9, 1.0),
     ]
     mean, error = script.pooled(made, "force_coverage")
     assert mean == pytest.approx(0.925)
@@ -67,8 +58,8 @@ def test_recordings_of_a_draw_are_not_taken_for_independent(script):
     assert np.isnan(script.pooled(made[:2], "force_coverage")[1])
 
 
-def test_table_has_mean_lowest_and_highest_draw(script):
-    made = [*rows(script, "lean", 0, 0.8, 0.9), *rows(script, "lean", 1, 1.0, 0.9)]
+def test_table_has_mean_lowest_and_highest_draw():
+    made = [*rows("lean", 0, 0.8, 0.9), *rows("lean", 1, 1.0, 0.9)]
     _, _, press, sweep, pooled, *last = script.table(made).splitlines()
     assert press.startswith("| lean, press_fit | 90 (80–100) % | 80 (80–80) % |")
     assert "| 0.50, 0.25 | 4.0, 3.0 | 0.50, 0.25 |" in press
@@ -79,15 +70,15 @@ def test_table_has_mean_lowest_and_highest_draw(script):
     assert first.startswith("85.0 %")  # of one draw no error is known
 
 
-def test_a_depth_map_has_no_figures_of_torque(script):
+def test_a_depth_map_has_no_figures_of_torque():
     unknown = dict.fromkeys(("torque_coverage", "torque_std", "torque_alone"), np.nan)
-    made = [replace(row, **unknown) for row in rows(script, "lean", 0, 0.8)]
+    made = [replace(row, **unknown) for row in rows("lean", 0, 0.8)]
     told = script.table(made)
     assert "| 80 (80–80) % | – | 0.50, 0.25 | –, 3.0 | 0.50, 0.25 |" in told
     assert "torque_coverage" not in told and "force_coverage" in told
 
 
-def test_draws_differ_in_all_noise_and_repeat(script, examination):
+def test_draws_differ_in_all_noise_and_repeat(examination):
     first, again = (script.redrawn(examination, 0).measured for _ in range(2))
     other = script.redrawn(examination, 1).measured
     someone = replace(examination, patient=patients()[1])
@@ -104,7 +95,7 @@ def test_draws_differ_in_all_noise_and_repeat(script, examination):
     assert np.linalg.matrix_rank(np.array(noises)) == len(noises)
 
 
-def test_true_errors_against_the_fields_part_alone(script):
+def test_true_errors_against_the_fields_part_alone():
     true = tt.read_trajectory(example.path("press_test.csv"))
     frames = len(true)
     sizes = np.array([0.3, 0.4, 0.5, 0.002, 0.003, 0.004])
@@ -129,12 +120,12 @@ def test_true_errors_against_the_fields_part_alone(script):
 
 
 @pytest.mark.slow
-def test_finished_draws_are_not_computed_again(script, tmp_path, monkeypatch):
+def test_finished_draws_are_not_computed_again(tmp_path, monkeypatch):
     computed = []
 
     def judged(fits, setting, draw):
         computed.append((setting.name, draw))
-        return rows(script, "lean", draw, 0.9, 0.8)
+        return rows("lean", draw, 0.9, 0.8)
 
     space = script.Repetition.rows.__globals__
     monkeypatch.setitem(space, "judged", judged)
@@ -152,7 +143,7 @@ def test_finished_draws_are_not_computed_again(script, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_uncertainty_of_a_redrawn_fit(script, examination, tmp_path):
+def test_uncertainty_of_a_redrawn_fit(examination, tmp_path):
     setting = script.setting_of("eq10", "trilinear", "given")
     fits = PatientFits(script.redrawn(examination, 0), tmp_path, (16, 48, 24), "")
     press, sweep = script.judged(fits, setting, 0)
