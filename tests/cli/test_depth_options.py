@@ -1,6 +1,7 @@
 """``ttus-opt surface`` of depth images."""
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -8,21 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
+from tests.cli.conftest import empty, refused
 from tests.sensors.cameras import Camera, measured, millimetres, see_ellipsoid
 from tests.sensors.cameras import see_plane as plane
-from ttus_opt.cli import main
 
 CENTRE, SEMI_AXES = np.array([0.0, 0.11, 0.0]), np.array([0.17, 0.11, 0.35])
 CAMERAS = tuple(
     Camera(eye, (0.0, 0.1, 0.0))
     for eye in ((0, 0.9, 0.1), (-0.6, 0.6, 0), (0.6, 0.6, 0))
 )
-
-
-def run(*words):
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    return int(stop.value.code or 0)
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +48,13 @@ def words(scans, *more):
     poses = ["--poses", str(scans / "poses.csv")]
     axis = ["--axis-origin", "0,0.1,0", "--axis-direction", "0,0,1"]
     size = ["--n-theta", "60", "--n-z", "16", "--z-range=-0.15,0.15"]
-    return ["surface", *images, *camera, *poses, *axis, *size, *more]
+    return " ".join(["surface", *images, *camera, *poses, *axis, *size, *more])
 
 
-def test_three_sides(scans, tmp_path, capsys):
+def test_three_sides(run, scans, tmp_path):
     out = tmp_path / "surface.nc"
     noise = ["--noise", "time-of-flight:0.0012", "--json", "-o", str(out)]
-    assert run(*words(scans, *noise)) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(run(words(scans, *noise)).out)
     assert len(told["dropped"]) == 3
     assert all(one["invalid"] > 0 for one in told["dropped"])
     assert told["refinements"] == []
@@ -74,99 +68,76 @@ def test_three_sides(scans, tmp_path, capsys):
     assert np.percentile(off, 95) < 3.0e-3
 
 
-def test_an_ellipsoid_is_too_round_to_be_refined(scans, tmp_path, capsys):
+def test_an_ellipsoid_is_too_round_to_be_refined(run, scans, tmp_path):
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
     out = tmp_path / "surface.nc"
-    assert run(*words(scans, "--refine", "-o", str(out))) == 2
-    assert "slides on the others" in capsys.readouterr().err
+    refused(run(words(scans, "--refine", "-o", str(out))), "slides on the others")
     assert not out.exists()
 
 
-def test_the_frame_of_a_held_probe_and_a_later_scan(scans, tmp_path, capsys):
+def test_the_frame_of_a_held_probe_and_a_later_scan(run, scans, tmp_path):
     """The probe's z into the patient, its y to the feet; then one scan more."""
     turn = Rotation.from_matrix([[-1, 0, 0], [0, 0, -1], [0, -1, 0]])
     q = ",".join(f"{v:.9f}" for v in turn.as_quat(scalar_first=True))
     (tmp_path / "probe.csv").write_text(f"t,px,py,pz,qw,qx,qy,qz\n0,0,0.24,0.05,{q}\n")
     first, second = tmp_path / "first.nc", tmp_path / "second.nc"
-    size = ["--n-theta", "60", "--n-z", "16", "--z-range=-0.1,0.1"]
-    camera = ["--intrinsics", str(scans / "camera.json")]
     lines = (scans / "poses.csv").read_text().splitlines()
     for k in (0, 1):
         one = "\n".join([lines[0], lines[k + 1]]) + "\n"
         (tmp_path / f"pose{k}.csv").write_text(one)
     front, left = (
-        [
-            *("surface", str(scans / f"{k}.png"), *camera),
-            *("--poses", str(tmp_path / f"pose{k}.csv")),
-        ]
+        f"surface {scans / f'{k}.png'} --intrinsics {scans / 'camera.json'} "
+        f"--poses {tmp_path / f'pose{k}.csv'}"
         for k in (0, 1)
     )
-    held = ["--axis-from", str(tmp_path / "probe.csv")]
-    assert run(*front, *held, *size, "-o", str(first)) == 0
+    held = f"--axis-from {tmp_path / 'probe.csv'}"
+    size = "--n-theta 60 --n-z 16 --z-range=-0.1,0.1"
+    assert run(f"{front} {held} {size} -o {first}").status == 0
     earlier = tt.Surface.load(first)
     np.testing.assert_allclose(earlier.axis.rotation, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(earlier.axis.origin, [0, 0.11, 0.05], atol=0.005)
-    capsys.readouterr()
-    more = ["--update", str(first), "--json", "-o", str(second)]
-    assert run(*left, *more) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(run(f"{left} --update {first} --json -o {second}").out)
     later = tt.Surface.load(second)
     assert told["kept"] > 0.05 and told["added"] > 0.01
     assert told["averaged"] > 0.8 * (told["averaged"] + told["replaced"])
     assert later.observed.mean() > earlier.observed.mean()
     np.testing.assert_array_equal(later.axis.rotation, earlier.axis.rotation)
-    assert run(*left, *held, "--update", str(first), "-o", str(second)) == 2
-    assert "--update keeps the surface's frame" in capsys.readouterr().err
-    twice = [*held, "--probe-axes", "z,z"]
-    assert run(*front, *twice, "-o", str(second)) == 2
-    assert "same axis of the probe" in capsys.readouterr().err
+    answer = run(f"{left} {held} --update {first} -o {second}")
+    refused(answer, "--update keeps the surface's frame")
+    answer = run(f"{front} {held} --probe-axes z,z -o {second}")
+    refused(answer, "same axis of the probe")
+
+
+SEEN = "0.png --intrinsics camera.json"
 
 
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        (["0.png"], "give --intrinsics or --rays"),
-        (["0.png", "1.png", "--intrinsics", "camera.json"], "give --poses"),
-        (["0.png", "--intrinsics", "camera.json", "--refine"], "more than one scan"),
+        ("0.png", "give --intrinsics or --rays"),
+        ("0.png 1.png --intrinsics camera.json", "give --poses"),
+        (f"{SEEN} --refine", "more than one scan"),
+        (f"{SEEN} --poses poses.csv", "3 poses, there is 1 image"),
+        # without advice by --columns, which is not an option here
+        (f"{SEEN} --poses camera.json", r"t,px,py,pz,qw,qx,qy,qz, got [^;]+$"),
+        (f"{SEEN} --noise loud", "noise must be one"),
+        (f"{SEEN} --unit m", "another unit"),
+        ("0.png --intrinsics poses.csv", "not a camera calibration"),
+        ("poses.csv --noise structured-light", "need depth images"),
+        ("poses.csv poses.csv", "expected one"),
+        (f"{SEEN} --depth-kind disparity", "depth_kind|--depth-kind"),
+        (f"{SEEN} --intrinsics camera.json", "one for all or one for each"),
+        (f"{SEEN} --rays 0.png", "not both"),
         (
-            ["0.png", "--intrinsics", "camera.json", "--poses", "poses.csv"],
-            "3 poses, there is 1 image",
-        ),
-        (  # without advice by --columns, which is not an option here
-            ["0.png", "--intrinsics", "camera.json", "--poses", "camera.json"],
-            r"t,px,py,pz,qw,qx,qy,qz, got [^;]+$",
-        ),
-        (
-            ["0.png", "--intrinsics", "camera.json", "--noise", "loud"],
-            "noise must be one",
-        ),
-        (["0.png", "--intrinsics", "camera.json", "--unit", "m"], "another unit"),
-        (["0.png", "--intrinsics", "poses.csv"], "not a camera calibration"),
-        (["poses.csv", "--noise", "structured-light"], "need depth images"),
-        (["poses.csv", "poses.csv"], "expected one"),
-        (
-            ["0.png", "--intrinsics", "camera.json", "--depth-kind", "disparity"],
-            "depth_kind|--depth-kind",
-        ),
-        (
-            ["0.png", *["--intrinsics", "camera.json"] * 2],
-            "one for all or one for each",
-        ),
-        (["0.png", "--intrinsics", "camera.json", "--rays", "0.png"], "not both"),
-        (
-            [
-                *("0.png", "1.png", "2.png", "--intrinsics", "camera.json"),
-                *("--poses", "poses.csv", "--refine", "--pose-std", "5,1"),
-            ],
+            "0.png 1.png 2.png --intrinsics camera.json --poses poses.csv --refine "
+            "--pose-std 5,1",
             "--pose-std: a pose's standard deviations",
         ),
     ],
 )
-def test_bad_input_is_one_line(scans, tmp_path, monkeypatch, capsys, given, told):
+def test_bad_input_is_one_line(run, scans, output, monkeypatch, given, told):
     monkeypatch.chdir(scans)
-    out = tmp_path / "surface.nc"
-    assert run("surface", *given, "-o", str(out)) == 2
-    error = capsys.readouterr().err.strip()
-    assert "\n" not in error
-    assert __import__("re").search(told, error), error
-    assert not out.exists()
+    answer = run(f"surface {given} -o {output / 'surface.nc'}")
+    refused(answer)
+    assert re.search(told, answer.errors[0])
+    assert empty(output)
