@@ -301,9 +301,14 @@ def test_a_log_of_ati(tmp_path, counts):
 
 
 def test_a_force_plate(tmp_path):
-    found = read_wrenches(vicon(tmp_path / "vicon.csv"))
+    file = vicon(tmp_path / "vicon.csv")
+    found = read_wrenches(file)
     np.testing.assert_allclose(found.time, 0.5 * TIME)
     np.testing.assert_allclose(found.torque, TORQUE)
+    text = file.read_text()  # an object without places or moments without forces
+    for column, left in (("TX", ["P", "Plate"]), ("Fx", ["Probe:Probe", "P"])):
+        file.write_text(text.replace(column, "?"))
+        assert [each.name for each in raw_recordings(file)] == left
 
 
 def test_a_robot_of_universal(tmp_path):

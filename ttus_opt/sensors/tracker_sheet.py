@@ -87,13 +87,16 @@ def streams(sheet: Sheet) -> list[RawRecording]:
         if [*found] == ["position"]:
             markers[name] = found["position"]
             continue
+        is_body = {"position", "quaternion"} <= set(found)
+        if not is_body and "force" not in found:
+            continue  # its other columns are not there
         parts = {part: values for part, (values, _) in found.items()}
         units = ", ".join(filter(None, (unit for _, unit in found.values())))
         frame = sheet.frame if "position" in parts else "the device's axes"
         raw = whole.replaced(name=name, notes=(f"{units}, {frame}",), **parts)
-        if raw.quaternion is not None:  # zeros stand for what was not seen, too
-            pose = np.c_[raw.position, raw.quaternion]
-            lost = ~complete(pose) | ~raw.quaternion.any(axis=1)
+        if is_body:  # zeros stand for what was not seen, too
+            turn = parts["quaternion"]
+            lost = ~complete(np.c_[parts["position"], turn]) | ~turn.any(axis=1)
             raw = raw.without(lost, sheet.lost)
         out.append(raw)
     return [*out, *_of_markers(sheet, whole, markers)]
