@@ -9,7 +9,7 @@ import typer
 from tests.cli.conftest import empty, fit_words, refused
 from tests.cli.test_interrupts import deaf_at_work
 from ttus_opt.cli.app import app
-from ttus_opt.cli.time_limit import compiled_code_interrupted, time_limited
+from ttus_opt.cli.time_limit import interrupts_unwrapped, time_limited
 from ttus_opt.core.errors import InputError, TtusError
 
 pytestmark = pytest.mark.skipif(
@@ -45,15 +45,18 @@ def test_a_command_ends_in_time(run, files, output):
     refused(run(f"{fit} --time-limit 0"), "--time-limit must be positive")
 
 
-def test_an_interrupt_that_compiled_code_wrapped_is_one():
-    def returned(cause):
-        with compiled_code_interrupted():
-            raise SystemError("returned a result with an exception set") from cause
+@pytest.mark.parametrize("kind", [SystemError, RuntimeError])
+def test_an_interrupt_that_was_wrapped_is_one(kind):
+    """By compiled code that returned, or by a class that was being made."""
+
+    def raised(cause):
+        with interrupts_unwrapped():
+            raise kind("returned a result with an exception set") from cause
 
     with pytest.raises(KeyboardInterrupt):
-        returned(KeyboardInterrupt())
-    with pytest.raises(SystemError):
-        returned(None)
+        raised(KeyboardInterrupt())
+    with pytest.raises(kind):
+        raised(None)
 
 
 def test_a_partial_result_is_no_success():

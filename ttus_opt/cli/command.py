@@ -26,7 +26,7 @@ from typer.core import TyperCommand
 
 from ttus_opt.cli.console import speaking
 from ttus_opt.cli.standard_streams import standard_streams
-from ttus_opt.cli.time_limit import compiled_code_interrupted, time_limited
+from ttus_opt.cli.time_limit import interrupts_unwrapped, time_limited
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError, MistakeWarning
 
@@ -149,7 +149,7 @@ def add_command(
             with (
                 warnings.catch_warnings(),
                 time_limited(limit),
-                compiled_code_interrupted(),
+                interrupts_unwrapped(),
             ):
                 if judges and given.pop("strict"):
                     warnings.simplefilter("error", MistakeWarning)

@@ -50,15 +50,18 @@ def time_limited(seconds: float | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def compiled_code_interrupted() -> Iterator[None]:
-    """Raise an interrupt as such where compiled code has made it a SystemError.
+def interrupts_unwrapped() -> Iterator[None]:
+    """Raise an interrupt as such where Python has made it another error.
+
+    That is a SystemError where compiled code returned with an exception set, and before
+    Python 3.12 a RuntimeError of ``__set_name__`` where a class was being made.
 
     Raises:
-        KeyboardInterrupt: It came while compiled code returned.
+        KeyboardInterrupt: It came at such a moment.
     """
     try:
         yield
-    except SystemError as error:  # "returned a result with an exception set"
+    except (SystemError, RuntimeError) as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from None
         raise
