@@ -15,7 +15,6 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import ImpairedLink, Impairment
-from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
@@ -113,15 +112,6 @@ class Simulation:
         """So many seconds of frames."""
         for _ in range(round(seconds / HAPTIC)):
             yield self.step()
-
-    def states(
-        self, seconds: float, every: float = 0.02
-    ) -> Iterator[tuple[Moment, LiveState]]:
-        """Frames at a lower rate, each with what a page shows."""
-        stride = max(1, round(every / HAPTIC))
-        for k, moment in enumerate(self.run(seconds)):
-            if k % stride == 0:
-                yield moment, self.operator.view(moment.time)
 
     def _follow(self, now: float) -> None:
         clock = now + CLOCKS_APART
