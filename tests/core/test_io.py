@@ -1,3 +1,4 @@
+import contextlib
 import errno
 import os
 import signal
@@ -11,7 +12,7 @@ import xarray as xr
 
 from tests.kit import FileError, InputError, TtusWarning, python, refuses
 from ttus_opt import example
-from ttus_opt.core import io
+from ttus_opt.core import io, netcdf_file
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_wrenches
@@ -168,6 +169,25 @@ def test_an_interrupt_waits_for_the_file(tmp_path):
     finally:
         signal.signal(signal.SIGINT, before)
     assert file.read_text() == "whole"
+
+
+def test_an_interrupt_while_a_file_is_read_is_not_lost(tmp_path, monkeypatch):
+    """The netCDF library catches all that is raised where it looks for fillings."""
+    file, read = tmp_path / "a.nc", netcdf_file.contents
+    io.write_dataset(dataset(), file, kind="surface", version=1)
+
+    def contents(*given):
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(signal.SIGINT)
+        return read(*given)
+
+    monkeypatch.setattr(netcdf_file, "contents", contents)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            io.read_content(file, kind="surface", version=1)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_kind_and_version_are_checked(tmp_path):

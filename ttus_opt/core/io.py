@@ -384,7 +384,8 @@ def content_of(
     file, sealed = whole_file(path, what)
     try:
         if sealed:
-            return netcdf_file.contents(file, without), True
+            with signals_deferred():  # the library swallows what is raised within it
+                return netcdf_file.contents(file, without), True
         return netcdf_file.contents_apart(file), False
     except UNREADABLE as error:
         raise FileError(
