@@ -305,7 +305,10 @@ def test_a_force_plate(tmp_path):
     found = read_wrenches(file)
     np.testing.assert_allclose(found.time, 0.5 * TIME)
     np.testing.assert_allclose(found.torque, TORQUE)
-    text = file.read_text()  # an object without places or moments without forces
+    text = file.read_text()
+    file.write_text(text + text[text.index("\nDevices") :])
+    refuses(FileError, "several objects of wrenches: Plate, Plate", read_wrenches, file)
+    # an object without places or moments without forces
     for column, left in (("TX", ["P", "Plate"]), ("Fx", ["Probe:Probe", "P"])):
         file.write_text(text.replace(column, "?"))
         assert [each.name for each in raw_recordings(file)] == left

@@ -13,7 +13,13 @@ from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Row
+from ttus_opt.experiment.scores import (
+    AIM_ANGLE,
+    AIM_TORQUE,
+    AIM_TORQUE_ANGLE,
+    Row,
+    meets,
+)
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
 from ttus_opt.phantom.recording import (
@@ -232,7 +238,10 @@ def _aims(result: ExperimentResult, best: str) -> list[Block]:
 
 
 def _cells(row: Row) -> list[str]:
-    score, met = row.score, {n: "✓" if ok else "✗" for n, ok in row.meets().items()}
+    score, met = (
+        row.score,
+        {n: "✓" if ok else "✗" for n, ok in meets(row.score).items()},
+    )
     force = f"{score.force_median_N:.2f} N, {100 * score.force_median_share:.1f} %"
     return [
         f"{force} {met['force']}",

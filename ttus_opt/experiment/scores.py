@@ -44,10 +44,6 @@ class Row:
     against: str
     score: Errors
 
-    def meets(self) -> dict[str, bool]:
-        """Whether each aim is reached, by name."""
-        return meets(self.score)
-
     def as_dict(self) -> dict[str, Any]:
         """Flat, for JSON."""
         return {**{k: getattr(self, k) for k in _KEYS}, **self.score.as_dict()}

@@ -11,7 +11,7 @@ from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.result import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import Row
+from ttus_opt.experiment.scores import Row, meets
 from ttus_opt.experiment.settings import (
     BY_DEFAULT,
     CHOSEN,
@@ -202,7 +202,7 @@ def comparison_table(result: ExperimentResult, against: str) -> Table:
     for name in dict.fromkeys(r.setting for r in rows):
         scored = select(rows, setting=name)
         cells = [column.cell(*_errors(scored)) for column in columns]
-        met = [all(row.meets().values()) for row in scored]
+        met = [all(meets(row.score).values()) for row in scored]
         parts = _parts_met(scored)
         lines.append([title(name), *cells, parts, f"{sum(met)}/{len(met)}"])
     header = [column.title for column in columns]
@@ -217,7 +217,7 @@ def _unseen(result: ExperimentResult, against: str) -> list[Row]:
 
 def _parts_met(rows: Sequence[Row]) -> str:
     """How often each aim is met: force, angle, torque, torque angle."""
-    met = [row.meets() for row in rows]
+    met = [meets(row.score) for row in rows]
     return ", ".join(str(sum(each[name] for each in met)) for name in met[0])
 
 
@@ -251,7 +251,7 @@ def aims_table(result: ExperimentResult) -> Table:
 
 
 def _missed(row: Row) -> str:
-    met = row.meets()
+    met = meets(row.score)
     missed = [name for name, reached in met.items() if not reached]
     return "all" if len(missed) == len(met) else ", ".join(missed) or "✓"
 

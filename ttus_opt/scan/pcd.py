@@ -49,6 +49,8 @@ class _Header:
     def points(self, raw: bytes, *, by_field: bool) -> Array:
         """Coordinates of packed records, or of fields one after the other, (n, 3)."""
         sizes, n = np.array(self.sizes), self.n_points
+        if not n:  # there are no bytes to begin in
+            return np.empty((0, 3))
         begins = (np.cumsum(sizes) - sizes) * (n if by_field else 1)
         step = sizes if by_field else np.full_like(sizes, sizes.sum())
         return np.stack(

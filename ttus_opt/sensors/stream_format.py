@@ -89,7 +89,7 @@ def one_of(file: Path, names: Sequence[str], wanted: str | None, what: str) -> s
     Raises:
         FileError: No such name, or several to choose from.
     """
-    if wanted is None and len(set(names)) > 1:
+    if wanted is None and len(names) > 1:
         raise FileError(
             f"{file} has several {what}: {', '.join(names)}: choose one, for instance "
             f"name='{names[0]}'"

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from tests.kit import small_scene
+from tests.kit import NumericalError, refuses, small_scene
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
@@ -14,6 +14,7 @@ from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
+from ttus_opt.solvers.proximal import source_exchange
 from ttus_opt.solvers.proximal.source_exchange import nonnegative_minimum
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
@@ -39,6 +40,15 @@ def test_the_active_set_finds_the_best_of_all_sets(seed):
     found = nonnegative_minimum(A, target, charge)
     assert (found >= 0.0).all()
     assert value(found) == pytest.approx(best, rel=1e-10)
+
+
+def test_an_active_set_that_does_not_settle_is_told(monkeypatch):
+    def unsettled(*_, **limits):
+        raise RuntimeError("Maximum number of iterations reached.")
+
+    monkeypatch.setattr(source_exchange, "nnls", unsettled)
+    given = np.eye(2), np.ones(2), np.zeros(2)
+    refuses(NumericalError, "did not settle", nonnegative_minimum, *given)
 
 
 @pytest.mark.parametrize("weight", [1e-8, 1e-6, 1e-4, 1e-2])

@@ -80,7 +80,7 @@ class Multigrid:
         blocks: Pooled voxels; None for none.
         added: What is added to the operator of the grid; None for nothing.
         hierarchy: The levels.
-        norm_bound: Bound of the operator's norm (Gershgorin) [m].
+        norm_bound: Bound of its norm (Gershgorin), without links that are added [m].
     """
 
     def __init__(

@@ -24,6 +24,7 @@ from scipy.ndimage import maximum_filter
 from scipy.optimize import nnls
 
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import NumericalError
 from ttus_opt.core.threads import side_by_side
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 from ttus_opt.solvers.base import is_late
@@ -202,7 +203,10 @@ def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
     Args:
         columns: A, shape (m, k).
         target: s, shape (m,).
-        charge: c, shape (k,).
+        charge: c, not negative, shape (k,).
+
+    Raises:
+        NumericalError: The active set did not settle.
     """
     size = float(np.linalg.norm(target)) or 1.0
     # of the same products, with at most k rows
@@ -211,5 +215,8 @@ def nonnegative_minimum(columns: Array, target: Array, charge: Array) -> Array:
     whole = np.vstack([-rows, gain])
     scale = np.linalg.norm(whole, axis=0)
     unit, most = np.append(np.zeros(len(rows)), 1.0), 20 * len(charge) + 20
-    x = nnls(whole / scale, unit, maxiter=most)[0] / scale
+    try:
+        x = nnls(whole / scale, unit, maxiter=most)[0] / scale
+    except RuntimeError as error:  # of its iterations
+        raise NumericalError("the sizes of the sources did not settle") from error
     return np.asarray(x * size / (1.0 - float(gain @ x)))
