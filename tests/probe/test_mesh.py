@@ -69,6 +69,7 @@ def test_objects_of_one_file_are_one_mesh(tmp_path):
         (lambda f: _box(f, 40), "furlong", InputError, "unit must be"),
         (lambda f: _text(f / "a.obj", FLAT), "mm", GeometryError, "zero area"),
         (lambda f: _text(f / "a.obj", NAN), "mm", InputError, "not finite"),
+        (lambda f: _text(f / "a.obj", HUGE), "mm", InputError, "or huge"),
         (lambda f: _text(f / "a.ply", NO_FACES), "mm", GeometryError, "no faces"),
     ],
 )
@@ -78,6 +79,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path, make, unit, error, text):
 
 FLAT = "v 0 0 0\nv 10 0 0\nv 20 0 0\nf 1 2 3\nf 3 2 1\n"
 NAN = "v 0 0 0\nv 10 nan 0\nv 20 5 0\nf 1 2 3\n"
+HUGE = "v 0 0 0\nv 1e160 0 0\nv 0 1e160 0\nf 1 2 3\n"
 NO_FACES = """ply
 format ascii 1.0
 element vertex 3

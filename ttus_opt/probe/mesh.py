@@ -23,6 +23,9 @@ METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 SUFFIXES = (".stl", ".ply", ".obj")
 
+#: No coordinate is as large: squares of areas would overflow [m]
+FARTHEST = 1e75
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -57,11 +60,11 @@ class TriangleMesh:
                 f"faces index vertices {self.faces.min()} to {self.faces.max()}, but "
                 f"there are {len(self.vertices)}: a damaged mesh?"
             )
-        bad = np.asarray(~np.isfinite(self.vertices).all(axis=1))
+        bad = np.asarray(~(np.abs(self.vertices) < FARTHEST).all(axis=1))
         if bad.any():
             raise InputError(
-                f"{int(bad.sum())} of {len(bad)} mesh vertices are not finite, the "
-                f"first is number {int(bad.argmax())}: export the mesh again"
+                f"{int(bad.sum())} of {len(bad)} mesh vertices are not finite, or huge, "
+                f"the first is number {int(bad.argmax())}: export the mesh again"
             )
         if not self.area > 1e-12 * max(self.extent, 1e-300) ** 2:
             raise GeometryError(
