@@ -16,7 +16,7 @@ from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.terms.penalties import Groups
 from ttus_opt.problem.terms.wrench import ForceTerm
-from ttus_opt.solvers import registry
+from ttus_opt.solvers import registry, verified
 from ttus_opt.solvers.base import Capabilities, Claim, Request, Solver
 
 ALL = list(registry.solvers().values())
@@ -136,12 +136,13 @@ def test_refusals(what, refusing):
             )
 
 
+@pytest.mark.parametrize("over", [False, True], ids=["soon over", "just over"])
 @pytest.mark.parametrize(
     "solver",
     [s for s in ALL if s.installed and s.capabilities.time_limit],
     ids=lambda s: s.name,
 )
-def test_time_limit_strikes(solver):
+def test_time_limit_strikes(solver, over, monkeypatch):
     scene = small_scene("trilinear", shape=(9, 20, 10))
     declared = load("eq10", scene, force_weight=1.0, torque_weight=1.0)
     problem = declared.compile()
@@ -151,7 +152,10 @@ def test_time_limit_strikes(solver):
         problem = reduce(load("sparse_sources", scene).compile()).program
     if solver.name in ALGEBRAIC:
         problem = Formulation([AlongZ(scene), ForceTerm(scene, 1.0)]).compile()
-    candidate = solver.prepare(problem, Request(1e-12, 1e-4)).solve()
+    if over:  # it ends between the look at the clock and the package's start
+        late = iter([False])
+        monkeypatch.setattr(verified, "is_late", lambda deadline: next(late, True))
+    candidate = solver.prepare(problem, Request(1e-12, 1e-9 if over else 1e-4)).solve()
     assert candidate.claim is Claim.TIME_LIMIT
 
 

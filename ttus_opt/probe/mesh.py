@@ -63,8 +63,8 @@ class TriangleMesh:
         bad = np.asarray(~(np.abs(self.vertices) < FARTHEST).all(axis=1))
         if bad.any():
             raise InputError(
-                f"{int(bad.sum())} of {len(bad)} mesh vertices are not finite, or huge, "
-                f"the first is number {int(bad.argmax())}: export the mesh again"
+                f"{int(bad.sum())} of {len(bad)} mesh vertices are not finite, or "
+                f"huge, the first is number {int(bad.argmax())}: export the mesh again"
             )
         if not self.area > 1e-12 * max(self.extent, 1e-300) ** 2:
             raise GeometryError(

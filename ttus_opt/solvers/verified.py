@@ -26,8 +26,11 @@ LEAST, MOST = 0.1, 1e-3
 
 
 def seconds_left(deadline: float | None) -> float | None:
-    """Time until a deadline, a `time.perf_counter`; None for none [s]."""
-    return None if deadline is None else deadline - time.perf_counter()
+    """Time until a deadline, a `time.perf_counter`; None for none [s].
+
+    At least a microsecond: packages refuse a negative limit, and take 0 for none.
+    """
+    return None if deadline is None else max(deadline - time.perf_counter(), 1e-6)
 
 
 class Verified(Prepared):
