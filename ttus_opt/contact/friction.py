@@ -22,7 +22,7 @@ Drag acts at one of three places:
 - ``points``: at every point of the shell (`ttus_opt.contact.point_drag`); viscous drag
   is then that of the patch.
 
-See docs/method/contact.md, Friction.
+See docs/method/friction.md.
 """
 
 from __future__ import annotations

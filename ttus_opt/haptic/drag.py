@@ -1,7 +1,7 @@
 """Drag, the friction force on a sliding probe, as a function of pose and twist.
 
 A pose is (R, x); a twist (v, ω) is the velocity of the probe frame's origin and the
-angular velocity, patient axes. The contact patch (docs/method/contact.md, Friction) has
+angular velocity, patient axes. The contact patch (docs/method/friction.md) has
 the normal n̂ and the centre c, means over the points in contact weighted by area and
 depth. Drag acts at x₀ + a, perpendicular to ê: either on the patch (a = c, ê = n̂), or
 at the reference point x₀, where ê is the probe's pressing axis (a = 0, ê = R·axis).

@@ -11,7 +11,7 @@ a Wiener process acceleration (Bar-Shalom, Li, Kirubarajan 2001) plus a local le
 (Harvey 1989). The velocity is the mean of x' given all frames, by a Kalman filter and
 fixed-interval smoothing. q, D and r maximise the likelihood of the recording and are
 common to its three axes. For exact poses D = r = 0, and x is the smoothest curve
-through all of them. See docs/method/contact.md, section 7.4.
+through all of them. See docs/method/friction.md, section 7.4.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The offset of two clocks by the angular speed of one body that both devices saw.
 
-Speeds of noisy poses need smoothing (docs/method/contact.md, 7.4). Both are smoothed
+Speeds of noisy poses need smoothing (docs/method/friction.md, 7.4). Both are smoothed
 alike: a smoothed speed against another one would be late or early wherever motion
 begins faster than it ends. The standard error is found by repetition, with noise as the
 poses show.

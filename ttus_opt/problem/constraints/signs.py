@@ -3,7 +3,7 @@
 The drag field lies between 0 and μ_max p, and m p with the mean coefficient m must do
 so too: 0 ≤ m ≤ μ_max.
 
-See docs/method/formulations.md, The shelf, and docs/method/contact.md, Friction.
+See docs/method/formulations.md, The shelf, and docs/method/friction.md.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ dominates. 1/ρ is the variance inflation factor of μ beside a law of force tha
 at every place. Neither wrenches nor a field enter: ρ is that of the motion alone.
 
 Source: R. Frisch, F. V. Waugh, Econometrica 1 (1933), 387; D. W. Marquardt,
-Technometrics 12 (1970), 591 (variance inflation). See docs/method/contact.md, Friction.
+Technometrics 12 (1970), 591 (variance inflation). See docs/method/friction.md.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 N and N·m differ by a length: torque rows are divided by a characteristic length ℓ, by
 default the shell's root-mean-square radius, so that λ_τ is comparable with λ_f.
 
-See docs/method/formulations.md, Eq. 10 and Penalties, and docs/method/contact.md,
-Friction.
+See docs/method/formulations.md, Eq. 10 and Penalties, and docs/method/friction.md.
 """
 
 from __future__ import annotations
