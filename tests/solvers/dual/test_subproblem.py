@@ -99,7 +99,7 @@ def eliminated(program, limits, active):
 
 def solved(program, limits, active):
     data = DualData.of(program)
-    left = reduced(program.laplace, limits, active, data)
+    left = reduced(limits, active, data)
     return left.solve(Accuracy(1e-12)).p
 
 

@@ -22,9 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.multigrid import Added, Multigrid, PooledBlocks
+from ttus_opt.laplace.multigrid import Added, Multigrid, OneCycle, PooledBlocks
 from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
-from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
+from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
@@ -32,48 +32,10 @@ from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Soft values are predicted only if other voxels' worst violation is at most this part
 #: of theirs [–]: it is 0.2 at weights of 10, and 0.3 and more for contradictory data
 MENDED = 0.25
-
-
-@dataclass(frozen=True)
-class ReducedLaplace(BlockSolves):
-    """Square system of a subproblem, as `LaplaceSystem` is for the whole problem.
-
-    Attributes:
-        grid: The grid of the operator.
-        added: What is added to the operator of the grid; None for nothing.
-        free: Voxels that represent an unknown, shape (V,).
-        radii: Factors between rows of A and of L, √Σ r² over a block, shape (V,) [m].
-        coupling: Entries from Dirichlet voxels to square rows, and their adjoint.
-        members: All voxels of an unknown, shape (V,).
-        links: Members pooled with the next voxel outwards, shape (V,).
-    """
-
-    grid: CylindricalGrid
-    added: Added | None = field(repr=False)
-    free: Mask = field(repr=False)
-    radii: Array = field(repr=False)
-    coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
-    members: Mask = field(repr=False)
-    links: Mask = field(repr=False)
-
-    @cached_property
-    def blocks(self) -> PooledBlocks | None:
-        """Pooled members; None for none."""
-        if not self.links.any():
-            return None
-        stride = self.grid.strides[0]
-        return PooledBlocks.of(self.members, self.links, self.free, stride)
-
-    @cached_property
-    def multigrid(self) -> Multigrid:
-        """Solver of the symmetric block."""
-        members = self.grid.unflatten(self.members)
-        return Multigrid(self.grid, members, blocks=self.blocks, added=self.added)
 
 
 @dataclass(frozen=True)
@@ -86,7 +48,7 @@ class Subproblem:
         t: Weighted targets of measured rows, then of the other Laplace rows.
         expansion: P, shape (V, V).
         offset: o, shape (V,).
-        sums: Map from the rows of L to the square rows, (V, V); None for the identity.
+        sums: Map from the rows of L to the square rows, shape (V, V).
     """
 
     solver: DualSolver
@@ -94,7 +56,7 @@ class Subproblem:
     t: Array = field(repr=False)
     expansion: sp.csr_array = field(repr=False)
     offset: Array = field(repr=False)
-    sums: sp.csr_array | None = field(default=None, repr=False)
+    sums: sp.csr_array = field(repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
         """The minimiser of the working set."""
@@ -161,10 +123,8 @@ class LimitedField(LimitedProblem):
         if active.count == 0:
             n = len(data.b)
             one = sp.csr_array(sp.eye_array(n, format="csr"))
-            return Subproblem(self.whole, data.b, data.t, one, np.zeros(n))
-        laplace = data.system.laplace
-        assert isinstance(laplace, LaplaceSystem)
-        return reduced(laplace, self.limits, active, data)
+            return Subproblem(self.whole, data.b, data.t, one, np.zeros(n), one)
+        return reduced(self.limits, active, data)
 
 
 @dataclass(frozen=True)
@@ -227,20 +187,21 @@ class Blocks:
 
 
 def reduced(
-    laplace: LaplaceSystem,
     limits: SpokeLimits,
     active: WorkingSet,
     data: DualData,
+    cycle: Added | None = None,
 ) -> Subproblem:
     """The subproblem in general.
 
     Args:
-        laplace: L of the whole problem.
         limits: The limits.
         active: Which of them are active.
         data: The dual of the whole problem.
+        cycle: What is added to A, for one V-cycle in place of A⁻¹; None for solves.
     """
-    system, n = data.system, len(data.b)
+    system, laplace, n = data.system, data.system.laplace, len(data.b)
+    assert isinstance(laplace, LaplaceSystem)
     blocks = Blocks.of(laplace.free, limits, active)
     moving, expansion = blocks.unknown >= 0, blocks.expansion
     members = laplace.free & moving & ~blocks.dirichlet
@@ -265,17 +226,13 @@ def reduced(
     inward = sp.csr_array(sums @ _of_columns(laplace.L, at_fixed) @ expansion)
     inward.eliminate_zeros()
     coupling = inward, sp.csr_array(inward.T)
-    links = pooled & active.links
+    grid, links = laplace.operator_grid, pooled & active.links
+    stride = limits.stride
+    together = PooledBlocks.of(members, links, own, stride) if links.any() else None
+    free, kind = grid.unflatten(members), OneCycle if cycle else Multigrid
+    block = kind(grid, free, blocks=together, added=cycle or laplace.added)
     left = DualSystem(
-        ReducedLaplace(
-            laplace.operator_grid,
-            laplace.added,
-            own,
-            radii,
-            coupling,
-            members,
-            links,
-        ),
+        BlockSystem(own, radii, coupling, block),
         np.where(own, 1.0, np.where(fixed, system.compliance, 0.0)),
         sp.csr_array(rows),
         np.concatenate([system.root_weights, np.ones(np.count_nonzero(filled))]),

@@ -9,18 +9,18 @@ that this can be factorised.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.multigrid import OneCycle
-from ttus_opt.laplace.system import RTOL, BlockSystem, LaplaceSystem, SquareSystem
+from ttus_opt.laplace.system import RTOL, BlockSystem, LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.elimination import factor, without_chains
-from ttus_opt.solvers.primal.matching import Root
+from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
 
 #: Rows at Dirichlet voxels are left out where their squares over Ω⁻¹ stay below [–]
@@ -108,52 +108,49 @@ class ApproximateSystem(DualSystem):
     def matched(
         cls,
         exact: DualSystem,
-        laplace: LaplaceSystem,
         wide: Sequence[ProgramTerm],
-        root: Root,
         unseen: UnseenFields | None = None,
     ) -> ApproximateSystem:
-        """That of a whole field, with the multigrid of L - X.
+        """That of a whole field over wide terms, by the multigrid of L - X.
 
         Args:
             exact: The dual system.
-            laplace: L.
             wide: The wide terms.
-            root: X.
             unseen: As above.
         """
+        laplace = exact.laplace
+        assert isinstance(laplace, LaplaceSystem)
+        root = matched_root(wide, laplace, exact.compliance, unseen is not None)
         grid = laplace.operator_grid
         cycle = OneCycle(grid, grid.unflatten(laplace.free), added=root.added)
-        return cls.of(exact, laplace, cycle, root.coupling, wide, unseen)
+        block = BlockSystem(laplace.free, laplace.radii, laplace.coupling, cycle)
+        near = replace(exact, laplace=block)
+        return cls.of(near, root.coupling, wide, unseen)
 
     @classmethod
     def of(
         cls,
-        exact: DualSystem,
-        square: SquareSystem,
-        cycle: OneCycle,
+        near: DualSystem,
         more: sp.csr_array,
         wide: Sequence[ProgramTerm],
         unseen: UnseenFields | None = None,
     ) -> ApproximateSystem:
-        """The rows of an exact system over wide terms, each solve with A one V-cycle.
+        """That of a system with one V-cycle of L - X for A.
 
         Args:
-            exact: The dual system.
-            square: Its square system.
-            cycle: The V-cycle of the block A.
+            near: The system.
             more: Added to L's entries in free rows and fixed columns, (V, V).
             wide: The wide terms.
             unseen: As above.
         """
-        coupling = square.coupling
+        square = near.laplace
         if more.nnz:
-            inward = sp.csr_array(coupling[0] + more)
+            inward = sp.csr_array(square.coupling[0] + more)
             coupling = inward, sp.csr_array(inward.T)
-        laplace = BlockSystem(square.free, square.radii, coupling, cycle)
-        fixed = FixedBlock.of(wide, square.free, exact.compliance)
-        rows = exact.rows, exact.root_weights, exact.n_measured
-        return cls(laplace, exact.compliance, *rows, fixed, unseen)
+            square = BlockSystem(square.free, square.radii, coupling, square.multigrid)
+        fixed = FixedBlock.of(wide, square.free, near.compliance)
+        rows = near.rows, near.root_weights, near.n_measured
+        return cls(square, near.compliance, *rows, fixed, unseen)
 
     def prior(self, r: Array, rtol: float = RTOL) -> Array:
         """P⁻¹r by one V-cycle each way, shape (V,)."""

@@ -139,10 +139,7 @@ def preconditioner(
         inner: As in `ConstraintPreconditioner` [–].
     """
     unseen = UnseenFields.of(split.prior, split.wide, split.moving)
-    root = split.root(unseen is not None)
-    system = ApproximateSystem.matched(
-        split.few.system, split.operator, split.wide, root, unseen
-    )
+    system = ApproximateSystem.matched(split.few.system, split.wide, unseen)
     return ConstraintPreconditioner(system, split.few.columns[:, free], inner)
 
 

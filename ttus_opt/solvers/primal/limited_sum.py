@@ -13,16 +13,12 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.arrays import Array
-from ttus_opt.laplace.multigrid import OneCycle
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer
-from ttus_opt.solvers.dual.subproblem import (
-    ReducedLaplace,
-    Subproblem,
-    reduced,
-)
+from ttus_opt.solvers.dual.subproblem import Subproblem, reduced
+from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.least_squares import (
@@ -30,7 +26,7 @@ from ttus_opt.solvers.primal.least_squares import (
     LeastSquares,
     minimise,
 )
-from ttus_opt.solvers.primal.matching import Root
+from ttus_opt.solvers.primal.matching import Root, matched_root
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 
@@ -51,36 +47,21 @@ class LimitedSum(LimitedProblem):
     @cached_property
     def root(self) -> Root:
         """A root of its wide terms."""
-        return self.split.root()
+        split = self.split
+        return matched_root(split.wide, split.operator, split.few.system.compliance)
 
     def subproblem(self, active: WorkingSet) -> LimitedSubproblem:
         """The problem of a working set."""
-        whole = self.split
-        data = replace(whole.few, columns=np.zeros((len(whole.few.t), 0)))
-        left = reduced(whole.operator, self.limits, active, data)
-        split = _reduced_split(whole, left)
-        preconditioner = self._preconditioner(split, left)
-        function = LeastSquares(split, preconditioner.complement)
-        return LimitedSubproblem(function, preconditioner, left)
-
-    def _preconditioner(
-        self, split: Split, left: Subproblem
-    ) -> ConstraintPreconditioner:
-        system = left.solver.system
-        laplace = system.laplace
-        assert isinstance(laplace, ReducedLaplace)
-        members = laplace.grid.unflatten(laplace.members)
-        cycle = OneCycle(
-            laplace.grid, members, blocks=laplace.blocks, added=self.root.added
-        )
-        assert left.sums is not None
+        left = reduced(self.limits, active, self.split.few, self.root.added)
+        split, system = _reduced_split(self.split, left), left.solver.system
         more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)
         # the columns of free voxels are part of A
-        kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
-        more = sp.csr_array(more @ kept)
+        more = sp.csr_array(more @ sp.diags_array(_soft(system).astype(float)))
         more.eliminate_zeros()
-        near = ApproximateSystem.of(system, laplace, cycle, more, split.wide)
-        return ConstraintPreconditioner(near)
+        near = ApproximateSystem.of(system, more, split.wide)
+        preconditioner = ConstraintPreconditioner(near)
+        function = LeastSquares(split, preconditioner.complement)
+        return LimitedSubproblem(function, preconditioner, left)
 
 
 @dataclass(frozen=True)
@@ -114,19 +95,20 @@ class LimitedSubproblem:
         return DualAnswer(p, np.zeros(0), found.steps, accuracy.late, y)
 
 
+def _soft(system: DualSystem) -> Mask:
+    """Soft values, shape (V,)."""
+    return np.asarray(~system.laplace.free & (system.compliance > 0.0))
+
+
 def _reduced_split(whole: Split, left: Subproblem) -> Split:
     """The terms over the unknowns ξ of a working set."""
-    system = left.solver.system
-    own = system.laplace.free
-    fixed = ~own & (system.compliance > 0.0)
-    expansion = left.expansion
-    assert left.sums is not None
-    square = sp.csr_array(left.sums @ whole.operator.L @ expansion)
-    rows = np.where(own, 1.0, 0.0)
+    system, expansion = left.solver.system, left.expansion
+    own, fixed = system.laplace.free, _soft(system)
     root = np.zeros(len(own))
     root[own | fixed] = 1.0 / np.sqrt(system.compliance[own | fixed])
+    square = sp.csr_array(left.sums @ whole.operator.L @ expansion)
     one = sp.diags_array(np.where(fixed, root, 0.0))
-    matrix = sp.csr_array(sp.diags_array(rows * root) @ square + one)
+    matrix = sp.csr_array(sp.diags_array(np.where(own, root, 0.0)) @ square + one)
     prior = replace(whole.prior, matrix=matrix, target=root * left.b, tags=frozenset())
     wide = tuple(
         replace(

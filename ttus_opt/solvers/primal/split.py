@@ -20,7 +20,6 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.primal.matching import Root, matched_root
 
 #: Most rows of a term, other than measurements, that is eliminated through its dual
 FEW_ROWS = 1000
@@ -66,15 +65,6 @@ class Split:
         laplace = self.few.system.laplace
         assert isinstance(laplace, LaplaceSystem)
         return laplace
-
-    def root(self, unseen: bool = False) -> Root:
-        """A root of the wide terms.
-
-        Args:
-            unseen: As in `matched_root`.
-        """
-        compliance = self.few.system.compliance
-        return matched_root(self.wide, self.operator, compliance, unseen)
 
     @property
     def given(self) -> Array:

@@ -31,7 +31,6 @@ from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.conjugate_gradients import Map, to_residual
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
-from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.preconditioner import with_few_rows
 from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
@@ -201,8 +200,7 @@ class FieldNewton:
             others = [t for t in wide if t.name != term.name]
             nothing = sp.csr_array((0, len(fixed)))
             exact = DualSystem(system, compliance, nothing, np.zeros(0))
-            root = matched_root(others, system, compliance)
-            return ApproximateSystem.matched(exact, system, others, root).prior
+            return ApproximateSystem.matched(exact, others).prior
         if laplace is not None and not (self._squares and len(fixed) < NETWORK):
             network = by_network(laplace, *self._network(name, part, slopes), fixed)
             outside = bool((~laplace.free & ~fixed).any()) and self._squares
