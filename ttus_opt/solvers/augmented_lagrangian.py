@@ -10,7 +10,7 @@ See docs/method/solver-variants.md, Penalties other than squares.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,7 @@ from ttus_opt.solvers.proximal.method_of_multipliers import (
     NewtonSystem,
     State,
 )
-from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.penalised_rows import Anchor, Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
 from ttus_opt.solvers.sizes import Sizes
@@ -115,11 +115,11 @@ class _Loaded(Prepared):
             exact = self._exchanged()
             if exact is not None:
                 return exact
-        system, anchor = self._system()
-        blocks = [*problem.blocks, *([anchor] if anchor is not None else [])]
-        x = self._start(system, blocks, anchor)
-        method = MethodOfMultipliers(problem, blocks, anchor, system, self._request)
-        found = method.solve(x)
+        whole = _anchored(problem)
+        few = _is_laplace_and_few(problem)
+        system: NewtonSystem = LaplaceNewton(whole) if few else FieldNewton(whole)
+        method = MethodOfMultipliers(whole, system, self._request)
+        found = method.solve(self._start(whole, system))
         assert found.x is not None
         self._last = found.x
         point = Reduction(problem.program, self._reduced).lift(found.x, found.duals)
@@ -169,72 +169,35 @@ class _Loaded(Prepared):
         detail = f"{exchange.solves} solves, {exchange.sources} sources"
         return Candidate(point.x, point.duals, exchange.solves, detail=detail)
 
-    def _system(self) -> tuple[NewtonSystem, PenalisedRows | None]:
-        """The solver of Newton steps, and the rows of its anchor."""
-        problem = self._problem
-        program, laplace = problem.program, problem.program.laplace
-        blocks, declared = list(problem.blocks), list(problem.declared)
-        if _is_laplace_and_few(problem):
-            fixed = problem.fixed
-            anchor = None
-            if not _held_by_laplace(problem):
-                free = np.flatnonzero(laplace.free)
-                rows = laplace.L[free]
-                anchor = _anchor(rows)
-                blocks.append(anchor)
-                declared.append(LaplaceRows(scale=np.ones(len(fixed))))
-            return LaplaceNewton(laplace, blocks, declared, fixed), anchor
-        anchor = None
-        if not (_held_by_laplace(problem) and len(program.variables) == 1):
-            eye = sp.eye_array(program.n_variables, format="csr")
-            anchor = _anchor(sp.csr_array(eye))
-        return FieldNewton(problem, anchor), anchor
-
-    def _start(
-        self,
-        system: NewtonSystem,
-        blocks: list[PenalisedRows],
-        anchor: PenalisedRows | None,
-    ) -> Array:
+    def _start(self, whole: PenalisedProblem, system: NewtonSystem) -> Array:
         """A starting point; sets every σ by one Newton step without kinks."""
-        problem = self._problem
+        problem, anchor = self._problem, whole.anchor
         x = self._first_point()
         if anchor is not None:
-            anchor.target = np.asarray(anchor.matrix @ x)
+            anchor.follow(x, anchor.multipliers, 1.0)
         size = float(np.abs(x).max()) or 1.0
         bent = [b for b in problem.bent if not isinstance(b.law, Between)]
         limits = [b for b in problem.bent if isinstance(b.law, Between)]
         for b in bent:
             b.multipliers[:] = 0.0
             b.sigma = b.weight / (size * _longest(b.matrix))
-        self._set_anchor(anchor, bent)
-        stiffness = _stiffness(b for b in blocks if b is not anchor)
+        stiffness = _stiffness(problem.blocks)
         for b in limits:
             b.multipliers[:] = 0.0
             b.sigma = stiffness
         if not bent:  # squares alone: a weak anchor for undetermined variables
-            self._set_anchor(anchor, limits, WEAK)
-        if not bent:
+            _weigh(anchor, limits, WEAK)
             return x
-        state = State.of(x, blocks)
+        _weigh(anchor, bent)
+        state = State.of(x, whole.blocks)
         free = np.where(problem.fixed, 0.0, state.gradient)
         d, _ = system.step(free, state.multipliers, state.slopes, 1e-2, None)
         for b in bent:
             largest = float(np.abs(b.residual(x + d)).max(initial=0.0))
             if largest > 0.0:
                 b.sigma = START * b.weight / largest
-        self._set_anchor(anchor, bent)
+        _weigh(anchor, bent)
         return x
-
-    def _set_anchor(
-        self,
-        anchor: PenalisedRows | None,
-        bent: list[PenalisedRows],
-        share: float = ANCHOR,
-    ) -> None:
-        if anchor is not None and bent:
-            anchor.weight = 0.5 * share * max(b.sigma for b in bent)
-            anchor.sigma = 1e15 * anchor.weight
 
     def _first_point(self) -> Array:
         """The last solution, or the Laplace field, with the given values."""
@@ -263,11 +226,28 @@ def _is_limited_alone(program: Program) -> bool:
     return bool(beyond or program.bounds)
 
 
-def _anchor(rows: sp.csr_array) -> PenalisedRows:
-    return PenalisedRows("anchor", rows, np.zeros(rows.shape[0]), 1.0, Squares(), True)
+def _anchored(problem: PenalisedProblem) -> PenalisedProblem:
+    """The problem, with a proximal term where squares do not determine x."""
+    program = problem.program
+    if _held_by_laplace(problem) and len(program.variables) == 1:
+        return problem
+    if _is_laplace_and_few(problem):
+        laplace, scale = program.laplace, np.ones(len(problem.fixed))
+        rows = laplace.L[np.flatnonzero(laplace.free)]
+        return problem.anchored(rows, LaplaceRows(scale=scale))
+    eye = sp.eye_array(program.n_variables, format="csr")
+    return problem.anchored(sp.csr_array(eye))
 
 
-def _stiffness(blocks: Iterable[PenalisedRows]) -> float:
+def _weigh(
+    anchor: Anchor | None, rows: Sequence[PenalisedRows], share: float = ANCHOR
+) -> None:
+    """Give an anchor its weight beside the σ of some rows."""
+    if anchor is not None and rows:
+        anchor.weigh(0.5 * share * max(b.sigma for b in rows))
+
+
+def _stiffness(blocks: Sequence[PenalisedRows]) -> float:
     """Mean curvature of the blocks that are not limits, over the variables."""
     total = 0.0
     for b in blocks:

@@ -28,7 +28,7 @@ def test_over_the_field(name, how, monkeypatch):
     slopes = slopes_of(problem, 1, 0.05)
     monkeypatch.setattr(field_newton, "FEW_ROWS", 50)  # what lies over all voxels here
     monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)
-    system = FieldNewton(problem, None)
+    system = FieldNewton(problem)
     system._by_operator = how == "multigrid"
     gradient = gradient_of(problem)
     step, _ = system.step(gradient, none_of(problem), slopes, RTOL, None)
@@ -40,7 +40,7 @@ def test_many_steps_ask_for_another_preconditioner(monkeypatch):
     monkeypatch.setattr(field_newton, "MANY", 12)
     problem = problem_of("total_variation")
     slopes = slopes_of(problem, 2, 0.05)
-    system, gradient = FieldNewton(problem, None), gradient_of(problem)
+    system, gradient = FieldNewton(problem), gradient_of(problem)
     _, by_diagonal = system.step(gradient, none_of(problem), slopes, 1e-6, None)
     assert by_diagonal > field_newton.MANY
     _, by_multigrid = system.step(gradient, none_of(problem), slopes, 1e-6, None)
@@ -57,7 +57,7 @@ def test_with_few_rows_the_multigrid_is_the_inverse(name, monkeypatch):
     program = given.with_weights(**{prior: 0.2}).compile()
     problem = PenalisedProblem.of(program.declared or program)
     slopes = [Slope(np.full(len(b.target), 2.0 * b.weight)) for b in problem.blocks]
-    system = FieldNewton(problem, None)
+    system = FieldNewton(problem)
     system._by_operator = True
     units = np.eye(len(problem.fixed))[~problem.fixed]
     inverse = [-expected(problem, slopes, unit) for unit in units]
@@ -79,9 +79,7 @@ def test_groups_are_no_longer_stiff_along_their_length(how, monkeypatch):
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     slopes[at] = Slope(factor, along.reshape(-1), 3)
     gradient = gradient_of(problem)
-    step, _ = FieldNewton(problem, None).step(
-        gradient, none_of(problem), slopes, RTOL, None
-    )
+    step, _ = FieldNewton(problem).step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from tests.solvers.proximal.dense_steps import (
     RTOL,
-    SCENE,
     compared,
     expected,
     gradient_of,
@@ -27,9 +26,7 @@ def test_through_the_dual(name, bent):
         if rows is not None:
             factor = slopes[k].factor
             slopes[k] = Slope(np.where(factor > 0.0, factor, factor.max() + 1e-2))
-    system = LaplaceNewton(
-        SCENE.laplace, problem.blocks, problem.declared, problem.fixed
-    )
+    system = LaplaceNewton(problem)
     gradient = gradient_of(problem)
     step, _ = system.step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))
@@ -42,9 +39,7 @@ def test_heavy_rows_balance_the_others():
     few = [k for k, rows in enumerate(problem.declared) if rows is None]
     for k in few:
         slopes[k] = Slope(1e8 * slopes[k].factor)
-    system = LaplaceNewton(
-        SCENE.laplace, problem.blocks, problem.declared, problem.fixed
-    )
+    system = LaplaceNewton(problem)
     rng, x = np.random.default_rng(8), np.zeros(len(problem.fixed))
     residuals = [rng.normal(size=len(b.target)) for b in problem.blocks]
     for k, rows in enumerate(problem.declared):

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.solvers.problems import program, rows, term
-from ttus_opt.problem.terms.penalties import Absolute, Squares
+from ttus_opt.problem.terms.penalties import Absolute
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.proximal import method_of_multipliers
@@ -18,7 +18,6 @@ from ttus_opt.solvers.proximal.method_of_multipliers import (
     MethodOfMultipliers,
     line_search,
 )
-from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 WEIGHT = 3.0
@@ -32,8 +31,8 @@ class Dense:
 
     rtol = 1e-6
 
-    def __init__(self, problem, blocks, size=1.0):
-        self._free, self._blocks, self._size = ~problem.fixed, blocks, size
+    def __init__(self, problem, size=1.0):
+        self._free, self._blocks, self._size = ~problem.fixed, problem.blocks, size
         self.asked: list[float] = []
 
     def step(self, gradient, multipliers, slopes, rtol, deadline):
@@ -52,22 +51,19 @@ class Dense:
         """Nothing follows it."""
 
 
-def anchored(problem, weight):
-    """½ w ‖x − x̄‖², as its solver sets it up."""
-    n = len(problem.fixed)
-    one = sp.csr_array(sp.eye_array(n, format="csr"))
-    return PenalisedRows("anchor", one, np.zeros(n), weight, Squares(), exact=True)
-
-
-def method_of(what, *, anchor=0.0, size=1.0, request=None):
+def method_of(what, *, anchor=None, size=1.0, request=None):
+    """The method, with an anchor ½ ‖x − x̄‖² at a point or without."""
     problem = PenalisedProblem.of(what)
     for block in problem.bent:
         block.sigma = 1.0
-    own = anchored(problem, anchor) if anchor else None
-    blocks = [*problem.blocks, *([own] if own else [])]
-    system = Dense(problem, blocks, size)
+    if anchor is not None:
+        n = len(problem.fixed)
+        problem = problem.anchored(sp.csr_array(sp.eye_array(n, format="csr")))
+        problem.anchor.weigh(0.5)
+        problem.anchor.follow(anchor, None, 1.0)
+    system = Dense(problem, size)
     asked = request or Request(1e-9)
-    return MethodOfMultipliers(problem, blocks, own, system, asked), system
+    return MethodOfMultipliers(problem, system, asked), system
 
 
 def lasso(seed, shape=(9, 5)):
@@ -162,8 +158,9 @@ def test_the_anchor_leaves_what_nothing_determines_where_it_was(monkeypatch):
     """
     what = program([term([[1.0, 1.0]], [4.0], 1.0, Absolute(), name="bent")])
     monkeypatch.setattr(method_of_multipliers, "GROWTH", 1.0)
-    method, _ = method_of(what, anchor=0.5)
-    x = verified(what, method.solve(np.array([9.0, -1.0])))
+    start = np.array([9.0, -1.0])
+    method, _ = method_of(what, anchor=start)
+    x = verified(what, method.solve(start))
     np.testing.assert_allclose(x, [7.0, -3.0], atol=1e-6)
 
 
@@ -222,9 +219,7 @@ def test_a_step_that_is_no_number_changes_nothing():
             return np.full_like(d, np.nan), spent
 
     problem = PenalisedProblem.of(lasso(3))
-    blocks = list(problem.blocks)
-    system = Failing(problem, blocks)
-    method = MethodOfMultipliers(problem, blocks, None, system, Request(1e-9))
+    method = MethodOfMultipliers(problem, Failing(problem), Request(1e-9))
     found = method.solve(np.full(5, 10.0))
     assert found.claim is Claim.GAVE_UP
     np.testing.assert_array_equal(found.x, np.full(5, 10.0))

@@ -33,7 +33,7 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.preconditioner import with_few_rows
 from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
-from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.penalised_rows import Between
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 Indices = NDArray[np.int32] | NDArray[np.int64]
@@ -63,24 +63,18 @@ class FieldNewton:
     rtol = 1e-2
     description = "the diagonal"
 
-    def __init__(
-        self,
-        problem: PenalisedProblem,
-        anchor: PenalisedRows | None = None,
-        squares: bool = False,
-    ) -> None:
+    def __init__(self, problem: PenalisedProblem, squares: bool = False) -> None:
         """Take the rows.
 
         Args:
-            problem: The problem.
-            anchor: Rows of the proximal term, one per variable; None for none.
+            problem: The problem; an anchor has one row per variable.
             squares: Whether all penalties are squares, so that the preconditioner
                 serves for good and is set up at the first step.
         """
         self._program, self._fixed = problem.program, problem.fixed
         self._held = np.flatnonzero(problem.fixed)
-        self._anchor, self._squares = anchor, squares
-        self._blocks = [*problem.blocks, *([] if anchor is None else [anchor])]
+        self._blocks, self._anchor = problem.blocks, problem.anchor
+        self._squares = squares
         self._wide = [len(b.target) > FEW_ROWS for b in self._blocks]
         if squares:
             short = [not b.measured and b.nnz <= LONG for b in self._blocks]
@@ -122,9 +116,8 @@ class FieldNewton:
             MissingPackageError: Squares alone need algebraic multigrid, and pyamg is
                 not installed.
         """
-        key = tuple(b.sigma for b in self._blocks if not b.exact)
-        if self._anchor is not None:
-            key += (self._anchor.weight,)
+        movable = (b for b in self._blocks if not b.exact or b is self._anchor)
+        key = tuple(b.sigma for b in movable)
         if self._made is not None:
             old = np.array(self._made[0])
             ratio = np.array(key) / old

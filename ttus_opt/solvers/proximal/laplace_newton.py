@@ -19,13 +19,12 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.core.arrays import Array
 from ttus_opt.problem.terms.penalties import Slope
-from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_columns
+from ttus_opt.solvers.proximal.penalised_rows import group_columns
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 #: Relative residual of solves with L, over that of the inexact step [–]
 INSIDE = 1e-2
@@ -40,24 +39,12 @@ class LaplaceNewton:
 
     rtol = 1e-4
 
-    def __init__(
-        self,
-        laplace: LaplaceSystem,
-        blocks: Sequence[PenalisedRows],
-        declared: Sequence[LaplaceRows | None],
-        fixed: Mask,
-    ) -> None:
-        """Sort the rows.
-
-        Args:
-            laplace: L.
-            blocks: All rows.
-            declared: The tags of those that are Laplace's, else None.
-            fixed: Voxels whose values are given, shape (V,).
-        """
-        self._laplace, self._fixed = laplace, fixed
+    def __init__(self, problem: PenalisedProblem) -> None:
+        """Sort the rows of a problem over p alone."""
+        self._laplace, self._fixed = problem.program.laplace, problem.fixed
+        blocks, declared = problem.blocks, problem.declared
         self._declared = declared
-        self._free = np.flatnonzero(laplace.free)
+        self._free = np.flatnonzero(self._laplace.free)
         self._few = [k for k, rows in enumerate(declared) if rows is None]
         self._rows = [blocks[k].matrix for k in self._few]
         #: v of the few blocks, and its value after a full last step

@@ -132,21 +132,17 @@ class MethodOfMultipliers:
     def __init__(
         self,
         problem: PenalisedProblem,
-        blocks: list[PenalisedRows],
-        anchor: PenalisedRows | None,
         system: NewtonSystem,
         request: Request,
     ) -> None:
         """Take a problem.
 
         Args:
-            problem: The problem.
-            blocks: Its rows, the anchor's last.
-            anchor: Rows E of the anchor; None for none.
+            problem: The problem, with its anchor.
             system: Solves for the steps.
             request: Tolerance and time limit.
         """
-        self._problem, self._blocks, self._anchor = problem, blocks, anchor
+        self._problem, self._blocks = problem, problem.blocks
         self._system, self._request = system, request
         self.steps = self.newton_steps = 0
         self._length = 0.0  # of the last step; none at the start
@@ -155,11 +151,9 @@ class MethodOfMultipliers:
         """Solve from a starting point.
 
         Args:
-            x: Shape (n,), given values included.
+            x: Shape (n,), given values included; the anchor is there.
         """
         self._deadline = self._request.deadline()
-        if self._anchor is not None:
-            self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
         # without multiplier estimates, one round minimises the objective itself
@@ -167,14 +161,7 @@ class MethodOfMultipliers:
         rtol = self._system.rtol
         for _ in range(ROUNDS):
             done = self._minimise(state, rtol)
-            duals = self._problem.duals(
-                [
-                    y
-                    for b, y in zip(self._blocks, state.multipliers, strict=True)
-                    if b is not self._anchor
-                ],
-                state.gradient,
-            )
+            duals = self._problem.duals(state.multipliers, state.gradient)
             kkt = kkt_residuals(
                 self._problem.program, state.x, duals, tolerance=self._request.tolerance
             )
@@ -268,28 +255,13 @@ class MethodOfMultipliers:
 
     def _moved(self, state: State) -> float:
         """Movement of estimates and anchor, in the unit of the Lagrangian."""
-        total = 0.0
-        for b, r, y in zip(
-            self._blocks, state.residuals, state.multipliers, strict=True
-        ):
-            if b is self._anchor:
-                total += b.weight * inner_product(r, r)
-            elif not b.exact:
-                change = y - b.multipliers
-                total += inner_product(change, change) / b.sigma
-        return total
+        rows = zip(self._blocks, state.residuals, state.multipliers, strict=True)
+        return sum(b.moved(r, y) for b, r, y in rows)
 
     def _next_round(self, state: State, growth: float) -> None:
         """Update estimates, anchor and σ."""
-        for k, (b, y) in enumerate(zip(self._blocks, state.multipliers, strict=True)):
-            if b is self._anchor:
-                b.target = np.asarray(b.matrix @ state.x)
-                state.residuals[k] = np.zeros(len(b.target))
-                b.weight /= growth
-                b.sigma /= growth
-            elif not b.exact:
-                b.multipliers = y
-                b.sigma *= growth
+        for b, y in zip(self._blocks, state.multipliers, strict=True):
+            b.follow(state.x, y, growth)
         # recomputed: sums of steps collect rounding errors
         state.residuals = [b.residual(state.x) for b in self._blocks]
 

@@ -21,7 +21,8 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.penalties import Slope
+from ttus_opt.problem.terms.penalties import Slope, Squares
+from ttus_opt.solvers.conjugate_gradients import inner_product
 
 #: σ over the weight of a smooth penalty; the difference to σ → ∞ is below rounding
 EXACT = 1e15
@@ -111,6 +112,39 @@ class PenalisedRows:
     def adjoint(self, y: Array) -> Array:
         """Mᵀ y, shape (n,)."""
         return np.asarray(self.matrix.T @ y)
+
+    def moved(self, r: Array, y: Array) -> float:
+        """What a round moved to a residual and multipliers, as the Lagrangian's e."""
+        change = y - self.multipliers
+        return 0.0 if self.exact else inner_product(change, change) / self.sigma
+
+    def follow(self, x: Array, y: Array, growth: float) -> None:
+        """Take y as the estimate of the next round, and let σ grow by a factor."""
+        if not self.exact:
+            self.multipliers = y
+            self.sigma *= growth
+
+
+class Anchor(PenalisedRows):
+    """The proximal term w ‖E (x − x̄)‖², which keeps x where nothing else does."""
+
+    def __init__(self, rows: sp.csr_array) -> None:
+        """Take E; no term has its name."""
+        zero = np.zeros(rows.shape[0])
+        super().__init__("proximal term", rows, zero, 1.0, Squares(), exact=True)
+
+    def weigh(self, weight: float) -> None:
+        """Take another weight w."""
+        self.weight, self.sigma = weight, EXACT * weight
+
+    def moved(self, r: Array, y: Array) -> float:
+        """What a round moved x, likewise."""
+        return self.weight * inner_product(r, r)
+
+    def follow(self, x: Array, y: Array, growth: float) -> None:
+        """Go along to x, and let go as σ grows."""
+        self.target = np.asarray(self.matrix @ x)
+        self.weigh(self.weight / growth)
 
 
 def group_columns(values: Array, size: int) -> sp.csr_array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,7 +14,7 @@ from ttus_opt.problem.terms.rows import unit_rows
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.distance import held_by_equalities
 from ttus_opt.problem.verify.kkt import Duals
-from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.penalised_rows import Anchor, Between, PenalisedRows
 
 #: Name of the rows that stand for the box; no constraint is called so
 BOX = "box of all bounds"
@@ -26,7 +26,7 @@ class PenalisedProblem:
 
     Attributes:
         program: As it was declared.
-        blocks: Terms with a weight, rows between limits, and the box.
+        blocks: Terms with a weight, rows between limits, the box, the proximal term.
         declared: Tag of every block of Laplace's rows, None for other blocks.
         fixed: Variables whose values are given, shape (n,).
         values: Those values, zero elsewhere, shape (n,).
@@ -65,6 +65,18 @@ class PenalisedProblem:
                 blocks.append(_limits(BOX, unit_rows(at, len(fixed)), law))
         declared += [None] * (len(blocks) - len(declared))
         return cls(program, tuple(blocks), tuple(declared), fixed, values, given)
+
+    def anchored(
+        self, rows: sp.csr_array, declared: LaplaceRows | None = None
+    ) -> PenalisedProblem:
+        """With a proximal term of some rows, which may be Laplace's."""
+        blocks = (*self.blocks, Anchor(rows))
+        return replace(self, blocks=blocks, declared=(*self.declared, declared))
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """The proximal term; None without one."""
+        return next((b for b in self.blocks if isinstance(b, Anchor)), None)
 
     @property
     def bent(self) -> list[PenalisedRows]:
