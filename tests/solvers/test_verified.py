@@ -37,7 +37,8 @@ class Package(Verified):
 
     def __post_init__(self):
         self.continuations = self.pauses
-        Verified.__init__(self, PROGRAM, self.request)
+        Verified.__init__(self, None, self.request)
+        self.update(PROGRAM)
 
     def _load(self, program):
         pass

@@ -22,7 +22,6 @@ from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
     Claim,
-    Request,
     Solver,
     is_late,
 )
@@ -37,46 +36,6 @@ from ttus_opt.solvers.verified import Verified
 #: Most rounds per solve, each from a recomputed residual; relative residual at which a
 #: round ends at the latest [–]
 ROUNDS, ROUND = 6, 1e-6
-
-
-class Algebraic(Solver):
-    """Conjugate gradients over a factor, the grid's multigrid or pyamg."""
-
-    name = "algebraic"
-    summary = (
-        "any sum of squares without a Laplace term: a factor or a multigrid under "
-        "conjugate gradients"
-    )
-    capabilities = Capabilities(
-        inequalities=False,
-        equalities=True,
-        keeps="the factor or multigrid while weights stay, the last answer",
-    )
-
-    def refusal(self, program: Program) -> str:
-        """Takes sums of squares without a Laplace term, and given values."""
-        if base := super().refusal(program):
-            return base
-        others = [t.name for t in program.terms if not t.is_squares]
-        if others:
-            return f"{others[0]} is not a sum of squares"
-        prior = laplace_prior(program)
-        if prior is not None and prior.weight > 0.0:
-            return f"it takes no Laplace term ({prior.name}): use normal_equations"
-        for constraint in program.constraints:
-            if (np.diff(constraint.matrix.indptr) != 1).any():
-                return f"it takes given values, and {constraint.name} is more than that"
-        return ""
-
-    def cost(self, program: Program) -> float:
-        """In proportion to the voxels."""
-        s = Sizes.of(program)
-        return 0.1 + 4e-5 * s.voxels
-
-    def prepare(self, program: Program, request: Request) -> Verified:
-        """Factorise, or set up the multigrid."""
-        self.require(program)
-        return _Loaded(program, request)
 
 
 class _Loaded(Verified):
@@ -123,6 +82,41 @@ class _Loaded(Verified):
         duals = problem.duals(state.multipliers, state.gradient)
         detail = f"{system.description}, {steps} steps"
         return Candidate(state.x, duals, steps, detail=detail)
+
+
+class Algebraic(Solver):
+    """Conjugate gradients over a factor, the grid's multigrid or pyamg."""
+
+    name, loaded = "algebraic", _Loaded
+    summary = (
+        "any sum of squares without a Laplace term: a factor or a multigrid under "
+        "conjugate gradients"
+    )
+    capabilities = Capabilities(
+        inequalities=False,
+        equalities=True,
+        keeps="the factor or multigrid while weights stay, the last answer",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """Takes sums of squares without a Laplace term, and given values."""
+        if base := super().refusal(program):
+            return base
+        others = [t.name for t in program.terms if not t.is_squares]
+        if others:
+            return f"{others[0]} is not a sum of squares"
+        prior = laplace_prior(program)
+        if prior is not None and prior.weight > 0.0:
+            return f"it takes no Laplace term ({prior.name}): use normal_equations"
+        for constraint in program.constraints:
+            if (np.diff(constraint.matrix.indptr) != 1).any():
+                return f"it takes given values, and {constraint.name} is more than that"
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels."""
+        s = Sizes.of(program)
+        return 0.1 + 4e-5 * s.voxels
 
 
 def _same(one: tuple[ProgramTerm, ...], other: tuple[ProgramTerm, ...]) -> bool:

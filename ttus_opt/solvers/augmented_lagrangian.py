@@ -23,7 +23,7 @@ from ttus_opt.problem.reduction import Reduction
 from ttus_opt.problem.terms.penalties import Absolute, Penalty, Squares
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
@@ -47,58 +47,10 @@ ANCHOR, WEAK = 10.0, 1e-3
 START = 1.5
 
 
-class AugmentedLagrangian(Solver):
-    """Proximal method of multipliers with semismooth Newton steps."""
-
-    name = "augmented_lagrangian"
-    summary = "semismooth Newton in the method of multipliers: no penalty is rewritten"
-    capabilities = Capabilities(
-        inequalities=True,
-        equalities=True,
-        nonquadratic=True,
-        keeps="the multigrid, the last answer to start from",
-    )
-
-    def refusal(self, program: Program) -> str:
-        """Takes penalties with a resolvent, and no cones.
-
-        Squares alone only with limits and without a Laplace term.
-        """
-        declared = program.declared or program
-        if declared.cones:
-            return "it takes no cones"
-        mute = [
-            t.name
-            for t in declared.terms
-            if type(t.penalty).resolvent is Penalty.resolvent
-        ]
-        if mute:
-            return f"the penalty of {mute[0]} does not implement resolvent()"
-        if declared.is_quadratic and not _is_limited_alone(declared):
-            return "all penalties are squares: other solvers take them faster"
-        return ""
-
-    def cost(self, program: Program) -> float:
-        """In proportion to the voxels, where L has a multigrid."""
-        if program.laplace is None:
-            return math.inf
-        s = Sizes.of(program)
-        limited = s.limits > s.kinks  # a kink's own bounds are not the program's
-        return 0.6 + 1e-4 * (2.0 if limited else 1.0) * s.voxels
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Sort the rows."""
-        self.require(program)
-        return _Loaded(program, request)
-
-
 class _Loaded(Prepared):
     """A program with its last solution."""
 
-    def __init__(self, program: Program, request: Request) -> None:
-        self._request = request
-        self._last: Array | None = None
-        self.update(program)
+    _last: Array | None = None
 
     def update(self, program: Program) -> None:
         """Take other data; the next solve starts from the last solution."""
@@ -215,6 +167,46 @@ class _Loaded(Prepared):
                     b = np.where(problem.fixed[program.variables["p"]], b, prior.target)
                 x[program.variables["p"]] = laplace.solve(b, rtol=1e-10)
         return np.where(problem.fixed, problem.values, x)
+
+
+class AugmentedLagrangian(Solver):
+    """Proximal method of multipliers with semismooth Newton steps."""
+
+    name, loaded = "augmented_lagrangian", _Loaded
+    summary = "semismooth Newton in the method of multipliers: no penalty is rewritten"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        nonquadratic=True,
+        keeps="the multigrid, the last answer to start from",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """Takes penalties with a resolvent, and no cones.
+
+        Squares alone only with limits and without a Laplace term.
+        """
+        declared = program.declared or program
+        if declared.cones:
+            return "it takes no cones"
+        mute = [
+            t.name
+            for t in declared.terms
+            if type(t.penalty).resolvent is Penalty.resolvent
+        ]
+        if mute:
+            return f"the penalty of {mute[0]} does not implement resolvent()"
+        if declared.is_quadratic and not _is_limited_alone(declared):
+            return "all penalties are squares: other solvers take them faster"
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels, where L has a multigrid."""
+        if program.laplace is None:
+            return math.inf
+        s = Sizes.of(program)
+        limited = s.limits > s.kinks  # a kink's own bounds are not the program's
+        return 0.6 + 1e-4 * (2.0 if limited else 1.0) * s.voxels
 
 
 def _is_limited_alone(program: Program) -> bool:

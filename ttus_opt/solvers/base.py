@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -119,11 +120,19 @@ class Request:
 
 
 class Prepared(abc.ABC):
-    """A solver with a program loaded."""
+    """A solver with a program loaded, by `update` first.
+
+    Args:
+        solver: The solver.
+        request: What a solve has to reach.
+    """
+
+    def __init__(self, solver: Any, request: Request) -> None:
+        self._backend, self._request = solver, request
 
     @abc.abstractmethod
     def update(self, program: Program) -> None:
-        """Take a program of the same structure with other data."""
+        """Take a program, after the first one of the same structure."""
 
     @abc.abstractmethod
     def solve(self) -> Candidate:
@@ -139,7 +148,7 @@ class Prepared(abc.ABC):
         del x, duals
 
 
-class Solver(abc.ABC):
+class Solver:
     """A backend.
 
     Attributes:
@@ -148,6 +157,7 @@ class Solver(abc.ABC):
         capabilities: What it can take.
         module: Import name of the optional package it needs; "" for none.
         pip_name: How to install that package.
+        loaded: What it is with a program loaded, where it does not override `prepare`.
     """
 
     name: str
@@ -155,6 +165,7 @@ class Solver(abc.ABC):
     capabilities: Capabilities
     module: str = ""
     pip_name: str = ""
+    loaded: type[Prepared]
 
     def __repr__(self) -> str:
         return f"<solver {self.name}: {self.summary}>"
@@ -213,6 +224,14 @@ class Solver(abc.ABC):
                 'or solver="auto"'
             )
 
-    @abc.abstractmethod
     def prepare(self, program: Program, request: Request) -> Prepared:
-        """Load a program: factorise, scale, allocate."""
+        """Load a program: factorise, scale, allocate.
+
+        Raises:
+            InputError: It cannot take this program.
+            SolverUnavailableError: Its package is not installed.
+        """
+        self.require(program)
+        prepared = self.loaded(self, request)
+        prepared.update(program)
+        return prepared

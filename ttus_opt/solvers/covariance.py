@@ -32,7 +32,7 @@ from ttus_opt.problem.terms.structure import (
     KnownCovariance,
     known_covariance,
 )
-from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 from ttus_opt.solvers.conjugate_gradients import norm, to_residual
 from ttus_opt.solvers.dual.data import duals_without_limits, terms_beside
 
@@ -51,59 +51,9 @@ NEGLECTED = (1e-3, 1e-6)
 ACCURACY, MOST_STEPS = 1e-14, 60
 
 
-class Covariance(Solver):
-    """Dense Cholesky factors of the dual, from the prior's covariance."""
-
-    name = "covariance"
-    summary = "Gaussian-process regression: a prior whose covariance is known"
-    capabilities = Capabilities(
-        inequalities=True,
-        equalities=False,
-        any_terms=False,
-        time_limit=False,
-        keeps="the covariance of the touched voxels while the rows stay",
-    )
-
-    def refusal(self, program: Program) -> str:
-        """Takes a prior of known covariance, squares of few rows, bounds beside p."""
-        if base := super().refusal(program):
-            return base
-        prior = _prior(program)
-        if prior is None or prior.weight == 0.0:
-            return "it needs a term whose covariance is known, such as depth_map"
-        V = len(prior.target)
-        if any(np.isfinite(bound[:V]).any() for bound in program.box):
-            return "it takes no bounds of the field"
-        if program.constraints:
-            return "it takes no constraints but bounds of parameters"
-        touched = len(_touched(program, prior))
-        if touched > LARGEST:
-            return (
-                f"it takes rows that touch {LARGEST:,} voxels at most, these touch "
-                f"{touched:,}"
-            )
-        return ""
-
-    def cost(self, program: Program) -> float:
-        """A factor of the touched voxels' covariance, and solves on the grid."""
-        prior = _prior(program)
-        if prior is None:
-            return math.inf
-        n = float(len(_touched(program, prior)))
-        return 0.05 + 1e-5 * len(prior.target) + 4e-11 * n**3
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Form and factorise the dual."""
-        self.require(program)
-        return _Loaded(program)
-
-
 class _Loaded(Prepared):
     _columns: Columns
     _tag: KnownCovariance | None = None
-
-    def __init__(self, program: Program) -> None:
-        self.update(program)
 
     def update(self, program: Program) -> None:
         """Take other data; the covariance is kept while voxels and prior stay."""
@@ -193,6 +143,48 @@ class _Loaded(Prepared):
         )
         c[moving] = found.x
         return np.asarray(c)
+
+
+class Covariance(Solver):
+    """Dense Cholesky factors of the dual, from the prior's covariance."""
+
+    name, loaded = "covariance", _Loaded
+    summary = "Gaussian-process regression: a prior whose covariance is known"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=False,
+        any_terms=False,
+        time_limit=False,
+        keeps="the covariance of the touched voxels while the rows stay",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """Takes a prior of known covariance, squares of few rows, bounds beside p."""
+        if base := super().refusal(program):
+            return base
+        prior = _prior(program)
+        if prior is None or prior.weight == 0.0:
+            return "it needs a term whose covariance is known, such as depth_map"
+        V = len(prior.target)
+        if any(np.isfinite(bound[:V]).any() for bound in program.box):
+            return "it takes no bounds of the field"
+        if program.constraints:
+            return "it takes no constraints but bounds of parameters"
+        touched = len(_touched(program, prior))
+        if touched > LARGEST:
+            return (
+                f"it takes rows that touch {LARGEST:,} voxels at most, these touch "
+                f"{touched:,}"
+            )
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """A factor of the touched voxels' covariance, and solves on the grid."""
+        prior = _prior(program)
+        if prior is None:
+            return math.inf
+        n = float(len(_touched(program, prior)))
+        return 0.05 + 1e-5 * len(prior.target) + 4e-11 * n**3
 
 
 def _prior(program: Program) -> ProgramTerm | None:

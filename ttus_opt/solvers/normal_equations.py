@@ -21,8 +21,6 @@ from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
     Claim,
-    Prepared,
-    Request,
     Solver,
 )
 from ttus_opt.solvers.dual.active_set import DUAL_MARGIN
@@ -54,68 +52,17 @@ BOUNDS = 4
 GAP, GRADIENT = 1e-3, 0.1
 
 
-class NormalEquations(Solver):
-    """Preconditioned conjugate gradients on the normal equations.
-
-    Attributes:
-        few_rows: Most rows of a term that is eliminated through its dual [–].
-    """
-
-    name = "normal_equations"
-    summary = (
-        "any sum of squares: multigrid for L and its kin under conjugate gradients"
-    )
-    capabilities = Capabilities(
-        inequalities=True,
-        equalities=True,
-        keeps="the multigrid, the dual's directions, and the last answer to start from",
-    )
-
-    def __init__(self, few_rows: int = FEW_ROWS) -> None:
-        self.few_rows = few_rows
-
-    def refusal(self, program: Program) -> str:
-        """Takes sums of squares with a Laplace term, and few unknowns beside p."""
-        why = (
-            super().refusal(program)
-            or refusal_of_terms(program)
-            or refusal_of_unknowns(program)
-        )
-        if why:
-            return why
-        V = len(program.laplace.free)
-        if program.n_variables > V:
-            for term in wide_terms(program, self.few_rows):
-                if term.matrix[:, V:].nnz:
-                    return (
-                        f"{term.name} has many rows over other unknowns than the field"
-                    )
-            if any(np.isfinite(limit[V:]).any() for limit in program.box):
-                return "it takes no bounds of unknowns beside the field"
-        return refusal_of_limits(program)
-
-    def cost(self, program: Program) -> float:
-        """In proportion to the voxels."""
-        s = Sizes.of(program)
-        return 0.05 + 1e-5 * (6.0 if s.limits else 1.0) * s.voxels
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Set up the multigrid."""
-        self.require(program)
-        return _Loaded(program, request, self.few_rows)
-
-
 class _Loaded(Limited):
+    _backend: NormalEquations
     _at: Array | None = None
     _preconditioner: ConstraintPreconditioner
 
-    def __init__(self, program: Program, request: Request, few_rows: int) -> None:
-        self._few_rows = few_rows
-        super().__init__(program, request)
-
     def _load(self, program: Program) -> None:
         """Take other data; keep the last answer and working set."""
-        limits, split = SpokeLimits.of(program), Split.of(program, self._few_rows)
+        limits, split = (
+            SpokeLimits.of(program),
+            Split.of(program, self._backend.few_rows),
+        )
         self._problem = LimitedSum(program, limits, split)
         if limits.binding:
             return
@@ -165,6 +112,52 @@ class _Loaded(Limited):
                 break
             goal = goal.times(0.1 * enough * value / bound)
         return replace(found, steps=steps)
+
+
+class NormalEquations(Solver):
+    """Preconditioned conjugate gradients on the normal equations.
+
+    Attributes:
+        few_rows: Most rows of a term that is eliminated through its dual [–].
+    """
+
+    name, loaded = "normal_equations", _Loaded
+    summary = (
+        "any sum of squares: multigrid for L and its kin under conjugate gradients"
+    )
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        keeps="the multigrid, the dual's directions, and the last answer to start from",
+    )
+
+    def __init__(self, few_rows: int = FEW_ROWS) -> None:
+        self.few_rows = few_rows
+
+    def refusal(self, program: Program) -> str:
+        """Takes sums of squares with a Laplace term, and few unknowns beside p."""
+        why = (
+            super().refusal(program)
+            or refusal_of_terms(program)
+            or refusal_of_unknowns(program)
+        )
+        if why:
+            return why
+        V = len(program.laplace.free)
+        if program.n_variables > V:
+            for term in wide_terms(program, self.few_rows):
+                if term.matrix[:, V:].nnz:
+                    return (
+                        f"{term.name} has many rows over other unknowns than the field"
+                    )
+            if any(np.isfinite(limit[V:]).any() for limit in program.box):
+                return "it takes no bounds of unknowns beside the field"
+        return refusal_of_limits(program)
+
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels."""
+        s = Sizes.of(program)
+        return 0.05 + 1e-5 * (6.0 if s.limits else 1.0) * s.voxels
 
 
 SOLVERS = [NormalEquations()]

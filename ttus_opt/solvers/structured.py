@@ -22,8 +22,6 @@ from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
     Claim,
-    Prepared,
-    Request,
     Solver,
 )
 from ttus_opt.solvers.dual.data import (
@@ -43,10 +41,42 @@ from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes
 
 
+class _Loaded(Limited):
+    _solver: DualSolver | None = None
+
+    def _load(self, program: Program) -> None:
+        """Load other data; the module's docstring lists what is kept."""
+        if second_field(program) is not None:
+            self._problem = FieldPair.of(program)
+            program.laplace.multigrid  # noqa: B018  (counts as set-up)
+            return
+        self._data = DualData.of(program)
+        system = self._data.system
+        system.laplace.multigrid  # noqa: B018  (likewise)
+        bounds = (b[len(self._data.b) :] for b in program.box)
+        beside = LinearParameters(self._data.columns, *bounds)
+        if self._solver is None or not system.same_rows(self._solver.system):
+            self._solver = DualSolver(system, beside)
+        else:
+            self._solver.adopt(system, beside)
+        limits = SpokeLimits.of(program)
+        self._problem = LimitedField(program, limits, self._data, self._solver)
+
+    def _unlimited(self, accuracy: Accuracy) -> Candidate:
+        """The field and the unknowns beside it, without limits."""
+        if isinstance(self._problem, FieldPair):
+            return self._limited(accuracy)
+        assert self._solver is not None
+        answer = self._solver.solve(self._data.b, self._data.t, accuracy)
+        x = np.concatenate([answer.p, answer.c])
+        claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
+        return Candidate(x, duals_without_limits(self._program, x), answer.steps, claim)
+
+
 class Structured(Solver):
     """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets."""
 
-    name = "structured"
+    name, loaded = "structured", _Loaded
     summary = "never forms Q: multigrid, conjugate gradients in the dual, active sets"
     capabilities = Capabilities(
         inequalities=True,
@@ -79,46 +109,6 @@ class Structured(Solver):
         if wide_terms(program):  # they make the dual as large as the field
             harder = 11.0
         return 0.03 + 2.5e-6 * harder * (6.0 if s.limits else 1.0) * s.voxels
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Set up the multigrid and the dual system."""
-        self.require(program)
-        if second_field(program) is not None:
-            return _LoadedPair(program, request)
-        return _Loaded(program, request)
-
-
-class _LoadedPair(Limited):
-    def _load(self, program: Program) -> None:
-        """Take other data; keep the multigrid and the last working set."""
-        self._problem = FieldPair.of(program)
-        program.laplace.multigrid  # noqa: B018  (counts as set-up)
-
-
-class _Loaded(Limited):
-    _solver: DualSolver | None = None
-
-    def _load(self, program: Program) -> None:
-        """Load other data; the module's docstring lists what is kept."""
-        self._data = DualData.of(program)
-        system = self._data.system
-        system.laplace.multigrid  # noqa: B018  (counts as set-up)
-        bounds = (b[len(self._data.b) :] for b in program.box)
-        beside = LinearParameters(self._data.columns, *bounds)
-        if self._solver is None or not system.same_rows(self._solver.system):
-            self._solver = DualSolver(system, beside)
-        else:
-            self._solver.adopt(system, beside)
-        limits = SpokeLimits.of(program)
-        self._problem = LimitedField(program, limits, self._data, self._solver)
-
-    def _unlimited(self, accuracy: Accuracy) -> Candidate:
-        """The field and the unknowns beside it, without limits."""
-        assert self._solver is not None
-        answer = self._solver.solve(self._data.b, self._data.t, accuracy)
-        x = np.concatenate([answer.p, answer.c])
-        claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
-        return Candidate(x, duals_without_limits(self._program, x), answer.steps, claim)
 
 
 SOLVERS = [Structured()]

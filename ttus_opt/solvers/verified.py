@@ -13,6 +13,7 @@ from __future__ import annotations
 import abc
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -50,10 +51,9 @@ class Verified(Prepared):
     #: Whether an answer no better than the last one may be followed by another
     patient: bool = True
 
-    def __init__(self, program: Program, request: Request) -> None:
-        self._request = request
+    def __init__(self, solver: Any, request: Request) -> None:
+        super().__init__(solver, request)
         self._eps = max(request.tolerance * self.margin, self.floor)
-        self.update(program)
 
     def update(self, program: Program) -> None:
         """Take other data."""

@@ -48,7 +48,8 @@ class Loaded(Limited):
 
 
 def loaded(tolerance=1e-6, reply=None, time_limit=None):
-    made = Loaded(PROGRAM, Request(tolerance=tolerance, time_limit=time_limit))
+    made = Loaded(None, Request(tolerance=tolerance, time_limit=time_limit))
+    made.update(PROGRAM)
     made.reply = reply
     return made
 

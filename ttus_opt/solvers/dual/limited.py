@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import abc
+
 import numpy as np
 
 from ttus_opt.core.arrays import Array
@@ -63,9 +65,9 @@ class Limited(Verified):
         duals = problem.duals(x, answer.multipliers)
         return Candidate(x, duals, answer.steps, claim, detail)
 
+    @abc.abstractmethod
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The minimiser without any."""
-        return self._limited(accuracy)
 
     def _contradiction(self) -> Candidate | None:
         """The answer if the limits are infeasible; None if they are not."""

@@ -26,7 +26,6 @@ from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
     Claim,
-    Request,
     Solver,
     is_late,
 )
@@ -38,39 +37,6 @@ INNER, FLOOR = 1e-1, 1e-13
 
 #: Most steps in u
 STEPS = 2000
-
-
-class AmgPcg(Solver):
-    """pyamg under two layers of SciPy's conjugate gradients; eq. 10 alone."""
-
-    name = "amg_pcg"
-    summary = "off the shelf (pyamg, SciPy): AMG-CG for L under CG; a reference"
-    capabilities = Capabilities(
-        inequalities=False,
-        equalities=False,
-        any_terms=False,
-        keeps="the multigrid of L, and the last answer to start from",
-    )
-    module = "pyamg"
-    pip_name = '"ttus-opt[reference]"'
-
-    def refusal(self, program: Program) -> str:
-        """Takes eq. 10 only, without constraints."""
-        if base := super().refusal(program):
-            return base
-        prior = program.laplace_term
-        if prior is None or prior.weight == 0.0:
-            return "it needs a Laplace term"
-        others = [t for t in program.terms if t is not prior]
-        eq10 = all(t.is_measured and t.is_squares for t in others)
-        if not eq10 or set(program.variables) != {"p"}:
-            return "it takes eq. 10 only"
-        return ""
-
-    def prepare(self, program: Program, request: Request) -> Verified:
-        """Set up the algebraic multigrid."""
-        self.require(program)
-        return _Loaded(program, request)
 
 
 class _Loaded(Verified):
@@ -142,6 +108,34 @@ class _Loaded(Verified):
     def _check(self, x: Array) -> None:
         if is_late(self._deadline):
             raise TimeoutError
+
+
+class AmgPcg(Solver):
+    """pyamg under two layers of SciPy's conjugate gradients; eq. 10 alone."""
+
+    name, loaded = "amg_pcg", _Loaded
+    summary = "off the shelf (pyamg, SciPy): AMG-CG for L under CG; a reference"
+    capabilities = Capabilities(
+        inequalities=False,
+        equalities=False,
+        any_terms=False,
+        keeps="the multigrid of L, and the last answer to start from",
+    )
+    module = "pyamg"
+    pip_name = '"ttus-opt[reference]"'
+
+    def refusal(self, program: Program) -> str:
+        """Takes eq. 10 only, without constraints."""
+        if base := super().refusal(program):
+            return base
+        prior = program.laplace_term
+        if prior is None or prior.weight == 0.0:
+            return "it needs a Laplace term"
+        others = [t for t in program.terms if t is not prior]
+        eq10 = all(t.is_measured and t.is_squares for t in others)
+        if not eq10 or set(program.variables) != {"p"}:
+            return "it takes eq. 10 only"
+        return ""
 
 
 SOLVERS = [AmgPcg()]

@@ -23,7 +23,6 @@ from ttus_opt.solvers.base import (
     Capabilities,
     Claim,
     Prepared,
-    Request,
     Solver,
 )
 from ttus_opt.solvers.primal.elimination import factor
@@ -52,10 +51,50 @@ class Factor:
     release: Callable[[], object] | None = None
 
 
+class _Factorised(Prepared):
+    """Q, d and a factor of Q."""
+
+    _backend: ClosedForm
+    _Q: sp.csc_array
+    _factor: Factor | str = ""
+
+    def update(self, program: Program) -> None:
+        """Take other data; the factor is kept while Q stays the same."""
+        Q, self._d = program.normal_equations()
+        factor = self._factor
+        if isinstance(factor, Factor):
+            before, self._Q = self._Q, Q
+            pattern = (
+                Q.shape == before.shape
+                and Q.nnz == before.nnz
+                and np.array_equal(Q.indptr, before.indptr)
+                and np.array_equal(Q.indices, before.indices)
+            )
+            if pattern and np.array_equal(Q.data, before.data):
+                return
+            if pattern and factor.refactorise is not None:
+                factor.refactorise(Q)
+                return
+            if factor.release is not None:  # before the next factor is allocated
+                factor.release()
+        self._Q, self._factor = Q, _attempted(self._backend, Q)
+
+    def solve(self) -> Candidate:
+        """Solve Q x = d and refine."""
+        if isinstance(self._factor, str):
+            return Candidate(None, claim=Claim.GAVE_UP, detail=self._factor)
+        x = self._factor.solve(self._d)
+        for _ in range(REFINEMENTS):
+            x = x + self._factor.solve(self._d - self._Q @ x)
+        if not np.isfinite(x).all():
+            return Candidate(None, claim=Claim.GAVE_UP, detail="Q is singular")
+        return Candidate(x, iterations=1)
+
+
 class ClosedForm(Solver):
     """Forms Q and d and factorises Q, by SuperLU where no subclass overrides it."""
 
-    name = "closed_form"
+    name, loaded = "closed_form", _Factorised
     summary = "forms Q and d and factorises Q (SciPy SuperLU): the reference"
     capabilities = Capabilities(
         inequalities=False,
@@ -63,11 +102,6 @@ class ClosedForm(Solver):
         keeps="the factor of Q for new values; forms and factorises Q for new weights",
         time_limit=False,
     )
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Form Q and d and factorise Q."""
-        self.require(program)
-        return _Factorised(self, program)
 
     def factorise(self, Q: sp.csc_array) -> Factor:
         """Factorise a symmetric positive definite matrix, all of it stored."""
@@ -142,47 +176,6 @@ class Cholespy(ClosedForm):
             return x
 
         return Factor(solve)
-
-
-class _Factorised(Prepared):
-    """Q, d and a factor of Q."""
-
-    def __init__(self, solver: ClosedForm, program: Program) -> None:
-        self._solver = solver
-        self._Q, self._d = program.normal_equations()
-        self._factor = _attempted(solver, self._Q)
-
-    def update(self, program: Program) -> None:
-        """Take other data; the factor is kept while Q stays the same."""
-        Q, self._d = program.normal_equations()
-        before, self._Q = self._Q, Q
-        pattern = (
-            Q.shape == before.shape
-            and Q.nnz == before.nnz
-            and np.array_equal(Q.indptr, before.indptr)
-            and np.array_equal(Q.indices, before.indices)
-        )
-        factor = self._factor
-        if isinstance(factor, Factor):
-            if pattern and np.array_equal(Q.data, before.data):
-                return
-            if pattern and factor.refactorise is not None:
-                factor.refactorise(Q)
-                return
-            if factor.release is not None:  # before the next factor is allocated
-                factor.release()
-        self._factor = _attempted(self._solver, Q)
-
-    def solve(self) -> Candidate:
-        """Solve Q x = d and refine."""
-        if isinstance(self._factor, str):
-            return Candidate(None, claim=Claim.GAVE_UP, detail=self._factor)
-        x = self._factor.solve(self._d)
-        for _ in range(REFINEMENTS):
-            x = x + self._factor.solve(self._d - self._Q @ x)
-        if not np.isfinite(x).all():
-            return Candidate(None, claim=Claim.GAVE_UP, detail="Q is singular")
-        return Candidate(x, iterations=1)
 
 
 def _attempted(solver: ClosedForm, Q: sp.csc_array) -> Factor | str:

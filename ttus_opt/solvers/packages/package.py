@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
+from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified, seconds_left
 
 T = TypeVar("T")
@@ -75,9 +75,6 @@ class Package:
 class PackageSolver(Solver):
     """A solver reached through a front end."""
 
-    #: Loads a program
-    loaded: Callable[[Package, Program, Request], Prepared]
-
     def __init__(self, package: Package) -> None:
         self.package = package
         self.name, self.summary = package.name, package.summary
@@ -92,18 +89,13 @@ class PackageSolver(Solver):
         """The package's estimate."""
         return self.package.cost(program) if self.package.cost else math.inf
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Bring the program into the front end's form."""
-        self.require(program)
-        return type(self).loaded(self.package, program, request)
-
 
 class PackageLoaded(Verified):
     """A program in a front end's form; nothing is kept between solves."""
 
-    def __init__(self, package: Package, program: Program, request: Request) -> None:
-        self._package, self.margin = package, package.margin
-        super().__init__(program, request)
+    def __init__(self, solver: PackageSolver, request: Request) -> None:
+        self._package, self.margin = solver.package, solver.package.margin
+        super().__init__(solver, request)
 
     def _attempt(self, eps: float, deadline: float | None) -> Candidate:
         """The package's answer; none where it raises."""

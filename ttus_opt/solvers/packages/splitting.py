@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Solver
 from ttus_opt.solvers.packages.qp_packages import claim_from
 from ttus_opt.solvers.packages.quadratic import OneSided, TwoSided, read_back
 from ttus_opt.solvers.sizes import splitting_seconds
@@ -34,7 +34,7 @@ class SplittingSolver(Solver):
         self, loaded: type[Loaded], summary: str, keeps: str, slower: float = 1.0
     ) -> None:
         self.name = self.module = self.pip_name = loaded.package
-        self._loaded, self._slower, self.summary = loaded, slower, summary
+        self.loaded, self._slower, self.summary = loaded, slower, summary
         self.capabilities = Capabilities(
             inequalities=True, equalities=True, keeps=keeps
         )
@@ -42,11 +42,6 @@ class SplittingSolver(Solver):
     def cost(self, program: Program) -> float:
         """That of a splitting method."""
         return self._slower * splitting_seconds(program)
-
-    def prepare(self, program: Program, request: Request) -> Verified:
-        """Load, scale and factorise."""
-        self.require(program)
-        return self._loaded(program, request)
 
 
 class Loaded(Verified):
