@@ -18,8 +18,6 @@ import numpy as np
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 
 class Loaded(Prepared):
-    def __init__(self, program):
-        self.update(program)
     def update(self, program):
         self.program = program
     def solve(self):
@@ -30,8 +28,7 @@ class Mine(Solver):
     name = "mine"
     summary = "dense"
     capabilities = Capabilities(inequalities=False, equalities=False)
-    def prepare(self, program, request):
-        return Loaded(program)
+    loaded = Loaded
 
 SOLVERS = [Mine()]
 """
@@ -97,7 +94,11 @@ def test_a_file_by_path(tmp_path):
     [
         (
             FILE.replace("ANSWER", "1 / 0"),
-            r"solver mine raised ZeroDiv.*own.py, line 12",
+            r"solver mine raised ZeroDiv.*own.py, line 10",
+        ),
+        (
+            FILE.replace("    loaded = Loaded\n", ""),
+            r"solver mine has neither `loaded`.* nor a prepare",
         ),
         (
             FILE.replace("ANSWER", "d[:3]"),

@@ -232,6 +232,11 @@ class Solver:
             SolverUnavailableError: Its package is not installed.
         """
         self.require(program)
+        if not hasattr(self, "loaded"):
+            raise InputError(
+                f"solver {self.name} has neither `loaded`, a Prepared with update and "
+                "solve, nor a prepare of its own"
+            )
         prepared = self.loaded(self, request)
         prepared.update(program)
         return prepared
