@@ -142,6 +142,17 @@ def test_torques_in_another_unit_are_told_by_their_size():
     )
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_torques_of_a_ball_tell_no_unit(sign):
+    """About its centre none are expected but by rounding, which any torque exceeds."""
+    read, (voxmap, _) = recording("press_fit"), geometry()
+    ball = tt.PointShell.from_spec("sphere:0.03", n_points=400)
+    scene = tt.Scene.assemble(voxmap, ball, read, sampling="trilinear")
+    prior = scene.laplace.solve(scene.b)
+    frames = replace(read, torque=sign * read.torque)
+    assert agreement(scene, prior, frames).torque_ratio == 0.0
+
+
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 @pytest.mark.parametrize(
     ("frames", "mends", "what"),

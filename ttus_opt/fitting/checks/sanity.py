@@ -46,6 +46,10 @@ CLEARLY = 0.7
 #: Torques this many times too large are in N·mm
 WRONG_UNIT = 100.0
 
+#: Least lever of expected torques that tell a unit, over the probe's rms radius: those
+#: of a ball about its centre are rounding [–]
+LEAST_LEVER = 0.01
+
 #: Least and largest plausible offset of the point about which torques were measured [m]
 FAR, FARTHEST = 0.01, 0.5
 
@@ -355,12 +359,15 @@ def agreement(scene: Scene, prior: Array, frames: Trajectory) -> Agreement:
     """S of some frames; `prior` is p₀, shape (V,)."""
     rows = scene.rows_along(frames)
     assert frames.force is not None
-    s, force_left = _scaled(frames.force.reshape(-1), rows.N @ prior)
+    expected = rows.N @ prior, rows.W @ prior
+    s, force_left = _scaled(frames.force.reshape(-1), expected[0])
     if frames.torque is None:
         return Agreement(force_left, 0.0)
-    k, torque_left = _scaled(frames.torque.reshape(-1), rows.W @ prior)
+    k, torque_left = _scaled(frames.torque.reshape(-1), expected[1])
     left = math.sqrt(force_left * torque_left)
-    return Agreement(left, k / s if s > 0.0 else 0.0)
+    size, lever = map(np.linalg.norm, expected)
+    told = s > 0.0 and lever > LEAST_LEVER * scene.shell.rms_radius * size
+    return Agreement(left, k / s if told else 0.0)
 
 
 def torque_offset(
