@@ -29,6 +29,10 @@ NEAR = 0.1
 #: another frame is suggested [–]
 FEW, MANY = 0.2, 0.6
 
+#: Mean force of a sensor that touches nothing, and that over its standard error, above
+#: which it was not zeroed [N], [–]: a skin that is 3 mm too low gives 0.3 N and 8
+BIAS, CERTAIN = 0.1, 10.0
+
 
 def share_near_skin(
     trajectory: Trajectory, shell: PointShell, surface: Surface
@@ -140,7 +144,27 @@ def scene_in_contact(
             f"{untouched} of {len(scene.trajectory)} poses: there is nothing to fit; "
             "check the poses' frame, unit and registration"
         )
+    if scene.trajectory.force is not None:
+        _warn_of_bias(scene, scene.trajectory.force)
     return scene
+
+
+def _warn_of_bias(scene: Scene, force: Array) -> None:
+    """Warn of a force that stays the same in the probe's axes while nothing touches."""
+    air = ~scene.touching
+    own = np.einsum("tij,ti->tj", scene.trajectory.rotation[air], force[air])
+    if len(own) < 2:
+        return
+    mean, error = own.mean(axis=0), own.std(axis=0) / np.sqrt(len(own))
+    if np.linalg.norm(mean) > max(BIAS, CERTAIN * float(np.linalg.norm(error))):
+        x, y, z = mean
+        warn(
+            f"the sensor shows ({x:z.2f}, {y:z.2f}, {z:z.2f}) N in the probe's axes in "
+            f"{len(own)} frames that touch nothing: was it zeroed? take its bias off "
+            "with ttus-opt compensate",
+            2,
+            MistakeWarning,
+        )
 
 
 def _others(conventions: Conventions) -> Iterator[tuple[Conventions, str, str]]:
