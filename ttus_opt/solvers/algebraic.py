@@ -87,7 +87,8 @@ class _Loaded(Verified):
 class Algebraic(Solver):
     """Conjugate gradients over a factor, the grid's multigrid or pyamg."""
 
-    name, loaded = "algebraic", _Loaded
+    name = "algebraic"
+    loaded = _Loaded
     summary = (
         "any sum of squares without a Laplace term: a factor or a multigrid under "
         "conjugate gradients"

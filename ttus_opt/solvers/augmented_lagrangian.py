@@ -172,7 +172,8 @@ class _Loaded(Prepared):
 class AugmentedLagrangian(Solver):
     """Proximal method of multipliers with semismooth Newton steps."""
 
-    name, loaded = "augmented_lagrangian", _Loaded
+    name = "augmented_lagrangian"
+    loaded = _Loaded
     summary = "semismooth Newton in the method of multipliers: no penalty is rewritten"
     capabilities = Capabilities(
         inequalities=True,

@@ -132,7 +132,7 @@ class Prepared(abc.ABC):
 
     @abc.abstractmethod
     def update(self, program: Program) -> None:
-        """Take a program, after the first one of the same structure."""
+        """Take a program; any after the first has the structure of the first."""
 
     @abc.abstractmethod
     def solve(self) -> Candidate:

@@ -148,7 +148,8 @@ class _Loaded(Prepared):
 class Covariance(Solver):
     """Dense Cholesky factors of the dual, from the prior's covariance."""
 
-    name, loaded = "covariance", _Loaded
+    name = "covariance"
+    loaded = _Loaded
     summary = "Gaussian-process regression: a prior whose covariance is known"
     capabilities = Capabilities(
         inequalities=True,

@@ -59,10 +59,8 @@ class _Loaded(Limited):
 
     def _load(self, program: Program) -> None:
         """Take other data; keep the last answer and working set."""
-        limits, split = (
-            SpokeLimits.of(program),
-            Split.of(program, self._backend.few_rows),
-        )
+        limits = SpokeLimits.of(program)
+        split = Split.of(program, self._backend.few_rows)
         self._problem = LimitedSum(program, limits, split)
         if limits.binding:
             return
@@ -121,7 +119,8 @@ class NormalEquations(Solver):
         few_rows: Most rows of a term that is eliminated through its dual [–].
     """
 
-    name, loaded = "normal_equations", _Loaded
+    name = "normal_equations"
+    loaded = _Loaded
     summary = (
         "any sum of squares: multigrid for L and its kin under conjugate gradients"
     )

@@ -76,7 +76,8 @@ class _Loaded(Limited):
 class Structured(Solver):
     """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets."""
 
-    name, loaded = "structured", _Loaded
+    name = "structured"
+    loaded = _Loaded
     summary = "never forms Q: multigrid, conjugate gradients in the dual, active sets"
     capabilities = Capabilities(
         inequalities=True,

@@ -151,12 +151,13 @@ def test_given_values_stay_and_their_multipliers_balance():
     np.testing.assert_allclose(found.duals.rows["given"], [balance], rtol=1e-6)
 
 
-def test_the_anchor_leaves_what_nothing_determines_where_it_was(monkeypatch):
+@pytest.mark.parametrize("name", ["bent", "proximal term"])
+def test_the_anchor_leaves_what_nothing_determines_where_it_was(name, monkeypatch):
     """|x₀ + x₁ − 4| alone: from (9, −1) the proximal point moves along (1, 1).
 
     By no more than one a round each, for its slope is one: the anchor goes along.
     """
-    what = program([term([[1.0, 1.0]], [4.0], 1.0, Absolute(), name="bent")])
+    what = program([term([[1.0, 1.0]], [4.0], 1.0, Absolute(), name=name)])
     monkeypatch.setattr(method_of_multipliers, "GROWTH", 1.0)
     start = np.array([9.0, -1.0])
     method, _ = method_of(what, anchor=start)

@@ -1,7 +1,8 @@
-"""Are recordings in the stated frame? A measuring probe is near the skin.
+"""Are recordings in the stated frame, and was the sensor zeroed?
 
-Recordings that were written in the scan's frame but read as the patient's usually lie
-away from the skin, and near it once they are transformed.
+A measuring probe is near the skin: recordings that were written in the scan's frame but
+read as the patient's usually lie away from it, and near it once they are transformed. A
+sensor that touches nothing shows no force.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NEAR = 0.1
 FEW, MANY = 0.2, 0.6
 
 #: Mean force of a sensor that touches nothing, and that over its standard error, above
-#: which it was not zeroed [N], [–]: a skin that is 3 mm too low gives 0.3 N and 8
+#: which it was not zeroed [N], [–]: a skin that is 3 mm too low gave 0.3 N and 8
 BIAS, CERTAIN = 0.1, 10.0
 
 

@@ -113,7 +113,8 @@ class _Loaded(Verified):
 class AmgPcg(Solver):
     """pyamg under two layers of SciPy's conjugate gradients; eq. 10 alone."""
 
-    name, loaded = "amg_pcg", _Loaded
+    name = "amg_pcg"
+    loaded = _Loaded
     summary = "off the shelf (pyamg, SciPy): AMG-CG for L under CG; a reference"
     capabilities = Capabilities(
         inequalities=False,

@@ -94,7 +94,8 @@ class _Factorised(Prepared):
 class ClosedForm(Solver):
     """Forms Q and d and factorises Q, by SuperLU where no subclass overrides it."""
 
-    name, loaded = "closed_form", _Factorised
+    name = "closed_form"
+    loaded = _Factorised
     summary = "forms Q and d and factorises Q (SciPy SuperLU): the reference"
     capabilities = Capabilities(
         inequalities=False,

@@ -129,7 +129,7 @@ class Anchor(PenalisedRows):
     """The proximal term w ‖E (x − x̄)‖², which keeps x where nothing else does."""
 
     def __init__(self, rows: sp.csr_array) -> None:
-        """Take E; no term has its name."""
+        """Take E."""
         zero = np.zeros(rows.shape[0])
         super().__init__("proximal term", rows, zero, 1.0, Squares(), exact=True)
 

@@ -91,7 +91,8 @@ class PenalisedProblem:
             gradient: Gradient of the Lagrangian, cancelled by given values, (n,).
         """
         program = self.program
-        by_name = {b.name: y for b, y in zip(self.blocks, multipliers, strict=True)}
+        pairs = zip(self.blocks, multipliers, strict=True)
+        by_name = {b.name: y for b, y in pairs if b is not self.anchor}
         terms = {
             t.name: by_name[t.name] / t.weight
             for t in program.terms
