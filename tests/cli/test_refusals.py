@@ -308,9 +308,16 @@ def test_links_that_cannot_be_opened(run, output, monkeypatch):
     for side in ("operator", "follower"):
         words = f"live {side} --key {key} --link"
         refused(run(f"{words} wifi"), "--link is udp or webrtc, got wifi")
+        refused(run(f"{words} udp --seconds nan"), "--seconds must be positive")
         told = run(f"{words} webrtc")
         install = 'error: aiortc is not installed: pip install "ttus-opt[webrtc]"'
         assert (told.status, told.errors) == (2, [install])
+
+
+def test_a_memory_limit_that_is_none(run, output):
+    answer = run(f"benchmark --case S --memory-limit nan -o {output / 'b'}")
+    refused(answer, "--memory-limit must be positive [GiB]")
+    assert empty(output)
 
 
 def test_a_terminated_command_leaves_nothing_behind(tmp_path):

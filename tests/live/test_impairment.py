@@ -19,6 +19,13 @@ def through(impairment, count=5000, step=0.02, reliable=False):
     return [(t, int.from_bytes(d[:4], "big")) for t, d in got], link
 
 
+@pytest.mark.parametrize("loss", [0.6, 0.9])
+def test_a_large_loss_is_as_given_in_longer_runs(loss):
+    link = ImpairedLink(Impairment(loss=loss))
+    link.send(0.0, [Outgoing(b"x")] * 20_000)
+    assert link.lost / 20_000 == pytest.approx(loss, abs=0.01)
+
+
 @pytest.mark.parametrize("burst", [1.0, 4.0])
 def test_loss_and_bursts_are_as_given(burst):
     n = 20_000

@@ -7,7 +7,13 @@ import pytest
 from tests.kit import FileError, refuses
 from tests.live.springy import BALL, session
 from ttus_opt.live.impairment import Impairment
-from ttus_opt.live.recording import Description, Frame, Recorder, frames_of
+from ttus_opt.live.recording import (
+    Description,
+    Frame,
+    Recorder,
+    _cdr,
+    frames_of,
+)
 from ttus_opt.live.replay import replay
 
 mcap = pytest.importorskip("mcap.reader", reason="needs mcap")
@@ -94,6 +100,20 @@ def test_no_file_is_left_by_a_session_that_failed(tmp_path):
     with pytest.raises(RuntimeError), Recorder(path):
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_file_is_left_where_it_could_not_be_completed(tmp_path, monkeypatch):
+    def full():
+        raise OSError("no space left")
+
+    with pytest.raises(OSError, match="no space"), Recorder(tmp_path / "s.mcap") as r:
+        monkeypatch.setattr(r._writer, "finish", full)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stamp_just_before_a_second_is_that_second():
+    stamp = struct.unpack_from("<iI", _cdr(12.9999999999, np.zeros(1)), 4)
+    assert stamp == (13, 0)
 
 
 def test_an_interrupt_completes_the_file(recorded, tmp_path):

@@ -324,6 +324,24 @@ def test_a_packet_counts_once_however_often_it_arrives():
     assert one.safety.judge(0.55) is State.STOP
 
 
+def test_a_sample_counts_once_however_late_a_packet_with_it_comes():
+    """20 s late at 50 a second, its samples came with others long ago."""
+    simulation = session()
+    passes(simulation, 1.0)
+    sender, operator, hand = Peer(8), simulation.operator, simulation.hand
+    samples = [replace(simulation.sensed, time=0.02 * k) for k in range(1001)]
+    sent = [
+        sender.pack(2.0, measurement(k, samples[k : k - 4 : -1], 2.0)).data
+        for k in range(4, 1001)
+    ]
+    late = sent.pop(50)
+    pose = hand.rotation, hand.position
+    operator.step(2.0, sent, *pose)
+    learned = operator.folded
+    operator.step(2.1, [late], *pose)
+    assert operator.folded == learned
+
+
 def test_sides_that_start_in_the_same_second_hear_each_other():
     surface, shell, content = parts()
     sides = Operator(7, shell).peer, Follower(7, surface, content).peer

@@ -5,9 +5,8 @@ import pytest
 
 from tests.kit import NumericalError, refuses
 from ttus_opt.live import swap_times
-from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.impairment import Impairment, WorseLink
 from ttus_opt.live.peer import Outgoing
-from ttus_opt.live.worse_link import WorseLink
 
 
 class Wire:

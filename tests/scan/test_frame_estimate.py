@@ -72,6 +72,8 @@ def test_the_user_says_how_the_patient_lies():
         tt.Axis.from_cloud(cloud, head=[1, 0, 0])
     refuses(InputError, "must not be zero", tt.Axis.from_cloud, cloud, head=[0, 0, 0])
     refuses(InputError, "a direction x,y,z", tt.Axis.from_cloud, cloud, head=[0, 1])
+    nowhere = [np.nan, 0, 0]
+    refuses(InputError, "camera's place", tt.Axis.from_cloud, cloud, camera=nowhere)
 
 
 def test_what_the_scan_hardly_tells_is_said(monkeypatch):

@@ -15,6 +15,7 @@ import typer
 from ttus_opt.cli.console import bars_shown, fitted, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -142,6 +143,8 @@ def benchmark(
 
     names, machine = chosen(parts), describe()  # its load is that at the start
     cases = own.cases(case)
+    if memory_limit is not None:
+        expect_positive(memory_limit, "--memory-limit", "GiB")
     settings = Settings(
         time_limit,
         listed(formulations),

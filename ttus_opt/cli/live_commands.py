@@ -153,11 +153,10 @@ def report(
     """
     import contextlib
 
-    from ttus_opt.live.demo import comparison
+    from ttus_opt.live.demo import comparison, live_picture
     from ttus_opt.live.recording import Description, Recorder
     from ttus_opt.live.trial import Trial, run
     from ttus_opt.report.plots.canvas import save_picture
-    from ttus_opt.report.plots.live import live_picture
 
     trial = Trial(
         comparator,
@@ -268,7 +267,7 @@ def follower(
     from ttus_opt.live.trial import Trial, prepared, simulated_patient, warm_up
     from ttus_opt.probe.trajectory import read_trajectory
 
-    secret = _checked(link, key, port)
+    secret = _checked(link, key, port, seconds)
     given = _subject(surface, probe, HELD)
     who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
@@ -333,7 +332,7 @@ def operator(
     from ttus_opt.live.subject import example_subject
     from ttus_opt.live.trial import warm_up
 
-    secret = _checked(link, key, port)
+    secret = _checked(link, key, port, seconds)
     who = _subject(surface, probe, probe_axes) or example_subject()
     warm_up()
     opened = open_link(link, secret, host, port, calls=True)
@@ -355,17 +354,13 @@ def _operate(
     """The haptic loop in a process of its own; the operator, and how it ended."""
     from contextlib import ExitStack
     from dataclasses import replace
-    from functools import partial
 
-    from ttus_opt.live.hand import Hand
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.operator import Operator
     from ttus_opt.live.real_time import promptly, run_operator
-    from ttus_opt.live.subject import MEETING
 
-    path, shell, epoch = who.examination(), who.shell, int(time.time())
-    start = path.rotation[0], path.position[0]
-    plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
+    shell, epoch = who.shell, int(time.time())
+    plan = LoopPlan(shell, who.device())
     with ExitStack() as opened:
         record = None
         if recording is not None:
@@ -379,7 +374,7 @@ def _operate(
         ended = run_operator(
             side,
             link,
-            start,
+            who.start,
             seconds=seconds,
             record=record,
             tell=_say("operator", name, side.peer),
@@ -442,7 +437,7 @@ def _subject(surface: Path | None, probe: str, probe_axes: str) -> Subject | Non
     return Subject(skin, shell_of(probe), held)
 
 
-def _checked(link: str, key: Path, port: int) -> bytes:
+def _checked(link: str, key: Path, port: int, seconds: float) -> bytes:
     """The session's key, once it is sure that the link can be opened."""
     from ttus_opt.live.links import LINKS
     from ttus_opt.live.sealing import read_key
@@ -451,6 +446,8 @@ def _checked(link: str, key: Path, port: int) -> bytes:
         raise InputError(f"--link is {' or '.join(LINKS)}, got {link}")
     if not 1 <= port <= 65535:
         raise InputError(f"--port is a number from 1 to 65535, got {port}")
+    if not seconds > 0.0:
+        raise InputError(f"--seconds must be positive [s], got {seconds:g}")
     if link == "webrtc":
         load("aiortc", "webrtc")
     return read_key(key)

@@ -19,12 +19,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from ttus_opt.core import io
 from ttus_opt.live.recording import Recorder
 from ttus_opt.live.trial import COMPARATORS, Trial, TrialResult, run
 from ttus_opt.report.document import Heading, Items, Picture, Table, Text, write_report
-from ttus_opt.report.plots.canvas import save_picture
-from ttus_opt.report.plots.live import live_picture
+from ttus_opt.report.plots.canvas import (
+    AFTER,
+    MEASURED,
+    look,
+    new_figure,
+    save_picture,
+)
 
 #: Round trips [s]
 ROUND_TRIPS = (0.0, 1.0)
@@ -191,3 +198,30 @@ def comparison(results: Sequence[TrialResult]) -> Table:
         for one in results
     ]
     return Table(header, rows)
+
+
+def live_picture(sessions: Sequence[TrialResult]) -> Figure:
+    """Felt and true force, a row a comparator, a column a round trip."""
+    names = list(dict.fromkeys(s.trial.comparator for s in sessions))
+    trips = sorted({s.trial.round_trip for s in sessions})
+    with look():
+        figure = new_figure(3.6 * len(trips), 1.5 * len(names) + 0.7)
+        axes = figure.subplots(
+            len(names), len(trips), sharex=True, sharey=True, squeeze=False
+        )
+        for session in sessions:
+            row = names.index(session.trial.comparator)
+            ax = axes[row, trips.index(session.trial.round_trip)]
+            ax.fill_between(session.time, session.true, color=MEASURED, label="true")
+            ax.plot(session.time, session.felt, color=AFTER, lw=1.0, label="felt")
+            trip = 1e3 * session.trial.round_trip
+            ax.set_title(
+                f"{session.trial.comparator}, {trip:.0f} ms: {session.error:.2f} N"
+            )
+        for ax in axes[-1]:
+            ax.set_xlabel("time [s]")
+        for ax in axes[:, 0]:
+            ax.set_ylabel("force [N]")
+        drawn = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*drawn, loc="outside lower center", ncols=2)
+    return figure

@@ -11,7 +11,6 @@ communication delay, Mechatronics 20 (2010) 812-823.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -44,20 +43,21 @@ PRESLIDING_LENGTH = 3e-3
 MOST_DAMPING = 40.0
 
 
-class Feedback(Protocol):
-    """Turns a hand's pose into the wrench that it feels."""
+class Feedback:
+    """Turns a hand's pose into the wrench that it feels; by itself into none."""
 
     def measured(self, sample: Sample) -> None:
-        """A measurement arrived."""
+        """A measurement arrived; by itself it reaches the hand through the model."""
 
     def update(self, field: PotentialField) -> None:
-        """The model has learned."""
+        """The model has learned; by itself it is not felt."""
 
     def felt(self, now: float, rotation: Array, position: Array) -> Array:
         """Force, then torque, shape (6,) [N, N·m]."""
+        return np.zeros(6)
 
 
-class ModelFeedback:
+class ModelFeedback(Feedback):
     """The wrench of the model at the hand's pose, now."""
 
     def __init__(self, field: PotentialField, shell: PointShell) -> None:
@@ -71,9 +71,6 @@ class ModelFeedback:
     def blend(self) -> BlendState:
         """State of the last update's swap."""
         return self.renderer.blend
-
-    def measured(self, sample: Sample) -> None:
-        """Measurements reach the hand through the model alone."""
 
     def at(self, rotation: Array, position: Array) -> Array:
         """Contact wrench of the present model at any pose, without drag, (6,)."""
@@ -105,7 +102,7 @@ def _held(field: PotentialField) -> PotentialField:
     return replace(field, parameters=held)
 
 
-class MeasuredForce:
+class MeasuredForce(Feedback):
     """The last measured wrench, whenever it was measured."""
 
     def __init__(self) -> None:
@@ -115,9 +112,6 @@ class MeasuredForce:
         """Keep the newest."""
         if self._last is None or sample.time > self._last.time:
             self._last = sample
-
-    def update(self, field: PotentialField) -> None:
-        """The model is not felt."""
 
     def felt(self, now: float, rotation: Array, position: Array) -> Array:
         """Force, then torque, shape (6,) [N, N·m]."""

@@ -30,13 +30,12 @@ from ttus_opt.live.messages import (
     Sample,
     StateReport,
     SurfaceMessage,
+    decoded_surface,
     measurement,
     pose_of,
 )
 from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
 from ttus_opt.live.safety import SafetyLimits, State, is_pose
-from ttus_opt.message import decode
-from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.cylindrical import cylindrical
 from ttus_opt.scan.surface import Surface
 
@@ -202,13 +201,10 @@ class Follower:
         Raises:
             InputError: An unusable surface.
         """
-        whole = self._surfaces[:1]
-        is_whole = Reader(surface).kind == SURFACE
-        skin = decode(surface, base=None if is_whole else whole[0])
-        if not isinstance(skin, Surface):
-            raise InputError("a new surface must be a message of a surface")
-        self.surface, self._model = skin, model
-        self._surfaces = (surface,) if is_whole else (*whole, surface)
+        whole = self._surfaces[0]
+        self.surface, is_whole = decoded_surface(surface, whole)
+        self._surfaces = (surface,) if is_whole else (whole, surface)
+        self._model = model
         return (self.peer.pack(now, SurfaceMessage(surface), reliable=True),)
 
     @property
@@ -226,13 +222,6 @@ class Follower:
         if received is None:
             return
         match received.body:
-            case Hello(version=version) if version != VERSION:
-                self.peer.safety.stop(
-                    f"the operator has version {version} of messages, this side "
-                    f"{VERSION}: update the older one"
-                )
-            case Hello(units=units) if units != "SI":
-                self.peer.safety.stop(f"the operator has units {units}, this side SI")
             case Hello(model=name) if name == zlib.crc32(self._model):
                 self._ready = True
             case Hello() if self._greeted != self.peer.met or self._waits(now):

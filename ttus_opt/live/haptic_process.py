@@ -25,9 +25,8 @@ import numpy as np
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import NumericalError
-from ttus_opt.live.feedback import ModelFeedback
+from ttus_opt.live.feedback import Feedback, ModelFeedback
 from ttus_opt.live.gate import Gate
-from ttus_opt.live.messages import Sample
 from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, promptly
 from ttus_opt.live.safety import SafetyLimits, State, is_pose
 from ttus_opt.live.shared_arrays import SharedArray
@@ -72,7 +71,7 @@ class LoopPlan:
     core: int | None = None
 
 
-class HapticProcess:
+class HapticProcess(Feedback):
     """The operator's end of the loop, in place of a `ModelFeedback`.
 
     The process starts before a session, as that takes seconds; the loop begins with the
@@ -150,9 +149,6 @@ class HapticProcess:
         numbers, _ = self._hand.read()
         return numbers[:9].reshape(3, 3), numbers[9:12]
 
-    def measured(self, sample: Sample) -> None:
-        """Measurements reach the hand through the model alone."""
-
     def tell(self, friction: float, state: State) -> None:
         """Publish a sign of life and this side's state."""
         self._control.write(np.array([time.monotonic(), float(state), friction]))
@@ -184,12 +180,6 @@ class HapticProcess:
     def published(self) -> int:
         """Fields published in shared memory so far [–]."""
         return 0 if self._values is None else self._values.count
-
-    @property
-    def swap(self) -> tuple[int, float]:
-        """Fields that the loop has taken, and share of the last that is felt [–]."""
-        newest, _ = self._hand.read()
-        return int(newest[TAKEN]), float(newest[SHARE])
 
     def close(self) -> None:
         """End the loop; `lateness` tells then how late its frames were."""

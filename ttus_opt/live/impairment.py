@@ -12,11 +12,15 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.peer import Outgoing
+
+if TYPE_CHECKING:
+    from ttus_opt.live.real_time import Link
 
 #: Time after which a stream sends again what was lost, beyond the delay there and back
 #: [s]: the least of TCP
@@ -129,9 +133,39 @@ class ImpairedLink:
         given = self.now
         if given.loss == 0.0:
             return False
-        # stationary share of the bad state: loss; mean length of its runs: burst
-        leave = 1.0 / given.burst
-        enter = min(leave * given.loss / (1.0 - given.loss), 1.0)
+        # stationary share of the bad state: loss; mean length of its runs: burst, or
+        # longer where so much is lost that no run is short
+        leave = min(1.0 / given.burst, (1.0 - given.loss) / given.loss)
+        enter = leave * given.loss / (1.0 - given.loss)
         chance = 1.0 - leave if self._bad else enter
         self._bad = bool(self._rng.random() < chance)
         return self._bad
+
+
+class WorseLink:
+    """Any link through which one side sends worse.
+
+    Where both sides use one, both directions are worse, each by its own `Impairment`.
+    Packets leave when their side next sends, so that its period is added to the delay.
+
+    Attributes:
+        link: The link itself.
+        way: What is on its way to it; its impairment may be replaced at any time.
+    """
+
+    def __init__(self, link: Link, impairment: Impairment) -> None:
+        self.link, self.way = link, ImpairedLink(impairment)
+
+    @property
+    def overhead(self) -> int:
+        """Of the link."""
+        return self.link.overhead
+
+    def send(self, now: float, packets: tuple[Outgoing, ...]) -> None:
+        """Put packets on their way, and pass on those that are due."""
+        self.way.send(now, packets)
+        self.link.send(now, tuple(self.way.due(now)))
+
+    def receive(self, now: float) -> list[bytes]:
+        """What has arrived."""
+        return self.link.receive(now)

@@ -18,9 +18,12 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from ttus_opt import message
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
+from ttus_opt.scan.surface import Surface
 
 VERSION: Final = 1
 
@@ -220,6 +223,23 @@ def _check_body(body: Body) -> None:
 def _check_text(text: str) -> None:
     if len(text) > LONGEST_TEXT or not text.isprintable():
         raise MessageError(f"a text has at most {LONGEST_TEXT} printable characters")
+
+
+def decoded_surface(content: bytes, whole: bytes | None) -> tuple[Surface, bool]:
+    """The surface of a `SurfaceMessage`, and whether it came whole.
+
+    Args:
+        content: A whole surface, or a change of one.
+        whole: The last that came whole; None before it.
+
+    Raises:
+        InputError: It is damaged, no surface, or a change of another one.
+    """
+    is_whole = Reader(content).kind == SURFACE
+    surface = message.decode(content, base=None if is_whole else whole)
+    if not isinstance(surface, Surface):
+        raise InputError("a surface was announced, but a field came")
+    return surface, is_whole
 
 
 def pose_command(rotation: Array, position: Array) -> PoseCommand:

@@ -22,6 +22,7 @@ from ttus_opt.live.feedback import Feedback, ModelFeedback
 from ttus_opt.live.gate import Gate
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import (
+    MOST_SAMPLES,
     VERSION,
     Hello,
     Measurement,
@@ -29,15 +30,15 @@ from ttus_opt.live.messages import (
     ModelMessage,
     Sample,
     SurfaceMessage,
+    decoded_surface,
     pose_command,
     samples_of,
 )
 from ttus_opt.live.model import LiveModel
 from ttus_opt.live.model_codec import decode_model
-from ttus_opt.live.peer import OPERATOR, Outgoing, Peer
+from ttus_opt.live.numbering import Once
+from ttus_opt.live.peer import OPERATOR, REMEMBERED, Outgoing, Peer
 from ttus_opt.live.safety import SafetyLimits, State, is_pose
-from ttus_opt.message import decode
-from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
@@ -46,8 +47,8 @@ from ttus_opt.voxmap.uncertainty_map import UncertaintyMap
 #: of its uncertainty [s]
 GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
 
-#: Samples remembered by number, so that none counts twice
-REMEMBERED = 512
+#: Samples remembered by number: all that a packet may bring that is not refused [–]
+WINDOW = REMEMBERED + MOST_SAMPLES
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class Operator:
         self._clock = -math.inf
         self._greeted = self._updated = self._sent = -math.inf
         self._last_sent: tuple[Array, Array] | None = None
-        self._seen: dict[int, None] = {}
+        self._counted = Once(WINDOW)
         self._newest: Sample | None = None
         self._unlearned: list[Sample] = []
         self._state = self.peer.safety.state
@@ -252,58 +253,38 @@ class Operator:
         met = self.peer.met
         received = self.peer.receive(now, data)
         if self.peer.met != met:  # another process: its samples count anew
-            self._seen.clear()
+            self._counted = Once(WINDOW)
         if received is None:
             return
         try:
             match received.body:
-                case Hello(version=version) if version != VERSION:
-                    self.peer.safety.stop(
-                        f"the follower has version {version} of messages, this side "
-                        f"{VERSION}: update the older one"
-                    )
                 case SurfaceMessage(content=content):
                     self._take_surface(content)
                 case ModelMessage(content=content):
                     self._take_model(content)
                     self._named, self._greeted = zlib.crc32(content), -math.inf
                 case Measurement() as body:
-                    samples += self._new(body, received.sent)
+                    samples += [
+                        sample
+                        for back, sample in enumerate(samples_of(body, received.sent))
+                        if self._counted.add(body.index - back)
+                    ]
                 case _:
                     pass
         except MessageError as error:
             self.peer.safety.stop(str(error))
 
-    def _new(self, body: Measurement, sent: float) -> list[Sample]:
-        """Samples that were not seen before."""
-        fresh = []
-        for back, sample in enumerate(samples_of(body, sent)):
-            index = body.index - back
-            if index not in self._seen:
-                self._seen[index] = None
-                fresh.append(sample)
-        while len(self._seen) > REMEMBERED:
-            del self._seen[next(iter(self._seen))]
-        return fresh
-
     def _take_surface(self, content: bytes) -> None:
         """A whole surface, or a change of the last whole one."""
         try:
-            whole = Reader(content).kind == SURFACE
-            surface = decode(content, base=None if whole else self._whole)
+            surface, is_whole = decoded_surface(content, self._whole)
+            self._whole = content if is_whole else self._whole
+            self._surface = surface
+            if self.model is not None:
+                self.model = self.model.over(surface)
+                self._pending = True
         except InputError as error:
             raise MessageError(f"an unusable surface: {error}") from error
-        if not isinstance(surface, Surface):
-            raise MessageError("a surface was announced, but a field came")
-        if whole:
-            self._whole = content
-        self._surface = surface
-        if self.model is not None:
-            try:
-                self.model = self.model.over(surface)
-            except InputError as error:
-                raise MessageError(f"an unusable surface: {error}") from error
-            self._pending = True
 
     def _take_model(self, content: bytes) -> None:
         """A whole model over the last surface."""

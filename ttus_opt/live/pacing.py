@@ -8,6 +8,8 @@ from __future__ import annotations
 import struct
 from collections import deque
 
+from ttus_opt.live.numbering import later
+
 #: Number of a packet, and the newest one heard
 HEADER = struct.Struct("<HH")
 NUMBERS = 2**16
@@ -45,14 +47,8 @@ class Pacing:
         if len(packet) <= HEADER.size:
             return b""
         number, echo = HEADER.unpack_from(packet)
-        if _since(number, self._heard) > 0:
+        if later(number, self._heard, NUMBERS) > 0:
             self._heard = number
-        while self._away and _since(echo, self._away[0][0]) >= 0:
+        while self._away and later(echo, self._away[0][0], NUMBERS) >= 0:
             self.round_trip = now - self._away.popleft()[1]
         return packet[HEADER.size :]
-
-
-def _since(number: int, before: int) -> int:
-    """How much later a number is than another, of a circle of `NUMBERS`."""
-    half = NUMBERS // 2
-    return (number - before + half) % NUMBERS - half

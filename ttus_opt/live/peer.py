@@ -15,8 +15,10 @@ from ttus_opt.live.messages import (
     LONGEST_TEXT,
     MOST_TICKS,
     TICKS,
+    VERSION,
     Body,
     DamagedError,
+    Hello,
     MessageError,
     NotFiniteError,
     Packet,
@@ -24,6 +26,7 @@ from ttus_opt.live.messages import (
     decode,
     encode,
 )
+from ttus_opt.live.numbering import Once, later
 from ttus_opt.live.safety import SafetyLimits, State, Supervisor
 
 #: Bit of an operator's epoch: the sides differ even if they start in the same second
@@ -72,9 +75,9 @@ class Peer:
         self.quality, self.rate = LinkQuality(), SendRate()
         self.refused = self.met = 0
         self._sequence = 0
-        self._seen: dict[int, None] = {}
+        self._heard = Once(REMEMBERED)
         self._left: set[int] = set()  # epochs of processes that were replaced
-        self._newest = self._sent = 0
+        self._sent: int | None = None  # of the newest heard
         self._echo, self._echo_at = 0, math.nan
         self._told = 0
 
@@ -97,7 +100,21 @@ class Peer:
             return None
         sent = self._continued(packet) / TICKS
         self._judge(now, packet, sent, len(data))
+        if isinstance(packet.body, Hello) and not self._agrees(packet.body):
+            return None
         return Received(packet.body, sent)
+
+    def _agrees(self, hello: Hello) -> bool:
+        """Whether the other side has the same version and units; else both stop."""
+        other = "follower" if self.epoch >= OPERATOR else "operator"
+        if hello.version != VERSION:
+            self.safety.stop(
+                f"the {other} has version {hello.version} of messages, this side "
+                f"{VERSION}: update the older one"
+            )
+        elif hello.units != "SI":
+            self.safety.stop(f"the {other} has units {hello.units}, this side SI")
+        return hello.version == VERSION and hello.units == "SI"
 
     def _is_new(self, packet: Packet) -> bool:
         """Whether a packet was not seen before and is of the present other process."""
@@ -107,30 +124,19 @@ class Peer:
             if packet.epoch in self._left:
                 return False  # of a process before
             self._left.add(self.met)
-            self.met, self._newest = packet.epoch, 0
-            self._seen.clear()
+            self.met, self._sent = packet.epoch, None
+            self._heard = Once(REMEMBERED)
             self.quality = LinkQuality()
             self.safety.forget_other()
-        if (
-            packet.sequence in self._seen
-            or packet.sequence <= self._newest - REMEMBERED
-        ):
-            return False
-        self._seen[packet.sequence] = None
-        if len(self._seen) > REMEMBERED:
-            del self._seen[next(iter(self._seen))]
-        return True
+        return self._heard.add(packet.sequence)
 
     def _continued(self, packet: Packet) -> int:
         """When a packet was sent [ticks]: its 32 bits are full after twelve hours."""
-        if not self._newest:
-            return packet.sent
-        half = MOST_TICKS // 2
-        return self._sent + (packet.sent - self._sent + half) % MOST_TICKS - half
+        before = packet.sent if self._sent is None else self._sent
+        return before + later(packet.sent, before, MOST_TICKS)
 
     def _judge(self, now: float, packet: Packet, sent: float, size: int) -> None:
-        if packet.sequence > self._newest:
-            self._newest = packet.sequence
+        if packet.sequence == self._heard.newest:
             self._echo, self._echo_at = packet.sent, now
             self._sent = round(sent * TICKS)
             cause = packet.body.cause if isinstance(packet.body, Stop) else ""

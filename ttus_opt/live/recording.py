@@ -8,14 +8,14 @@ from which `ttus_opt.live.replay` renders the same forces again.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -161,8 +161,10 @@ class Recorder:
 
     def __enter__(self) -> Self:
         """Open the file."""
-        self._file = self._target.__enter__().open("wb")
-        self._writer = writer = self._writer_of(self._file)
+        self._opened = contextlib.ExitStack()
+        temporary = self._opened.enter_context(self._target)
+        file = self._opened.enter_context(temporary.open("wb"))
+        self._writer = writer = self._writer_of(file)
         writer.start(profile="ros2", library="ttus_opt")
         writer.add_metadata(
             DESCRIPTION, {"json": json.dumps(asdict(self._description))}
@@ -189,20 +191,14 @@ class Recorder:
         )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: Any) -> None:
         """Complete the file, or leave none where there was an error."""
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
-            kind = error = trace = None
-        if kind is None:
+        if kind is not None and not issubclass(kind, KeyboardInterrupt):
+            self._opened.__exit__(kind, *error)
+            return
+        with self._opened:
             self._flush()
             self._writer.finish()
-        self._file.close()
-        self._target.__exit__(kind, error, trace)
 
     def watch(self, moment: Moment) -> None:
         """Write a frame of a simulated session."""
@@ -267,11 +263,8 @@ def _pose(rotation: Array, position: Array) -> Array:
 
 def _cdr(now: float, numbers: Array) -> bytes:
     """A header and float64 numbers in CDR, little-endian."""
-    seconds = int(now)
-    frame = PATIENT.encode() + b"\0"
-    head = (
-        struct.pack("<iII", seconds, round(1e9 * (now - seconds)), len(frame)) + frame
-    )
+    stamp, frame = divmod(round(1e9 * now), 10**9), PATIENT.encode() + b"\0"
+    head = struct.pack("<iII", *stamp, len(frame)) + frame
     head += bytes(-len(head) % 8)
     return b"\0\1\0\0" + head + numbers.astype("<f8").tobytes()
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.live.feedback import Feedback
 from ttus_opt.live.haptic_process import (
     HAND,
     RUBS,
@@ -26,7 +27,6 @@ from ttus_opt.live.haptic_process import (
     Loop,
     LoopPlan,
 )
-from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.recording import Description, Frame, frames_of
 from ttus_opt.live.trial import made_operator
@@ -115,7 +115,7 @@ class _Hand:
         """It moves with the next frame."""
 
 
-class _Again:
+class _Again(Feedback):
     """The haptic loop, with fields as they were published, in place of its process."""
 
     def __init__(self, shell: PointShell) -> None:
@@ -130,13 +130,6 @@ class _Again:
         self._loop, self._voxmap = Loop(self._plan, field), field.voxmap
         self._size = field.values.size
         return self
-
-    def measured(self, sample: Sample) -> None:
-        """Measurements reach the hand through the model alone."""
-
-    def felt(self, now: float, rotation: Array, position: Array) -> Array:
-        """Nobody feels this side."""
-        return np.zeros(6)
 
     def update(self, field: PotentialField) -> None:
         """As `HapticProcess.update`."""

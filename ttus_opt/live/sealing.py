@@ -26,6 +26,7 @@ from typing import Any
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
+from ttus_opt.live.numbering import Once
 
 #: Length of keys, and of the tag [bytes]
 KEY, TAG = 32, 16
@@ -126,8 +127,7 @@ class SealedChannel:
         self._opens: Any = None
         self._candidate: tuple[bytes, Any, Any] | None = None
         self._left: set[bytes] = set()  # public keys of processes that are gone
-        self._counter = self._newest = 0
-        self._seen: set[int] = set()
+        self._counter, self._taken = 0, Once(WINDOW)
         self.confirmed, self.refused, self.greetings = False, 0, 0
 
     @property
@@ -211,8 +211,7 @@ class SealedChannel:
         if self.confirmed:
             self._left.add(self._other)
         self._other, self._sends, self._opens = found
-        self._candidate, self._newest = None, 0
-        self._seen.clear()
+        self._candidate, self._taken = None, Once(WINDOW)
 
     def _opened(self, data: bytes) -> bytes | None:
         head = data[: _HEAD.size + _COUNTER.size]
@@ -220,28 +219,17 @@ class SealedChannel:
             return None
         (counter,) = _COUNTER.unpack(head[_HEAD.size :])
         rest = data[len(head) :]
-        if self._opens is not None and self._is_new(counter):
+        content = None
+        if self._opens is not None and counter not in self._taken:
             content = _tried(self._opens, counter, rest, head)
-            if content is not None:
-                self._note(counter)
-                return content
-        if self._candidate is not None:
+        if content is None and self._candidate is not None:
             content = _tried(self._candidate[2], counter, rest, head)
             if content is not None:
                 self._adopt(self._candidate)
-                self._note(counter)
-                return content
-        return None
-
-    def _is_new(self, counter: int) -> bool:
-        return counter > self._newest - WINDOW and counter not in self._seen
-
-    def _note(self, counter: int) -> None:
-        self.confirmed = True
-        self._newest = max(self._newest, counter)
-        self._seen.add(counter)
-        if len(self._seen) > 2 * WINDOW:
-            self._seen = {c for c in self._seen if c > self._newest - WINDOW}
+        if content is not None:
+            self.confirmed = True
+            self._taken.add(counter)
+        return content
 
 
 def _nonce(counter: int) -> bytes:

@@ -6,8 +6,9 @@ torso; any other is a surface and a probe, mesh or primitive.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ttus_opt import example
 from ttus_opt.contact.standing import skin_frames, standing
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.live.hand import Hand
 from ttus_opt.probe.held import hold
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -81,6 +83,16 @@ class Subject:
         # places change while the probe is lifted
         position = touching[number] - depth[:, None] * outward[number]
         return Trajectory(time, position, turns[number])
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Where the hand begins: rotation (3, 3) [–] and position (3,) [m]."""
+        path = self.examination()
+        return path.rotation[0], path.position[0]
+
+    def device(self) -> Callable[[], Hand]:
+        """Makes the simulated hand that examines again and again, in any process."""
+        return partial(Hand, self.examination(), again=MEETING)
 
 
 @cache

@@ -9,29 +9,38 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections import deque
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing.connection import Connection
 
 import numpy as np
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
-from ttus_opt.live.haptic_process import STOPPED, TIME, HapticProcess, LoopPlan
-from ttus_opt.live.impairment import Impairment
+from ttus_opt.live.haptic_process import (
+    SHARE,
+    STOPPED,
+    TAKEN,
+    TIME,
+    HapticProcess,
+    LoopPlan,
+)
+from ttus_opt.live.impairment import Impairment, WorseLink
 from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import MOST_TICKS, TICKS, Sample
 from ttus_opt.live.model import LiveModel
+from ttus_opt.live.numbering import later
 from ttus_opt.live.operator import Operator
-from ttus_opt.live.real_time import promptly, run_follower, run_operator
-from ttus_opt.live.safety import State
+from ttus_opt.live.real_time import (
+    OperatorFrame,
+    promptly,
+    run_follower,
+    run_operator,
+)
 from ttus_opt.live.sealing import new_key
 from ttus_opt.live.socket_link import SocketLink
-from ttus_opt.live.subject import MEETING, example_subject
+from ttus_opt.live.subject import example_subject
 from ttus_opt.live.trial import Trial, prepared, simulated_patient, warm_up
-from ttus_opt.live.worse_link import WorseLink
 from ttus_opt.voxmap.field import PotentialField
 
 #: Force from which a sample counts as contact [N], above the noise; share of a field
@@ -41,8 +50,8 @@ CONTACT, MOST = 0.5, 0.9
 #: Time after which the clock in packets begins again [s]
 FULL = MOST_TICKS / TICKS
 
-#: Time between the button and the session's end [s]; frames of the haptic loop in it
-LAST, LAST_FRAMES = 1.0, 1500
+#: Time between the button and the session's end [s]
+LAST = 1.0
 
 #: Time in which a side starts, compilation included, on a busy machine [s]
 START = 120.0
@@ -70,26 +79,15 @@ class SwapTimes:
 class TimedLoop(HapticProcess):
     """A haptic loop whose fields are timed.
 
-    Args:
-        plan: See `HapticProcess`.
-        way: Delay of the link in one direction [s].
+    Attributes:
+        fields: Number of every field published with news of a contact, and the time of
+            its first such sample [s].
     """
 
-    def __init__(self, plan: LoopPlan, way: float) -> None:
+    def __init__(self, plan: LoopPlan) -> None:
         super().__init__(plan)
-        self.begun: list[float] = []
-        self.felt_after: list[float] = []
-        self._way, self._first = way, np.nan
-        self._published: deque[tuple[int, float]] = deque()  # number, first sample
-        self._taken: deque[tuple[int, float]] = deque()  # number, when
-        self.rendered = np.nan
-
-    @property
-    def stopped(self) -> float:
-        """When the newest frames began to let go [s]; NaN where they do not."""
-        newest = self._hand.since(max(self.frames - LAST_FRAMES, 0))
-        times = newest[newest[:, STOPPED] > 0.0, TIME]
-        return float(times[0]) if 0 < len(times) < len(newest) else np.nan
+        self.fields: list[tuple[int, float]] = []
+        self._first = np.nan
 
     def measured(self, sample: Sample) -> None:
         """Note the first contact that the last field does not know."""
@@ -101,38 +99,26 @@ class TimedLoop(HapticProcess):
         """Publish a field."""
         super().update(field)
         if np.isfinite(self._first):
-            self._published.append((self.published, self._first))
+            self.fields.append((self.published, self._first))
             self._first = np.nan
 
-    def tell(self, friction: float, state: State) -> None:
-        """Look at what the loop has taken, besides."""
-        super().tell(friction, state)
-        if not self.frames:
-            return
-        if np.isnan(self.rendered):
-            self.rendered = float(self._hand.since(0)[0, TIME])
-        (taken, share), now = self.swap, time.monotonic()
-        while self._published and self._published[0][0] <= taken:
-            number, first = self._published.popleft()
-            # a sample's time is a clock of 32 bits
-            took = (now - first + 0.5 * FULL) % FULL - 0.5 * FULL
-            self.begun.append(took - self._way)
-            self._taken.append((number, now))
-        while self._taken and share >= MOST:
-            self.felt_after.append(now - self._taken.popleft()[1])
+    def times(self, frames: Array, way: float) -> tuple[list[float], list[float]]:
+        """`SwapTimes.begun` and ``felt``.
 
-
-class _Noted(WorseLink):
-    """A link that knows when something arrived last."""
-
-    newest = np.nan
-
-    def receive(self, now: float) -> list[bytes]:
-        """What has arrived."""
-        arrived = super().receive(now)
-        if arrived:
-            self.newest = now
-        return arrived
+        Args:
+            frames: All of the loop, shape (n, HAND).
+            way: Delay of the link in one direction [s].
+        """
+        time, begun, felt = frames[:, TIME], [], []
+        for number, first in self.fields:
+            taken = np.flatnonzero(frames[:, TAKEN] >= number)
+            if len(taken):
+                at = float(time[taken[0]])
+                # a sample's time is a clock of 32 bits
+                begun.append(later(at, first, FULL) - way)
+                whole = taken[frames[taken, SHARE] >= MOST]
+                felt += (time[whole[:1]] - at).tolist()
+        return begun, felt
 
 
 def measure(seconds: float, round_trip: float) -> SwapTimes:
@@ -178,13 +164,13 @@ def _patient(key: bytes, round_trip: float, end: Connection) -> None:
     """The patient's side, in its process."""
     who = example_subject()
     side = Follower(3, who.surface, prepared(1.6))
-    patient, path = simulated_patient(Trial()), who.examination()
+    patient = simulated_patient(Trial())
     warm_up()
     link = SocketLink(key, "127.0.0.1", 0, calls=False)
     worse = WorseLink(link, Impairment(delay=0.5 * round_trip))
     promptly()
     end.send(link.port)
-    run_follower(side, worse, patient, path.rotation[0], path.position[0])
+    run_follower(side, worse, patient, *who.start)
 
 
 def _operate(
@@ -192,19 +178,23 @@ def _operate(
 ) -> None:
     """The operator's side, in its process."""
     who = example_subject()
-    path, shell = who.examination(), who.shell
     warm_up()
-    plan = LoopPlan(shell, partial(Hand, path, again=MEETING))
     link = SocketLink(key, "127.0.0.1", port, calls=True)
-    worse = _Noted(link, Impairment(delay=0.5 * round_trip))
-    arrived = pressed = until = np.nan
-    with TimedLoop(plan, 0.5 * round_trip) as loop:
+    worse = WorseLink(link, Impairment(delay=0.5 * round_trip))
+    newest = arrived = pressed = until = np.nan
+    kept: list[Array] = []
+    with TimedLoop(LoopPlan(who.shell, who.device())) as loop:
 
-        def begin(model: LiveModel) -> TimedLoop:
+        def begin(model: LiveModel) -> HapticProcess:
             nonlocal arrived
-            arrived = worse.newest
-            loop.begin(model.field)
-            return loop
+            arrived = newest
+            return loop.begin(model.field)
+
+        def record(frame: OperatorFrame) -> None:
+            nonlocal newest
+            newest = frame.time if frame.packets else newest
+            if frame.felt is not None:
+                kept.append(frame.felt)
 
         def press(state: LiveState) -> None:
             nonlocal pressed, until
@@ -214,10 +204,15 @@ def _operate(
                 pressed = time.monotonic()
                 side.stop()
 
-        side = Operator(2, shell, feedback=begin)
+        side = Operator(2, who.shell, feedback=begin)
         promptly()
-        start = path.rotation[0], path.position[0]
-        ended = run_operator(side, worse, start, seconds=seconds, show=press)
-        rendered, stopped = loop.rendered - arrived, loop.stopped - pressed
+        ended = run_operator(
+            side, worse, who.start, seconds=seconds, show=press, record=record
+        )
+        frames = np.concatenate([*kept, loop.new_frames()])
     link.close()
-    end.send(SwapTimes(loop.begun, loop.felt_after, rendered, stopped, ended.state))
+    at = frames[:, TIME]
+    let_go = at[(frames[:, STOPPED] > 0.0) & (at >= pressed)]
+    rendered, stopped = at[0] - arrived, min(let_go, default=np.nan) - pressed
+    times = loop.times(frames, 0.5 * round_trip)
+    end.send(SwapTimes(*times, float(rendered), float(stopped), ended.state))

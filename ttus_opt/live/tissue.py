@@ -9,7 +9,6 @@ field of this package's own kind, so that a model can learn all of it.
 from __future__ import annotations
 
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 
@@ -36,19 +35,6 @@ TORSO_LAW = DepthProfile((1.1,), (1.5,))
 FINE, VARIES, WAVE = (48, 120, 60), 0.3, 0.08
 
 
-class Tissue(Protocol):
-    """What a probe that touches the patient at rest feels."""
-
-    def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:
-        """Force, then torque without noise, shape (6,) [N, N·m].
-
-        Args:
-            rotation: Probe to patient, shape (3, 3) [–].
-            position: Its origin, patient frame, shape (3,) [m].
-            velocity: Of that origin, shape (3,) [m/s].
-        """
-
-
 @cache
 def bundled_patch() -> SkinPatch:
     """The bundled torso's skin and compliance."""
@@ -71,7 +57,15 @@ class ElasticTorso:
         self._probe = probe or EllipsoidProbe((0.030, 0.0125, 0.018))
 
     def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:
-        """See `Tissue`; none beside the patch, or too deep for linear elasticity."""
+        """Force, then torque of the patient at rest without noise, (6,) [N, N·m].
+
+        None beside the patch, or too deep for linear elasticity.
+
+        Args:
+            rotation: Probe to patient, shape (3, 3) [–].
+            position: Its origin, patient frame, shape (3,) [m].
+            velocity: Of that origin, shape (3,) [m/s].
+        """
         try:
             contact = press(
                 *(self._patch, self._probe, rotation, position),
@@ -112,7 +106,11 @@ class FieldTissue:
         return cls(field, shell)
 
     def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:
-        """See `Tissue`."""
+        """As `ElasticTorso.wrench`."""
         twist = np.concatenate([velocity, np.zeros(3)])
         felt = self._renderer.render(rotation, position, twist)
         return np.concatenate([felt.force, felt.torque])
+
+
+#: What a probe that touches the patient at rest feels
+Tissue = ElasticTorso | FieldTissue

@@ -101,11 +101,13 @@ class Axis:
 
         Raises:
             InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
-                direction that is zero.
+                direction that is zero, or a camera at no place.
             GeometryError: The scan shows no body, or ``head`` points across it.
         """
         towards = None if head is None else np.asarray(head, dtype=np.float64)
         place = None if camera is None else np.asarray(camera, dtype=np.float64)
+        if place is not None and not (place.shape == (3,) and np.isfinite(place).all()):
+            raise InputError(f"a camera's place must be finite x,y,z [m], got {place}")
         lying = Lying(towards, flip, prone, place, support)
         return cls(*estimate_frame(cloud, lying, rng=rng))
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from ttus_opt.benchmark.cases import CaseSpec
@@ -93,12 +92,11 @@ def haptic_loop(seconds: float) -> Lateness:
     Raises:
         NumericalError: The loop's process died.
     """
-    from ttus_opt.live.hand import Hand
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.model_codec import decode_model
     from ttus_opt.live.real_time import Metronome
     from ttus_opt.live.safety import State
-    from ttus_opt.live.subject import MEETING, example_subject
+    from ttus_opt.live.subject import example_subject
     from ttus_opt.live.trial import prepared
     from ttus_opt.message import decode
 
@@ -108,8 +106,7 @@ def haptic_loop(seconds: float) -> Lateness:
     assert isinstance(seen, Surface)
     first = decode_model(content, seen, shell).field
     fields = first, replace(first, values=0.9 * first.values)
-    hand = partial(Hand, who.examination(), again=MEETING)
-    with HapticProcess(LoopPlan(shell, hand)) as process:
+    with HapticProcess(LoopPlan(shell, who.device())) as process:
         process.begin(first)
         while process.frames == 0 and process.alive:
             process.tell(0.0, State.NORMAL)
