@@ -15,9 +15,8 @@ from ttus_opt.live.hand import Hand
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.safety import State
-from ttus_opt.live.sealed_stream import UNPROVED
 from ttus_opt.live.sealing import SealedChannel
-from ttus_opt.live.session_stream import PROOF, STRANGERS
+from ttus_opt.live.session_stream import PROOF, STRANGERS, UNPROVED
 from ttus_opt.live.socket_link import SocketLink
 
 KEY = bytes(range(32))

@@ -340,7 +340,7 @@ def operator(
         side, ended = _operate(opened, link, who, seconds, probe, recording)
     finally:
         opened.close()
-    _tell_end("operator", ended, side.peer, side.view(side.clock).as_dict())
+    _tell_end("operator", ended, side.peer, side.view(side.peer.now).as_dict())
 
 
 def _operate(

@@ -109,7 +109,6 @@ class Operator:
         self._surface: Surface | None = None
         self._whole: bytes | None = None
         self._named = 0
-        self._clock = -math.inf
         self._greeted = self._updated = self._sent = -math.inf
         self._last_sent: tuple[Array, Array] | None = None
         self._counted = Once(WINDOW)
@@ -121,7 +120,6 @@ class Operator:
         self._gate = Gate(self.peer.safety.limits.contact)
         self._felt = np.zeros(6)
         self._hand = np.zeros(3)
-        self._start = math.nan
         self._uncertainty: UncertaintyMap | None = None
         self._stated = -math.inf
 
@@ -136,11 +134,7 @@ class Operator:
             rotation: Probe in the hand, to patient, shape (3, 3) [–].
             position: Its origin, patient frame, shape (3,) [m].
         """
-        if not now >= self._clock:
-            raise InputError(f"the clock must not go back, got {now} s")
-        self._clock = now
-        if math.isnan(self._start):
-            self._start = now
+        self.peer.tick(now)
         send: list[Outgoing] = []
         samples: list[Sample] = []
         for data in packets:
@@ -196,7 +190,7 @@ class Operator:
         """End a STOP, at a pose where the model gives no force; see `Supervisor`."""
         force = 0.0
         if self.feedback is not None:
-            wrench = self.feedback.felt(self._clock, rotation, position)
+            wrench = self.feedback.felt(self.peer.now, rotation, position)
             force = float(np.linalg.norm(wrench[:3]))
         self.peer.safety.rearm(force)
 
@@ -208,7 +202,7 @@ class Operator:
             blended, limited = feedback.blend.progress, feedback.limited_by
             if sample is not None:
                 there = _tuple(feedback.at(sample.rotation, sample.position)[:3])
-        lasted = max(now - self._start, 1e-3)
+        lasted = max(now - peer.begun, 1e-3)
         return LiveState(
             time=now,
             state=peer.safety.state.name,
@@ -233,11 +227,6 @@ class Operator:
     def newest(self) -> Sample | None:
         """The newest measurement; None before the first."""
         return self._newest
-
-    @property
-    def clock(self) -> float:
-        """Time of the last step [s]."""
-        return self._clock
 
     def _std(self, now: float) -> float:
         """Standard deviation of the felt force by the model [N]."""
@@ -329,9 +318,8 @@ class Operator:
             self._greeted = now
             hello = Hello(VERSION, self._named)
             send.append(self.peer.pack(now, hello, reliable=True))
-        rate, last = self.peer.rate, self._last_sent
-        rate.tick(now)
-        if not rate.ready:
+        last = self._last_sent
+        if not self.peer.rate.ready:
             return
         moved = last is None or self.deadband.moved((rotation, position), last)
         due = now - self._sent >= self.peer.safety.limits.period

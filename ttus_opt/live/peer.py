@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ttus_opt.core.errors import InputError
 from ttus_opt.live.link_quality import LinkQuality, SendRate
 from ttus_opt.live.messages import (
     LONGEST,
@@ -67,6 +68,8 @@ class Peer:
         rate: Of what is sent as datagrams.
         refused: Packets refused so far [–].
         met: Epoch of the other side; 0 before its first packet.
+        now: This side's clock [s]; NaN before the first step.
+        begun: Its first time [s].
     """
 
     def __init__(self, epoch: int, limits: SafetyLimits | None = None) -> None:
@@ -80,6 +83,22 @@ class Peer:
         self._sent: int | None = None  # of the newest heard
         self._echo, self._echo_at = 0, math.nan
         self._told = 0
+        self.now = self.begun = math.nan
+
+    def tick(self, now: float) -> float:
+        """A step begins; time since the one before, 0 at first [s].
+
+        Raises:
+            InputError: The clock went back.
+        """
+        if math.isnan(self.begun):
+            self.now = self.begun = now
+        passed = now - self.now
+        if not passed >= 0.0:
+            raise InputError(f"the clock must not go back, got {now} s")
+        self.now = now
+        self.rate.tick(now)
+        return passed
 
     def receive(self, now: float, data: bytes) -> Received | None:
         """A received packet; None for one that is refused or was seen before."""
