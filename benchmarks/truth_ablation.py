@@ -27,7 +27,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.part_noise import TURN
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class Model:
 
         def given(mu: float) -> Formulation:
             drag = guess.drag.with_coefficient(mu)
-            force = DragForceTerm(scene, weight, noise=noise, drag=drag)
-            torque = DragTorqueTerm(scene, weight, noise=noise, drag=drag)
+            force = ForceTerm(scene, weight, noise=noise, drag=drag)
+            torque = TorqueTerm(scene, weight, noise=noise, drag=drag)
             terms: list[Term] = [prior, force, torque]
             return Formulation(terms=terms if self.torque else terms[:2])
 

@@ -23,7 +23,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import CoulombField
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import DragSmoothnessTerm, LaplaceTerm
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(
@@ -44,8 +44,8 @@ def build(
         terms=[
             LaplaceTerm(scene),
             DragSmoothnessTerm(scene, smoothness),
-            DragForceTerm(scene, force_weight, drag=drag),
-            DragTorqueTerm(scene, torque_weight, torque_length, drag=drag),
+            ForceTerm(scene, force_weight, drag=drag),
+            TorqueTerm(scene, torque_weight, torque_length, drag=drag),
         ],
         constraints=[
             DragSign(scene),

@@ -30,7 +30,7 @@ from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.part_noise import PartNoise
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(
@@ -52,8 +52,8 @@ def build(
     fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0
 
     def given(drag: GlobalCoulomb) -> Formulation:
-        force = DragForceTerm(scene, force_weight, noise=noise, drag=drag)
-        torque = DragTorqueTerm(scene, torque_weight, length, noise=noise, drag=drag)
+        force = ForceTerm(scene, force_weight, noise=noise, drag=drag)
+        torque = TorqueTerm(scene, torque_weight, length, noise=noise, drag=drag)
 
         def scaled(s: float) -> Formulation:
             return Formulation(terms=[prior.with_factor(s), force, torque])

@@ -20,7 +20,7 @@ from ttus_opt.problem.friction_search import with_friction_search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.drag import GlobalCoulomb
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(
@@ -44,8 +44,8 @@ def build(
     prior = DepthMapTerm.of(scene, found)
 
     def given(drag: GlobalCoulomb) -> Formulation:
-        force = DragForceTerm(scene, weight, noise=noise, drag=drag)
-        torque = DragTorqueTerm(scene, turning, torque_length, noise=noise, drag=drag)
+        force = ForceTerm(scene, weight, noise=noise, drag=drag)
+        torque = TorqueTerm(scene, turning, torque_length, noise=noise, drag=drag)
         return Formulation(terms=[prior, force, torque])
 
     return with_friction_search(guess, given, largest_friction, likely=True)

@@ -12,7 +12,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.drag import Viscous
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import LaplaceTerm
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
 def build(
@@ -30,8 +30,8 @@ def build(
     return Formulation(
         terms=[
             LaplaceTerm(scene),
-            DragForceTerm(scene, force_weight, drag=drag),
-            DragTorqueTerm(scene, torque_weight, torque_length, drag=drag),
+            ForceTerm(scene, force_weight, drag=drag),
+            TorqueTerm(scene, torque_weight, torque_length, drag=drag),
         ],
         constraints=[ViscousSign(scene, sectors * bands)],
     )

@@ -18,12 +18,13 @@ SCENE = small_scene("trilinear", n_poses=8)
 
 #: What a term needs beyond a scene and a weight, and variants worth testing
 OPTIONS: dict[str, list[dict[str, object]]] = {
-    "DragForceTerm": [
+    "ForceTerm": [
+        {},
         {"drag": GlobalCoulomb(SCENE, coefficient=0.3)},
         {"drag": CoulombField(SCENE)},
         {"drag": Viscous(SCENE, sectors=3, bands=2)},
     ],
-    "DragTorqueTerm": [{"drag": CoulombField(SCENE)}],
+    "TorqueTerm": [{}, {"drag": CoulombField(SCENE)}],
     "TotalVariationTerm": [{}, {"isotropic": True}],
     "AnisotropicTerm": [{}, {"conductivities": (1.0, 0.3, 2.0)}],
     "TikhonovTerm": [{}, {"reference": "zero"}],

@@ -13,7 +13,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 from ttus_opt.problem.terms.drag import Viscous
-from ttus_opt.problem.terms.wrench import DragForceTerm, ForceTerm, TorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request
@@ -48,7 +48,7 @@ def test_parameters_within_bounds_agree_with_bounded_least_squares():
     for seed in range(4):
         own = small_scene("trilinear", (5, 10, 6), 16, seed)
         prior = DepthMapTerm(own, 1.0, DepthProfile((1.0,), (2.0,)))
-        drag = DragForceTerm(own, 50.0, drag=Viscous(own, "reference"))
+        drag = ForceTerm(own, 50.0, drag=Viscous(own, "reference"))
         formulation = Formulation(
             terms=[prior, drag], constraints=[ViscousSign(own, 1)]
         )

@@ -18,7 +18,12 @@ from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program, in_words
 from ttus_opt.problem.terms.base import Fitted, Term
-from ttus_opt.problem.terms.structure import Tag, known_covariance, laplace_rows
+from ttus_opt.problem.terms.structure import (
+    KnownCovariance,
+    LaplaceRows,
+    Tag,
+    declared,
+)
 
 
 class Unplaced(Protocol):
@@ -203,8 +208,8 @@ class Formulation:
         A prior with a mean of its own uses none.
         """
         tags = [term.assembled.tags for term in self.terms]
-        chosen = any(Tag.OWN_MEAN in t or known_covariance(t) for t in tags)
-        scenes = any(laplace_rows(t) and Tag.OWN_MEAN not in t for t in tags)
+        chosen = any(Tag.OWN_MEAN in t or declared(t, KnownCovariance) for t in tags)
+        scenes = any(declared(t, LaplaceRows) and Tag.OWN_MEAN not in t for t in tags)
         return {} if chosen and not scenes else self.scene.parameters
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:

@@ -11,7 +11,14 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.terms.penalties import Penalty, Squares
-from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
+from ttus_opt.problem.terms.structure import (
+    KnownCovariance,
+    LaplaceRows,
+    Tag,
+    Tags,
+    Whitened,
+    declared,
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,26 @@ class ProgramTerm:
     @property
     def laplace_rows(self) -> LaplaceRows | None:
         """The tag of rows of L over a field; None without it."""
-        return laplace_rows(self.tags)
+        return declared(self.tags, LaplaceRows)
+
+    @property
+    def known_covariance(self) -> KnownCovariance | None:
+        """The tag of rows whose covariance is known; None without it."""
+        return declared(self.tags, KnownCovariance)
+
+    @property
+    def whitening(self) -> sp.csr_array | None:
+        """What measured wrenches were multiplied by, shape (3T, 3T); None for none."""
+        tag = declared(self.tags, Whitened)
+        return None if tag is None else tag.by
+
+    @property
+    def has_all_rows(self) -> bool:
+        """Whether rows of L are there for fixed voxels too: their values are soft."""
+        rows = self.laplace_rows
+        return rows is not None and (
+            rows.scale is None or len(self.target) == len(rows.scale)
+        )
 
     @property
     def is_squares(self) -> bool:

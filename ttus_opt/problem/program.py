@@ -234,6 +234,19 @@ class Program:
         return terms[0] if terms else None
 
     @property
+    def laplace_prior(self) -> ProgramTerm | None:
+        """That of p alone, with L's rows or scaled ones; None without one."""
+        term = self.laplace_term_of("p")
+        rows = None if term is None else term.laplace_rows
+        return None if rows is None or rows.beside else term
+
+    @property
+    def known_prior(self) -> ProgramTerm | None:
+        """The term over p whose covariance is known, if there is one of a weight."""
+        known = (t for t in self.terms if t.known_covariance and t.weight > 0.0)
+        return next(known, None)
+
+    @property
     def laplace_term(self) -> ProgramTerm | None:
         """The sum of squares over the rows of the scene's L itself, if there is one."""
         term = self.laplace_term_of("p")

@@ -26,7 +26,6 @@ from ttus_opt.solvers.base import (
     is_late,
 )
 from ttus_opt.solvers.conjugate_gradients import norm
-from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
 from ttus_opt.solvers.proximal.method_of_multipliers import State
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
@@ -106,7 +105,7 @@ class Algebraic(Solver):
         others = [t.name for t in program.terms if not t.is_squares]
         if others:
             return f"{others[0]} is not a sum of squares"
-        prior = laplace_prior(program)
+        prior = program.laplace_prior
         if prior is not None and prior.weight > 0.0:
             return f"it takes no Laplace term ({prior.name}): use normal_equations"
         for constraint in program.constraints:

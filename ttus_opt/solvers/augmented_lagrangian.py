@@ -24,7 +24,6 @@ from ttus_opt.problem.terms.penalties import Absolute, Penalty, Squares
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
-from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 from ttus_opt.solvers.proximal.method_of_multipliers import (
@@ -212,7 +211,7 @@ class AugmentedLagrangian(Solver):
 
 def _is_limited_alone(program: Program) -> bool:
     """Whether there are limits, and no Laplace term whose solvers take them."""
-    prior = laplace_prior(program)
+    prior = program.laplace_prior
     if (prior is not None and prior.weight > 0.0) or not program.terms:
         return False
     beyond = [c for c in program.constraints if (c.lower != c.upper).any()]

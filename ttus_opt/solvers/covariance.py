@@ -28,10 +28,7 @@ from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm, StackedTerms, nonempty_columns
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.structure import (
-    KnownCovariance,
-    known_covariance,
-)
+from ttus_opt.problem.terms.structure import KnownCovariance
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
 from ttus_opt.solvers.conjugate_gradients import norm, to_residual
 from ttus_opt.solvers.dual.data import duals_without_limits, terms_beside
@@ -57,7 +54,7 @@ class _Loaded(Prepared):
 
     def update(self, program: Program) -> None:
         """Take other data; the covariance is kept while voxels and prior stay."""
-        prior = _prior(program)
+        prior = program.known_prior
         assert prior is not None
         V = len(prior.target)
         measured = terms_beside(program, prior)
@@ -73,7 +70,7 @@ class _Loaded(Prepared):
 
     def _take_prior(self, prior: ProgramTerm, voxels: IntArray) -> None:
         """The covariance of the touched voxels and the prior's mean."""
-        tag = known_covariance(prior.tags)
+        tag = prior.known_covariance
         assert tag is not None
         if tag is self._tag and np.array_equal(voxels, self._columns.voxels):
             return
@@ -163,8 +160,8 @@ class Covariance(Solver):
         """Takes a prior of known covariance, squares of few rows, bounds beside p."""
         if base := super().refusal(program):
             return base
-        prior = _prior(program)
-        if prior is None or prior.weight == 0.0:
+        prior = program.known_prior
+        if prior is None:
             return "it needs a term whose covariance is known, such as depth_map"
         V = len(prior.target)
         if any(np.isfinite(bound[:V]).any() for bound in program.box):
@@ -181,17 +178,11 @@ class Covariance(Solver):
 
     def cost(self, program: Program) -> float:
         """A factor of the touched voxels' covariance, and solves on the grid."""
-        prior = _prior(program)
+        prior = program.known_prior
         if prior is None:
             return math.inf
         n = float(len(_touched(program, prior)))
         return 0.05 + 1e-5 * len(prior.target) + 4e-11 * n**3
-
-
-def _prior(program: Program) -> ProgramTerm | None:
-    """The term over p alone whose covariance is known."""
-    known = (t for t in program.terms if known_covariance(t.tags) is not None)
-    return next(known, None)
 
 
 def _touched(program: Program, prior: ProgramTerm) -> IntArray:

@@ -23,7 +23,6 @@ from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.wrench_noise import LEAST_SHARE, MeasuredWrenches
 from ttus_opt.problem.terms.depth_profile import voxel_depths
-from ttus_opt.problem.terms.structure import known_covariance, whitening
 
 pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
 
@@ -61,7 +60,7 @@ def per_size(rows_of, values):
 
 def dense(rows, sized):
     """Covariance of the errors of rows, the prior's by its term's own matrix."""
-    prior = next(t for t in fitted().program.terms if known_covariance(t.tags))
+    prior = next(t for t in fitted().program.terms if t.known_covariance)
     R = np.sqrt(prior.weight) * prior.matrix.toarray()
     C, scene = np.linalg.inv(R.T @ R), scene_of(LEAST)
     by = [  # what the rows of each frame are multiplied by
@@ -69,11 +68,11 @@ def dense(rows, sized):
         * by.toarray()
         * (scene.torque_length if term.name == "torque" else 1.0)
         for term in fitted().program.terms
-        if (by := whitening(term.tags)) is not None
+        if (by := term.whitening) is not None
     ]
     mixed = scipy.linalg.block_diag(*by)
     D = mixed @ rows_of(scene)
-    found, mean = exact(), known_covariance(prior.tags).mean
+    found, mean = exact(), prior.known_covariance.mean
     profile = C @ R.T @ (np.sqrt(prior.weight) * prior.target)
     # relative to the fit: all errors times p̂/φ, those of the rows over theirs
     factor = np.clip(found.potential.values.ravel() / profile, *FACTORS)

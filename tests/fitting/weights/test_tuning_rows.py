@@ -14,7 +14,7 @@ from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights import tuning_rows
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.wrench import DragForceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 
 MU = 0.3
 
@@ -72,7 +72,7 @@ def test_a_coefficients_rows_are_what_any_two_differ_by():
     search = rows_search()
     given = TuningRows.of(search.build(MU)).matrix
     assert abs(rows.matrix + MU * rows.slope - given).max() < 1e-10
-    force = next(t for t in search.build(MU).terms if isinstance(t, DragForceTerm))
+    force = next(t for t in search.build(MU).terms if isinstance(t, ForceTerm))
     drag = -force.drag.rows.force[np.flatnonzero(np.repeat(contact(), 3))]
     assert abs(rows.slope[: drag.shape[0]] - drag).max() < 1e-10
 

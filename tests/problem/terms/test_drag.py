@@ -14,7 +14,7 @@ import ttus_opt as tt
 from tests.kit import InputError, dragged_scene
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
-from ttus_opt.problem.terms.wrench import DragForceTerm, DragTorqueTerm
+from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 MU, DEADBAND = 0.3, 0.02
 SECTORS, BANDS = 10, 4
@@ -330,11 +330,11 @@ def test_the_residual_is_contact_and_drag_less_what_was_measured():
     """Drag acts at the contact: its moment is arm × drag; torque is over a length."""
     model, length = GlobalCoulomb(scene(), "contact", DEADBAND, MU), 0.05
     (force, torque), drag = contact(), by_coulomb(model, MU)
-    rows = DragForceTerm(scene(), 2.0, drag=model).assembled
+    rows = ForceTerm(scene(), 2.0, drag=model).assembled
     found = rows.blocks["p"] @ field() - rows.target
     expected = force + drag - scene().f.reshape(-1, 3)
     np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
-    rows = DragTorqueTerm(scene(), length=length, drag=model).assembled
+    rows = TorqueTerm(scene(), length=length, drag=model).assembled
     found = length * (rows.blocks["p"] @ field() - rows.target)
     expected = torque + np.cross(model.sliding.arm, drag) - scene().tau.reshape(-1, 3)
     np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
@@ -342,15 +342,15 @@ def test_the_residual_is_contact_and_drag_less_what_was_measured():
 
 def test_what_its_drag_knows_is_its_own():
     model = CoulombField(scene(), deadband=DEADBAND)
-    term, values = DragForceTerm(scene(), drag=model), {"p": field(), "q": MU * field()}
+    term, values = ForceTerm(scene(), drag=model), {"p": field(), "q": MU * field()}
     assert term.parameters(values) == model.parameters(values)
     assert term.fitted(values).keys() == model.fitted(values).keys()
     assert term.not_identifiable() == model.not_identifiable()
 
 
-@pytest.mark.parametrize("kind", [DragForceTerm, DragTorqueTerm])
+@pytest.mark.parametrize("kind", [ForceTerm, TorqueTerm])
 def test_without_drag_its_rows_are_those_of_the_scene(kind):
-    own = {} if kind is DragForceTerm else {"length": 1.0}
+    own = {} if kind is ForceTerm else {"length": 1.0}
     drag = CoulombField(scene(), deadband=DEADBAND)
     term = kind(scene(), 2.0, drag=drag, **own)
     neutral = term.with_neutral(["friction_coefficient"])

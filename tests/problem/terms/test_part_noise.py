@@ -13,7 +13,7 @@ from ttus_opt.problem.terms.part_noise import (
     contact_directions,
     independent,
 )
-from ttus_opt.problem.terms.structure import whitening
+from ttus_opt.problem.terms.structure import Whitened, declared
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene("contact-size", n_poses=60)
@@ -62,10 +62,10 @@ def test_equal_parts_are_the_plain_term():
         plain, same = term(SCENE).assembled, term(SCENE, noise=noise).assembled
         assert abs(plain.blocks["p"] - same.blocks["p"]).max() < 1e-12
         np.testing.assert_allclose(plain.target, same.target)
-        found = whitening(plain.tags), whitening(same.tags)
+        found = [declared(rows.tags, Whitened) for rows in (plain, same)]
         assert found[1] is not None and (found[0] is None) == (term is ForceTerm)
         if found[0] is not None:
-            assert abs(found[0] - found[1]).max() < 1e-12
+            assert abs(found[0].by - found[1].by).max() < 1e-12
 
 
 def covariance(time, recording):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.kit import InputError, refuses, small_scene, with_wrenches
 from ttus_opt.fitting.batch import fit
-from ttus_opt.problem.terms.structure import whitening
+from ttus_opt.problem.terms.structure import Whitened, declared
 from ttus_opt.problem.terms.wrench import (
     LENGTHS,
     ForceTerm,
@@ -68,7 +68,7 @@ def test_a_length_that_is_none_is_refused(length):
 
 
 def test_the_tag_says_what_the_rows_were_divided_by():
-    by = whitening(TorqueTerm(SCENE, length=0.02).assembled.tags)
+    by = declared(TorqueTerm(SCENE, length=0.02).assembled.tags, Whitened).by
     np.testing.assert_array_equal(by.toarray(), 50.0 * np.eye(15))
 
 

@@ -6,7 +6,7 @@ import pytest
 from tests.kit import small_scene
 from tests.oracles.dense import minimiser
 from ttus_opt.problem import formulation
-from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
+from ttus_opt.solvers.dual.data import DualData
 
 SCENE = small_scene("trilinear", shape=(5, 8, 5), n_poses=4)
 
@@ -35,10 +35,10 @@ def test_multipliers_give_the_minimiser(name):
 
 
 def test_priors_that_are_none():
-    assert laplace_prior(compiled("total_variation")) is None
+    assert compiled("total_variation").laplace_prior is None
     plain, weighted = compiled("eq10"), compiled("volume_weighted")
-    prior, scaled = laplace_prior(plain), laplace_prior(weighted)
-    assert row_scale(prior) is None and hard_values(plain) is None
-    scale, values = row_scale(scaled), hard_values(weighted)
+    prior, scaled = plain.laplace_prior, weighted.laplace_prior
+    assert prior.laplace_rows.scale is None and plain.dirichlet is None
+    scale, values = scaled.laplace_rows.scale, weighted.dirichlet.lower
     assert scale is not None and (scale > 0.0).all()
     assert values is not None and len(values) == int((~SCENE.laplace.free).sum())

@@ -8,7 +8,6 @@ import pytest
 from tests.kit import small_scene
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.problem.formulation import load
-from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.primal.split import Split, wide_terms
 
 SCENE = small_scene("trilinear", shape=(6, 8, 6), n_poses=3)
@@ -23,7 +22,7 @@ def made(name, prior=2.5):
     weights = {"force_weight": 0.3, "torque_weight": 0.1}
     whole = load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
     program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
-    first = laplace_prior(program)
+    first = program.laplace_prior
     return program.with_weights(**{first.name: prior})
 
 

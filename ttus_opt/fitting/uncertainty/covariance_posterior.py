@@ -27,7 +27,6 @@ from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.prior import Columns, square_root
 from ttus_opt.problem.members import ProgramTerm, StackedTerms
-from ttus_opt.problem.terms.structure import known_covariance, whitening
 
 #: Rows whose covariance with all measured voxels is formed at once
 AT_ONCE = 6
@@ -69,7 +68,7 @@ class CovariancePosterior(Posterior):
             terms: The measured terms.
             values: p̂, shape (V,).
         """
-        tag = known_covariance(prior.tags)
+        tag = prior.known_covariance
         assert tag is not None
         stacked = StackedTerms.of(terms, len(values), prior.weight)
         told = np.diff(stacked.matrix.indptr) > 0
@@ -145,11 +144,11 @@ class CovariancePosterior(Posterior):
 
 def wrenches(term: ProgramTerm, values: Array) -> Array:
     """The measured components that a field renders, shape (3T,) [N, N·m]."""
-    rendered, by = term.matrix @ values, whitening(term.tags)
+    rendered, by = term.matrix @ values, term.whitening
     return rendered if by is None else np.asarray(spsolve(sp.csc_array(by), rendered))
 
 
 def times(term: ProgramTerm, values: Array, factors: Array) -> Array:
     """What the term's rows are of such components times factors, shape (3T,)."""
-    out, by = factors * wrenches(term, values), whitening(term.tags)
+    out, by = factors * wrenches(term, values), term.whitening
     return out if by is None else np.asarray(by @ out)

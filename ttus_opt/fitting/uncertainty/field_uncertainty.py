@@ -48,10 +48,9 @@ from ttus_opt.fitting.uncertainty.wrench_noise import (
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Solution
-from ttus_opt.problem.terms.structure import UncertainMean, known_covariance, whitening
-from ttus_opt.solvers.dual.data import DualData, laplace_prior, root_weights
+from ttus_opt.problem.terms.structure import UncertainMean
+from ttus_opt.solvers.dual.data import DualData, root_weights
 from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
@@ -208,7 +207,7 @@ def uncertainty(
             "uncertainty needs measured terms with three rows per frame: fit eq10 or "
             "another formulation with measured forces"
         )
-    known = known_covariance(prior.tags)
+    known = prior.known_covariance
     if method is None:
         method = "exact" if known or scene.n_voxels <= MOST_VOXELS else "samples"
     near = method == "samples" or (known is None and scene.n_voxels > MOST_VOXELS)
@@ -242,7 +241,7 @@ def _prior_of(solution: Solution) -> ProgramTerm:
         InputError: There is none, or there are unknowns beside the field.
     """
     program = solution.program
-    prior = _known_prior(program) or laplace_prior(program)
+    prior = program.known_prior or program.laplace_prior
     one_field = program.n_variables == len(program.laplace.free)
     if prior is None or not (one_field and program.is_quadratic):
         raise InputError(
@@ -250,11 +249,6 @@ def _prior_of(solution: Solution) -> ProgramTerm:
             "(a Laplace term or one of known covariance) and squares of measured rows"
         )
     return prior
-
-
-def _known_prior(program: Program) -> ProgramTerm | None:
-    known = (t for t in program.terms if known_covariance(t.tags) is not None)
-    return next((t for t in known if t.weight > 0.0), None)
 
 
 def _usual_force(wrench: Array) -> float:
@@ -285,7 +279,7 @@ def _errors(
     wrench, weighted = np.zeros((frames, 6)), []
     for term in measured:
         wrench[:, COMPONENTS[term.name]] = wrenches(term, values).reshape(frames, 3)
-        by = whitening(term.tags)
+        by = term.whitening
         by = sp.eye_array(3 * frames, format="csr") if by is None else by
         weighted.append(np.sqrt(term.weight / prior.weight) * by)
     informative = posterior.informative
@@ -322,7 +316,7 @@ def _errors(
     weights = sp.csr_array(sp.csr_array(mixed)[informative])
     # whole places turned and shifted like residuals, as the noise of a depth map,
     # would predict new places half as well as the errors by parts that it takes
-    by_parts = mean is not None and all(whitening(t.tags) is not None for t in measured)
+    by_parts = mean is not None and all(t.whitening is not None for t in measured)
     of_row = float(np.sqrt(max(likeliest, 1.0))) if by_parts else None
     errors = seen.errors(variance, noise, weights, at, of_row)
     return variance, noise, errors

@@ -22,8 +22,7 @@ from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.structure import known_covariance
-from ttus_opt.solvers.dual.data import DualData, laplace_prior
+from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
 #: Most frames whose rows are used; each then stands for several [–]
@@ -317,7 +316,7 @@ def _obstacle(program: Program, measured: Collection[str]) -> str:
     for term in program.terms:
         if not term.penalty.quadratic:
             return f"its term {term.name} is no sum of squares"
-        if known_covariance(term.tags) is not None:
+        if term.known_covariance is not None:
             return f"its {term.name} chooses the noise by itself"
     if program.cones:
         return f"{program.cones[0].name} is a second-order cone"
@@ -339,7 +338,7 @@ def _obstacle(program: Program, measured: Collection[str]) -> str:
 def _is_laplace(program: Program, measured: Collection[str]) -> bool:
     """Whether the only term with rows that are not measured is a Laplace term."""
     others = [t for t in program.terms if t.name not in measured and len(t.target)]
-    return len(others) == 1 and others[0] is laplace_prior(program)
+    return len(others) == 1 and others[0] is program.laplace_prior
 
 
 def _untunable(declared: Formulation, why: str) -> InputError:

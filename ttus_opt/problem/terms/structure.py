@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -108,20 +109,12 @@ class Whitened:
 
 Tags = frozenset[Tag | LaplaceRows | KnownCovariance | Whitened]
 
-
-def laplace_rows(tags: Tags) -> LaplaceRows | None:
-    """The declaration of L's rows among tags, if there is one."""
-    return next((tag for tag in tags if isinstance(tag, LaplaceRows)), None)
+Declared = TypeVar("Declared", LaplaceRows, KnownCovariance, Whitened)
 
 
-def known_covariance(tags: Tags) -> KnownCovariance | None:
-    """The declaration of a known covariance among tags, if there is one."""
-    return next((tag for tag in tags if isinstance(tag, KnownCovariance)), None)
-
-
-def whitening(tags: Tags) -> sp.csr_array | None:
-    """The matrix of `Whitened` among tags, shape (3T, 3T), if there is one."""
-    return next((tag.by for tag in tags if isinstance(tag, Whitened)), None)
+def declared(tags: Tags, kind: type[Declared]) -> Declared | None:
+    """The declaration of a kind among tags, if there is one."""
+    return next((tag for tag in tags if isinstance(tag, kind)), None)
 
 
 def check_structure(
@@ -141,13 +134,13 @@ def check_structure(
     Raises:
         InputError: A tag does not match the rows.
     """
-    declared = laplace_rows(tags)
-    if declared is not None and not _are_laplace(declared, blocks, laplace):
+    rows = declared(tags, LaplaceRows)
+    if rows is not None and not _are_laplace(rows, blocks, laplace):
         raise InputError(
             f"{owner}: it declares the rows of the scene's L over "
-            f"{declared.variable!r}, but its rows differ: drop the tag LaplaceRows"
+            f"{rows.variable!r}, but its rows differ: drop the tag LaplaceRows"
         )
-    known = known_covariance(tags)
+    known = declared(tags, KnownCovariance)
     if known is not None and not _has_covariance(known, blocks, laplace):
         raise InputError(
             f"{owner}: the covariance it declares is not that of its rows: drop the "
@@ -161,17 +154,17 @@ def check_structure(
 
 
 def _are_laplace(
-    declared: LaplaceRows, blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
+    rows: LaplaceRows, blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
 ) -> bool:
     """Whether rows have L's size and the same product with a random field."""
     V = len(laplace.free)
-    beside = [blocks[name].shape[1] for name in declared.beside if name in blocks]
-    if {declared.variable, *declared.beside} != set(blocks) or V in beside:
+    beside = [blocks[name].shape[1] for name in rows.beside if name in blocks]
+    if {rows.variable, *rows.beside} != set(blocks) or V in beside:
         return False
-    system = declared.system or laplace
+    system = rows.system or laplace
     if system.voxmap is not laplace.voxmap:
         return False
-    block, L, scale = blocks[declared.variable], system.L, declared.scale
+    block, L, scale = blocks[rows.variable], system.L, rows.scale
     if block is L and scale is None:
         return True
     if scale is not None and not (scale.shape == (V,) and (scale > 0.0).all()):

@@ -25,29 +25,56 @@ from ttus_opt.problem.terms.penalties import Huber
 
 
 @dataclass(frozen=True)
-class ForceTerm(Term):
+class _Measured(Term):
+    """Measured wrenches, with drag or without, whose coefficients may be at 0."""
+
+    noise: PartNoise | None = field(default=None, kw_only=True)
+    drag: DragModel | None = field(default=None, kw_only=True, repr=False)
+
+    measures = True
+
+    def with_neutral(self, names: Collection[str]) -> Self:
+        """The same term with these drag coefficients at 0."""
+        drag = None if self.drag is None else self.drag.with_neutral(names)
+        return self if drag is self.drag else replace(self, drag=drag)
+
+
+@dataclass(frozen=True)
+class ForceTerm(_Measured):
     """Squares of the force residuals of every frame [N²].
 
     Attributes:
         noise: Relative errors of normal and tangential forces, by which residuals are
             divided; None for equal ones.
+        drag: The drag model; None for contact without friction.
     """
 
-    noise: PartNoise | None = field(default=None, kw_only=True)
-
     name = "force"
-    formula = "‖N p − f‖²"
-    measures = True
+
+    @property
+    def formula(self) -> str:
+        """The formula, with the drag subtracted."""
+        return f"‖N p − {f'{self.drag.formula} − ' if self.drag else ''}f‖²"
 
     def rows(self) -> AffineRows:
-        """N and f of the scene."""
-        return self._measured({"p": self.scene.N})
+        """N and the rows of drag by variable, and f, over relative errors."""
+        scene, drag, noise = self.scene, self.drag, self.noise
+        blocks = {"p": scene.N} if drag is None else drag.force_blocks()
+        if noise is None:
+            return AffineRows(blocks, scene.f)
+        return whitened(noise.force, blocks, scene.f)
 
-    def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
-        """Rows by variable and the measured forces, over their relative errors."""
-        if self.noise is None:
-            return AffineRows(blocks, self.scene.f)
-        return whitened(self.noise.force, blocks, self.scene.f)
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
+        """The drag coefficients."""
+        return {} if self.drag is None else self.drag.parameters(values)
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """The drag coefficients that are variables."""
+        return {} if self.drag is None else self.drag.fitted(values)
+
+    def not_identifiable(self) -> dict[str, str]:
+        """The drag coefficients that no pose determines."""
+        return {} if self.drag is None else self.drag.not_identifiable()
 
 
 @dataclass(frozen=True)
@@ -96,7 +123,7 @@ LENGTHS = (1e-6, 1e6)
 
 
 @dataclass(frozen=True)
-class TorqueTerm(Term):
+class TorqueTerm(_Measured):
     """Squares of the torque residuals over ℓ, of every frame [N²].
 
     It has no rows if only forces were measured.
@@ -106,14 +133,12 @@ class TorqueTerm(Term):
             literal SI form, in which torque has practically no weight.
         noise: Relative errors of the frames, by which residuals are divided; None for
             equal ones.
+        drag: The drag model; None for contact without friction.
     """
 
     length: float | None = None
-    noise: PartNoise | None = field(default=None, kw_only=True)
 
     name = "torque"
-    formula = "‖(W p − τ)/ℓ‖²"
-    measures = True
 
     def __post_init__(self) -> None:
         """Validate weight and length."""
@@ -125,82 +150,20 @@ class TorqueTerm(Term):
                 f"{self.length}"
             )
 
-    def rows(self) -> AffineRows:
-        """W/ℓ and τ/ℓ of the scene."""
-        return self._measured({"p": self.scene.W})
+    @property
+    def formula(self) -> str:
+        """The formula, with the torque of drag subtracted."""
+        drag = "" if self.drag is None else f"{self.drag.formula} − ".replace("F", "G")
+        return f"‖(W p − {drag}τ)/ℓ‖²"
 
-    def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
-        """Rows by variable and the measured torques, over ℓ and relative errors."""
-        if self.scene.measures_force_only:
+    def rows(self) -> AffineRows:
+        """W/ℓ and the rows of drag by variable, and τ/ℓ, over relative errors."""
+        scene, drag, noise = self.scene, self.drag, self.noise
+        blocks = {"p": scene.W} if drag is None else drag.torque_blocks()
+        if scene.measures_force_only:
             return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
-        scale = 1.0 / (self.length or self.scene.torque_length)
-        if self.noise is None:
-            by = scale * sp.eye_array(len(self.scene.tau), format="csr")
-        else:
-            by = scale * self.noise.torque
-        return whitened(by, blocks, self.scene.tau)
-
-
-@dataclass(frozen=True)
-class _Dragged(Term):
-    """A term with a drag model, whose coefficients may be at 0."""
-
-    drag: DragModel = field(kw_only=True, repr=False)
-
-    def with_neutral(self, names: Collection[str]) -> Self:
-        """The same term with these drag coefficients at 0."""
-        drag = self.drag.with_neutral(names)
-        return self if drag is self.drag else replace(self, drag=drag)
-
-
-@dataclass(frozen=True)
-class DragForceTerm(_Dragged, ForceTerm):
-    """Squares of the force residuals with drag, of every frame [N²].
-
-    Attributes:
-        drag: The drag model.
-    """
-
-    name = "force"
-
-    @property
-    def formula(self) -> str:  # type: ignore[override]
-        """The formula with the drag subtracted."""
-        return f"‖N p − {self.drag.formula} − f‖²"
-
-    def rows(self) -> AffineRows:
-        """N and the rows of drag by variable, and f."""
-        return self._measured(self.drag.force_blocks())
-
-    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """The drag coefficients."""
-        return self.drag.parameters(values)
-
-    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """The drag coefficients that are variables."""
-        return self.drag.fitted(values)
-
-    def not_identifiable(self) -> dict[str, str]:
-        """The drag coefficients that no pose determines."""
-        return self.drag.not_identifiable()
-
-
-@dataclass(frozen=True)
-class DragTorqueTerm(_Dragged, TorqueTerm):
-    """Squares of the torque residuals over ℓ with drag, of every frame [N²].
-
-    Attributes:
-        drag: The drag model.
-    """
-
-    name = "torque"
-
-    @property
-    def formula(self) -> str:  # type: ignore[override]
-        """The formula with the torque of drag subtracted."""
-        drag = self.drag.formula.replace("F", "G")
-        return f"‖(W p − {drag} − τ)/ℓ‖²"
-
-    def rows(self) -> AffineRows:
-        """W/ℓ and the rows of drag by variable, and τ/ℓ."""
-        return self._measured(self.drag.torque_blocks())
+        scale = 1.0 / (self.length or scene.torque_length)
+        by = sp.eye_array(len(scene.tau), format="csr")
+        if noise is not None:
+            by = noise.torque
+        return whitened(scale * by, blocks, scene.tau)

@@ -38,10 +38,6 @@ from ttus_opt.gaussian.prior import LaplacePrior, Prior
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm, StackedTerms
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.structure import (
-    LaplaceRows,
-    known_covariance,
-)
 
 _Map = Callable[[Array], Array]
 
@@ -159,32 +155,20 @@ def field_of(
         fixed: Its voxels whose values are given, shape (V,).
         laplace: The scene's L.
     """
-    known, rows = known_covariance(term.tags), term.laplace_rows
+    known, rows = term.known_covariance, term.laplace_rows
     compliance = np.ones(len(fixed))
     if known is not None and name == "p" and not fixed.any():
         return _Field(part, term, laplace, known.covariance)
-    if rows is None or not _holds(term, rows, name, fixed, laplace):
+    if rows is None or rows.variable != name:
+        return None
+    # without rows of Dirichlet voxels, their values must be fixed
+    if not (term.has_all_rows or fixed[~laplace.free].all()):
         return None
     if rows.scale is not None:
         compliance /= rows.scale**2
     compliance[fixed] = 0.0
     system = rows.system or laplace
     return _Field(part, term, system, LaplacePrior(system, compliance))
-
-
-def _holds(
-    term: ProgramTerm,
-    rows: LaplaceRows,
-    variable: str,
-    fixed: Mask,
-    laplace: LaplaceSystem,
-) -> bool:
-    """Whether rows are L's over a variable and determine what is not fixed."""
-    if rows.variable != variable:
-        return False
-    # without rows of Dirichlet voxels, their values must be fixed
-    all_rows = rows.scale is None or len(term.target) == len(rows.scale)
-    return all_rows or bool(fixed[~laplace.free].all())
 
 
 def _by_steps(

@@ -23,7 +23,6 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramCones, ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties import Linear
-from ttus_opt.problem.terms.structure import known_covariance
 
 #: Most repetitions
 MOST = 100
@@ -47,7 +46,7 @@ def loose_variables(program: Program, fixed: Mask) -> Mask:
     for term in program.terms:
         if not term.weight or isinstance(term.penalty, Linear):
             continue
-        if known_covariance(term.tags):  # a regular matrix
+        if term.known_covariance:  # a regular matrix
             loose[: len(term.target)] = False
         elif loose.any():
             loose &= term.column_squares() == 0.0

@@ -41,32 +41,26 @@ class DualData:
             program: The program.
             measured: Terms to include; None for all except the Laplace term.
         """
-        prior = laplace_prior(program)
+        prior = program.laplace_prior
         assert prior is not None
+        declared = prior.laplace_rows
+        assert declared is not None
         if measured is None:
             measured = terms_beside(program, prior)
-        free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
+        free, hard, scale = program.laplace.free, program.dirichlet, declared.scale
         V = len(free)
         compliance = np.ones(V) if scale is None else 1.0 / scale**2
-        b, stated = np.empty(V), np.ones(V, dtype=bool) if has_all_rows(prior) else free
+        b, stated = np.empty(V), np.ones(V, dtype=bool) if prior.has_all_rows else free
         b[stated] = prior.target if scale is None else prior.target / scale[stated]
         if hard is not None:
-            b[~free], compliance[~free] = hard, 0.0
+            b[~free], compliance[~free] = hard.lower, 0.0
         stacked = StackedTerms.of(measured, program.n_variables, prior.weight)
         rows, root = stacked.matrix, stacked.root
         columns = root[:, None] * rows[:, V:].toarray()
         own = sp.csr_array(rows if rows.shape[1] == V else rows[:, :V])
-        declared = prior.laplace_rows
-        laplace = (declared and declared.system) or program.laplace
+        laplace = declared.system or program.laplace
         system = DualSystem(laplace, compliance, own, root)
         return cls(system, b, root * stacked.target, columns)
-
-
-def laplace_prior(program: Program) -> ProgramTerm | None:
-    """The Laplace term of p alone, with L's rows or scaled ones; None without one."""
-    term = program.laplace_term_of("p")
-    rows = None if term is None else term.laplace_rows
-    return None if rows is None or rows.beside else term
 
 
 def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
@@ -79,27 +73,9 @@ def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
     return None
 
 
-def row_scale(prior: ProgramTerm) -> Array | None:
-    """Factors on L's rows, shape (V,); None if they are not scaled."""
-    rows = prior.laplace_rows
-    return None if rows is None else rows.scale
-
-
-def has_all_rows(prior: ProgramTerm) -> bool:
-    """Whether a prior has rows for fixed voxels too, so that their values are soft."""
-    scale = row_scale(prior)
-    return scale is None or len(prior.target) == len(scale)
-
-
-def hard_values(program: Program) -> Array | None:
-    """Hard Dirichlet values in the order of the fixed voxels; None if soft."""
-    given = program.dirichlet
-    return None if given is None else given.lower
-
-
 def root_weights(program: Program) -> Array:
     """Square roots of the measured rows' weights over the prior's, shape (m,) [–]."""
-    prior = laplace_prior(program)
+    prior = program.laplace_prior
     assert prior is not None
     measured = terms_beside(program, prior)
     return StackedTerms.of(measured, program.n_variables, prior.weight).root
@@ -133,10 +109,10 @@ def duals_without_limits(program: Program, x: Array) -> Duals:
 
 def refusal_of_terms(program: Program) -> str:
     """Why the terms are not sums of squares with a Laplace term; empty if they are."""
-    prior = laplace_prior(program)
+    prior = program.laplace_prior
     if prior is None or prior.weight == 0.0:
         return "it needs a Laplace term"
-    if not has_all_rows(prior) and hard_values(program) is None:
+    if not prior.has_all_rows and program.dirichlet is None:
         return f"it takes {prior.name} only with hard boundary values"
     others = [t.name for t in program.terms if not t.is_squares]
     return f"{others[0]} is not a sum of squares" if others else ""

@@ -19,7 +19,6 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.verify.kkt import Duals
-from ttus_opt.solvers.dual.data import laplace_prior, row_scale
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,7 @@ def _links(
 
 def refusal_of_limits(program: Program) -> str:
     """Why the limits are not bounds or growth along spokes; empty if they are."""
-    free, prior = program.laplace.free, laplace_prior(program)
+    free, prior = program.laplace.free, program.laplace_prior
     try:
         limits = SpokeLimits.of(program)
     except ValueError as error:
@@ -239,7 +238,8 @@ def refusal_of_limits(program: Program) -> str:
         return ""
     if program.n_variables > len(free):
         return "it takes no limits of the field beside other unknowns"
-    scale = None if prior is None else row_scale(prior)
+    rows = None if prior is None else prior.laplace_rows
+    scale = None if rows is None else rows.scale
     if prior is not None and scale is not None and (scale[free] != 1.0).any():
         return f"it takes {prior.name} only without limits of the field"
     return ""

@@ -26,7 +26,7 @@ from ttus_opt.laplace.multigrid import Added, Multigrid, OneCycle, PooledBlocks
 from ttus_opt.laplace.multigrid.pooled_blocks import block_heads
 from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.solvers.dual.active_set import LimitedProblem
-from ttus_opt.solvers.dual.data import DualData, laplace_prior
+from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
 from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import Accuracy, DualAnswer, DualSolver
@@ -92,7 +92,7 @@ class LimitedField(LimitedProblem):
     ) -> WorkingSet | None:
         """The predicted working set if only soft values are at limits, or None."""
         limits, soft, system = self.limits, self._limited_soft, self.data.system
-        prior = laplace_prior(self.program)
+        prior = self.program.laplace_prior
         assert prior is not None
         others = ~soft & ~limits.given
         beyond = np.maximum(limits.lower - p, p - limits.upper)

@@ -26,7 +26,7 @@ from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import is_late
 from ttus_opt.solvers.dual import options
-from ttus_opt.solvers.dual.data import DualData, laplace_prior
+from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 
 #: Relative residual of the solves for a response field; its error passes to all fields
@@ -59,7 +59,7 @@ def suits_sweep(program: Program) -> bool:
     fields. Limits are allowed: if the minimiser without limits satisfies them, it is
     the minimiser with them (`keeps_limits`).
     """
-    prior, V = laplace_prior(program), len(program.laplace.free)
+    prior, V = program.laplace_prior, len(program.laplace.free)
     if prior is None or program.n_variables != V:
         return False
     rows = sum(len(t.target) for t in program.terms if t is not prior)

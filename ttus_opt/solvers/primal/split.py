@@ -19,7 +19,7 @@ from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
+from ttus_opt.solvers.dual.data import DualData
 
 #: Most rows of a term, other than measurements, that is eliminated through its dual
 FEW_ROWS = 1000
@@ -49,12 +49,12 @@ class Split:
             program: The program.
             few_rows: Most rows of a term that is not wide.
         """
-        prior = laplace_prior(program)
+        prior = program.laplace_prior
         assert prior is not None
         wide = [t for t in wide_terms(program, few_rows) if t.weight > 0.0]
         others = [t for t in program.terms if not any(t is k for k in (prior, *wide))]
         few = DualData.of(program, [t for t in others if t.weight > 0.0])
-        hard = hard_values(program) is not None
+        hard = program.dirichlet is not None
         moving = program.laplace.free | np.full(len(few.b), not hard)
         own = [_over(t, prior.weight, len(few.b)) for t in (prior, *wide)]
         return cls(own[0], tuple(own[1:]), few, moving)
@@ -74,7 +74,7 @@ class Split:
 
 def wide_terms(program: Program, few_rows: int = FEW_ROWS) -> list[ProgramTerm]:
     """Terms with many rows, other than the Laplace term and measurements."""
-    prior = laplace_prior(program)
+    prior = program.laplace_prior
     return [
         t
         for t in program.terms
