@@ -14,7 +14,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.friction import Sliding
-from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.errors import (  # noqa: F401
     FileError,
@@ -29,6 +28,7 @@ from ttus_opt.core.errors import (  # noqa: F401
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -209,7 +209,7 @@ def dragged_scene(acts_at, mu=0.3, viscous=0.0, shape=(12, 30, 14), n=60):
     )
     p = scene.laplace.solve(scene.b)
     sliding = Sliding.of(voxmap, shell, bare, acts_at)
-    rows = drag_rows(scene.rows, sliding, voxmap, shell, bare, sampling="trilinear")
+    rows = GlobalCoulomb(scene, acts_at).rows
     force = (scene.N @ p - mu * (rows.force @ p)).reshape(-1, 3)
     force -= viscous * sliding.velocity
     torque = (scene.W @ p - mu * (rows.torque @ p)).reshape(-1, 3)

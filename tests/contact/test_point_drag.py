@@ -12,7 +12,7 @@ from tests.drags import LAWS, SHELL, VOXMAP, drag_by_points, pushing
 from tests.haptic.test_drag import random_pose
 from tests.kit import InputError, pressing, small_scene
 from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
-from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.slip import Slip
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
@@ -112,19 +112,8 @@ def test_a_trackers_noise_does_not_turn_the_drag():
     assert off[0] < 0.5 * off[1]
 
 
-def test_rows_are_made_where_drag_acts():
+def test_a_sampling_that_is_none_is_refused():
     scene = small_scene("trilinear")
     where = (scene.voxmap, scene.shell, scene.trajectory)
-    for acts_at in ("contact", "reference", "points"):
-        sliding = Sliding.of(*where, acts_at)
-        found = drag_rows(scene.rows, sliding, *where, sampling="trilinear")
-        expected = (
-            point_drag_rows(*where)
-            if acts_at == "points"
-            else coulomb_rows(sliding, scene.rows)
-        )
-        for name in ("force", "torque"):
-            difference = getattr(found, name) - getattr(expected, name)
-            assert abs(difference).max() == 0.0
     with pytest.raises(InputError, match="sampling must be one of"):
         point_drag_rows(*where, sampling="nearest")

@@ -15,8 +15,8 @@ are one, and this is the drag of the patch (`ttus_opt.contact.friction`).
 
 from __future__ import annotations
 
-from ttus_opt.contact.friction import DEADBAND, DragRows, Sliding, coulomb_rows
-from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.friction import DEADBAND, DragRows
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.slip import Slip
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -55,31 +55,3 @@ def point_drag_rows(
         slip=Slip.of(shell, trajectory.rotation, trajectory.twist(), deadband),
     )
     return DragRows(rows.N, rows.W)
-
-
-def drag_rows(
-    rows: ContactRows,
-    sliding: Sliding,
-    voxmap: Voxmap,
-    shell: PointShell,
-    trajectory: Trajectory,
-    *,
-    sampling: str,
-    deadband: float = DEADBAND,
-) -> DragRows:
-    """Coulomb drag where ``sliding`` says it acts: on the patch, or at every point.
-
-    Args:
-        rows: Rows of contact.
-        sliding: Patches and where drag acts.
-        voxmap: As for `point_drag_rows`.
-        shell: As there.
-        trajectory: As there.
-        sampling: As there.
-        deadband: As there [m/s].
-    """
-    if sliding.acts_at != "points":
-        return coulomb_rows(sliding, rows, deadband=deadband)
-    return point_drag_rows(
-        voxmap, shell, trajectory, sampling=sampling, deadband=deadband
-    )

@@ -35,17 +35,21 @@ def classes_of(package: ModuleType) -> dict[str, type]:
     return {kind.__name__: kind for kind in _classes(package)}
 
 
-def class_of(package: ModuleType, name: str) -> type:
-    """The class of a given name, for a package's ``__getattr__``.
+def finders(name: str) -> tuple[Callable[[str], type], Callable[[], list[str]]]:
+    """``__getattr__`` and ``__dir__`` of a package: the classes of its files.
 
-    Raises:
-        AttributeError: There is no class of that name.
+    The former raises an AttributeError where there is no class of a name.
     """
-    if name[:1].isupper():  # classes only: Python itself finds submodules
-        for kind in _classes(package):
-            if kind.__name__ == name:
-                return kind
-    raise AttributeError(f"module {package.__name__!r} has no attribute {name!r}")
+    package = sys.modules[name]
+
+    def find(wanted: str) -> type:
+        if wanted[:1].isupper():  # classes only: Python itself finds submodules
+            for kind in _classes(package):
+                if kind.__name__ == wanted:
+                    return kind
+        raise AttributeError(f"module {name!r} has no attribute {wanted!r}")
+
+    return find, lambda: sorted(classes_of(package))
 
 
 def _classes(package: ModuleType) -> Iterator[type]:

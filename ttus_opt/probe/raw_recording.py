@@ -90,6 +90,11 @@ class RawRecording:
         """Source and name, as an error begins."""
         return f"{self.source}, {self.name}" if self.name else self.source
 
+    @property
+    def steps(self) -> Array:
+        """Time since the row before, NaN where a segment begins, shape (T,) [s]."""
+        return steps_within(self.time, self.segment)
+
     def place(self, row: int) -> str:
         """Where a row is, as a person finds it."""
         return f"line {self.line[row]}" if len(self.line) else f"frame {row}"
@@ -153,6 +158,13 @@ class RawRecording:
     def noted(self, *notes: str) -> RawRecording:
         """The same with more notes."""
         return replace(self, notes=(*self.notes, *notes))
+
+
+def steps_within(time: Array, segment: IntArray) -> Array:
+    """Time since the frame before, NaN where a segment begins, shape (T,) [s]."""
+    steps = np.diff(time, prepend=np.nan)
+    steps[1:][np.diff(segment) != 0] = np.nan
+    return steps
 
 
 def complete(values: Array) -> Mask:

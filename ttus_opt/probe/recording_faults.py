@@ -186,14 +186,9 @@ def _sizes(raw: RawRecording) -> Iterator[Fault]:
 
 
 def _times(raw: RawRecording) -> Iterator[Fault]:
-    time = raw.time
-    together = np.diff(raw.segment) == 0
+    time, steps = raw.time, raw.steps
     remedy = "sort by t and drop duplicates"
-    for late, kind in (
-        ((np.diff(time) == 0) & together, "repeats"),
-        ((np.diff(time) < 0) & together, "goes back from"),
-    ):
-        rows = np.r_[False, late]
+    for rows, kind in ((steps == 0, "repeats"), (steps < 0, "goes back from")):
         if rows.any():
             i = int(np.argmax(rows))
             what = f"time {time[i]:.9g} s {kind} {time[i - 1]:.9g} s"
@@ -232,7 +227,7 @@ def _advice(found: list[Fault]) -> str:
 
 
 def _warn_of_milliseconds(raw: RawRecording) -> None:
-    steps = np.diff(raw.time)[np.diff(raw.segment) == 0]
+    steps = raw.steps[np.isfinite(raw.steps)]
     usual = float(np.median(steps)) if len(steps) else 0.0
     if raw.has_poses and not raw.units_stated and usual > SLOW:
         warn(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Mask
 from ttus_opt.core.errors import FileError, warn
 from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import bad_quaternions, jumps, missing, new_rows
@@ -60,16 +60,17 @@ def repaired(raw: RawRecording) -> Repaired:
     raw = kept(raw, ~missing(raw), "with missing values")
     raw = kept(raw, ~bad_quaternions(raw), "without a unit quaternion")
     raw = kept(raw, new_rows(raw), "equal to the row before")
-    raw = _split(raw, _resets(raw), "where the clock was set back", done)
+    raw = _split(raw, raw.steps < -RESET, "where the clock was set back", done)
     raw = _sorted(raw, done)
-    raw = kept(raw, _first_stamps(raw), "with a repeated time stamp")
+    raw = kept(raw, raw.steps != 0, "with a repeated time stamp")
     before = len(parts(raw.segment))
-    raw = _split(raw, _gaps(raw), "at gaps", done)
-    raw = _split(raw, _jumps(raw), "at jumps", done)
+    if raw.has_poses:  # wrenches alone are not split
+        raw = _split(raw, gaps(raw), "at gaps", done)
+        raw = _split(raw, _jumps(raw), "at jumps", done)
     if len(parts(raw.segment)) > before:
-        lonely = ~_in_short_parts(raw)
-        if lonely.any():
-            raw = kept(raw, lonely, "alone between two splits")
+        runs = [np.full(p.stop - p.start, p.stop - p.start) for p in parts(raw.segment)]
+        long = np.concatenate(runs) >= LEAST_FRAMES
+        raw = kept(raw, long, "alone between two splits")
     return Repaired(raw, tuple(done))
 
 
@@ -99,58 +100,28 @@ def _split(raw: RawRecording, at: Mask, where: str, done: list[str]) -> RawRecor
     return raw.replaced(segment=np.cumsum(new).astype(np.int64))
 
 
-def _resets(raw: RawRecording) -> Mask:
-    back = (np.diff(raw.time) < -RESET) & (np.diff(raw.segment) == 0)
-    return np.asarray(np.r_[False, back], dtype=bool)
-
-
 def _sorted(raw: RawRecording, done: list[str]) -> RawRecording:
     """The recording in the order of time, each segment by itself."""
-    late = int(((np.diff(raw.time) < 0) & (np.diff(raw.segment) == 0)).sum())
+    late = int((raw.steps < 0).sum())
     if not late:
         return raw
     done.append(f"sorted {_count(late)} that came late")
-    order: IntArray = np.lexsort((raw.time, _numbers(raw.segment)))
-    return raw.select(order)
+    # segments in the order in which they stand
+    number = np.cumsum(np.diff(raw.segment, prepend=0) != 0)
+    return raw.select(np.lexsort((raw.time, number)))
 
 
-def _numbers(segment: IntArray) -> IntArray:
-    """Segments numbered in the order in which they stand."""
-    new = np.r_[True, np.diff(segment) != 0]
-    return np.asarray(np.cumsum(new), dtype=np.int64)
-
-
-def _first_stamps(raw: RawRecording) -> Mask:
-    again = (np.diff(raw.time) == 0) & (np.diff(raw.segment) == 0)
-    return np.asarray(~np.r_[False, again], dtype=bool)
-
-
-def _gaps(raw: RawRecording) -> Mask:
-    """Mask of the rows after a gap; wrenches alone are not split."""
-    return gaps(raw.time, raw.segment) if raw.has_poses else np.zeros(len(raw), bool)
-
-
-def gaps(time: Array, segment: IntArray) -> Mask:
+def gaps(raw: RawRecording) -> Mask:
     """Mask of the rows that come after a pause unlike the steps around it, (T,)."""
-    out, together = np.zeros(len(time), bool), np.diff(segment) == 0
-    steps = np.diff(time)
-    usual = steps[together & (steps > 0)]
-    if len(usual):
-        pause = max(PAUSE, STEPS * float(np.median(usual)))
-        out[1:] = together & (steps > pause)
-    return out
+    steps = raw.steps
+    usual = steps[steps > 0]
+    middle = float(np.median(usual)) if len(usual) else 0.0
+    return np.asarray(steps > max(PAUSE, STEPS * middle))
 
 
 def _jumps(raw: RawRecording) -> Mask:
     out = np.zeros(len(raw), bool)
-    if raw.has_poses and raw.position is not None:
-        for part in parts(raw.segment):
-            out[part], _ = jumps(raw.position[part], raw.time[part])
-    return out
-
-
-def _in_short_parts(raw: RawRecording) -> Mask:
-    out = np.zeros(len(raw), bool)
+    assert raw.position is not None
     for part in parts(raw.segment):
-        out[part] = part.stop - part.start < LEAST_FRAMES
+        out[part], _ = jumps(raw.position[part], raw.time[part])
     return out

@@ -29,7 +29,7 @@ from ttus_opt.probe.pose import (
     rotations,
     to_quaternions,
 )
-from ttus_opt.probe.raw_recording import RawRecording, parts
+from ttus_opt.probe.raw_recording import RawRecording, parts, steps_within
 from ttus_opt.probe.recording_faults import checked
 from ttus_opt.probe.repair import repaired_aloud
 from ttus_opt.probe.rigid_motion import composed
@@ -84,13 +84,12 @@ class Trajectory:
             )
         self._require_shapes(n)
         object.__setattr__(self, "rotation", rotations(self.rotation))
-        step = np.diff(self.time)
-        late = np.flatnonzero((step <= 0) & (np.diff(self.segment) == 0))
+        late = np.flatnonzero(steps_within(self.time, self.segment) <= 0)
         if len(late):
             i = int(late[0])
             raise InputError(
-                f"time must increase within a segment [s], got {self.time[i]:.6g} then "
-                f"{self.time[i + 1]:.6g} at frame {i + 1}: sort by time and drop "
+                f"time must increase within a segment [s], got {self.time[i - 1]:.6g} "
+                f"then {self.time[i]:.6g} at frame {i}: sort by time and drop "
                 "duplicates"
             )
         runs = 1 + np.count_nonzero(np.diff(self.segment))

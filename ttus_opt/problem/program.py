@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -77,8 +76,6 @@ class Program:
         cones: Second-order cones.
         declared: The original of a reduced program (`ttus_opt.problem.reduction`), for
             solvers that take its penalties; None where nothing is reduced.
-        judged: Residuals of the last point that was judged, by its hash
-            (`ttus_opt.problem.verify.kkt`).
     """
 
     variables: Mapping[str, slice]
@@ -88,9 +85,6 @@ class Program:
     laplace: LaplaceSystem = field(repr=False)
     cones: tuple[ProgramCones, ...] = ()
     declared: Program | None = field(default=None, repr=False)
-    judged: dict[bytes, Any] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
 
     @classmethod
     def build(

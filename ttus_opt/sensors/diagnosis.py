@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,6 +23,8 @@ from ttus_opt.probe.recording_faults import (
 )
 from ttus_opt.probe.repair import gaps, repaired
 from ttus_opt.scan.cloud import extent_words
+
+T = TypeVar("T")
 
 #: Noise of the second difference of white noise, and of its median absolute value
 SECOND_DIFFERENCE, MEDIAN = 6.0**0.5, 1.4826
@@ -151,10 +154,8 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
     """The figures of a stream, whatever is wrong with it."""
     lost = missing(raw) | bad_quaternions(raw)
     sound = raw.select(~lost)
-    together = np.diff(sound.segment) == 0
-    steps = np.diff(sound.time)
-    usual = steps[together & (steps > 0)]
-    after = np.flatnonzero(gaps(sound.time, sound.segment))
+    steps, paused = sound.steps, gaps(sound)
+    usual = steps[steps > 0]
     kinds = [
         "poses" if raw.has_poses else "",
         "" if raw.force is None else "forces" if raw.torque is None else "wrenches",
@@ -171,15 +172,15 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
         1.0 / float(np.median(usual)) if len(usual) else np.nan,
         span,
         len(parts(raw.segment)),
-        (len(after), float((sound.time[after] - sound.time[after - 1]).max(initial=0))),
+        (int(paused.sum()), float(steps[paused].max(initial=0))),
         int(missing(raw).sum()),
-        int((together & (steps < 0)).sum()),
-        int((together & (steps == 0)).sum()),
+        int((steps < 0).sum()),
+        int((steps == 0).sum()),
         _jumps(sound),
-        _range(sound.position),
-        _turned(sound.quaternion),
-        _largest(sound.force),
-        _largest(sound.torque),
+        _figure(sound.position, lambda v: np.stack([v.min(axis=0), v.max(axis=0)])),
+        _figure(sound.quaternion, _turned),
+        _figure(sound.force, _largest),
+        _figure(sound.torque, _largest),
         _noise(sound),
         (*raw.notes, *raw.cautions),
         tuple(_doubts(sound, usual)),
@@ -190,22 +191,16 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
     )
 
 
-def _range(values: Array | None) -> Array | None:
-    if values is None or not len(values):
-        return None
-    return np.stack([values.min(axis=0), values.max(axis=0)])
+def _figure(values: Array | None, of: Callable[[Array], T]) -> T | None:
+    return None if values is None or not len(values) else of(values)
 
 
-def _turned(quaternion: Array | None) -> float | None:
-    if quaternion is None or not len(quaternion):
-        return None
+def _turned(quaternion: Array) -> float:
     turns = Rotation.from_quat(quaternion, scalar_first=True)
     return float((turns * turns[0].inv()).magnitude().max())
 
 
-def _largest(values: Array | None) -> float | None:
-    if values is None or not len(values):
-        return None
+def _largest(values: Array) -> float:
     return float(np.linalg.norm(values, axis=1).max())
 
 

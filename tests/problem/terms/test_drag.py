@@ -12,6 +12,9 @@ import pytest
 
 import ttus_opt as tt
 from tests.kit import InputError, dragged_scene
+from ttus_opt.contact import friction
+from ttus_opt.contact.friction import Sliding, coulomb_rows
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
@@ -358,3 +361,19 @@ def test_without_drag_its_rows_are_those_of_the_scene(kind):
     expected = scene().W if own else scene().N
     assert abs(neutral.assembled.blocks["p"] - expected).max() < 1e-12
     assert term.with_neutral(["another"]) is term
+
+
+@pytest.mark.parametrize("deadband", [friction.DEADBAND, 0.01])
+def test_rows_are_made_where_drag_acts(deadband):
+    own = scene()
+    where = own.voxmap, own.shell, own.trajectory
+    for acts_at in ("contact", "reference", "points"):
+        found = GlobalCoulomb(own, acts_at, deadband).rows
+        expected = (
+            point_drag_rows(*where, deadband=deadband)
+            if acts_at == "points"
+            else coulomb_rows(Sliding.of(*where, acts_at), own.rows, deadband=deadband)
+        )
+        for name in ("force", "torque"):
+            difference = getattr(found, name) - getattr(expected, name)
+            assert abs(difference).max() == 0.0

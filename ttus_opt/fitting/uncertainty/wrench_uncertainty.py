@@ -21,8 +21,9 @@ from ttus_opt.contact.friction import (
     DRAG_DEADBAND,
     FRICTION,
     Sliding,
+    coulomb_rows,
 )
-from ttus_opt.contact.point_drag import drag_rows
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
@@ -124,17 +125,19 @@ def wrench_rows(
     N, W = rows.N, rows.W
     mu = parameters.get(FRICTION, 0.0)
     if mu:
-        at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
-        at = "points" if parameters.get(DRAG_AT_POINTS) else at
-        axis = np.array([parameters[name] for name in DRAG_AXIS])
-        sliding = Sliding.of(voxmap, shell, trajectory, at, axis, rows.patches)
-        law = DragLaw.of(parameters, voxmap.grid)
-        force = (N @ potential.values.reshape(-1)).reshape(-1, 3)
-        sliding = with_bristle(sliding, law.numbers, shell, trajectory, force)
-        how = (rows, sliding, voxmap, shell, trajectory)
-        drag = drag_rows(
-            *how, sampling=potential.sampling, deadband=parameters[DRAG_DEADBAND]
-        )
+        where, deadband = (voxmap, shell, trajectory), parameters[DRAG_DEADBAND]
+        if parameters.get(DRAG_AT_POINTS):
+            drag = point_drag_rows(
+                *where, sampling=potential.sampling, deadband=deadband
+            )
+        else:
+            at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
+            axis = np.array([parameters[name] for name in DRAG_AXIS])
+            sliding = Sliding.of(*where, at, axis, rows.patches)
+            law = DragLaw.of(parameters, voxmap.grid)
+            force = (N @ potential.values.reshape(-1)).reshape(-1, 3)
+            sliding = with_bristle(sliding, law.numbers, shell, trajectory, force)
+            drag = coulomb_rows(sliding, rows, deadband=deadband)
         N, W = N - mu * drag.force, W - mu * drag.torque
     both = sp.csr_array(sp.vstack([N, W], format="csr"))
     T = len(trajectory)

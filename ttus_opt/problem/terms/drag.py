@@ -18,8 +18,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.contact import friction
-from ttus_opt.contact.friction import DragRows, Sliding
-from ttus_opt.contact.point_drag import drag_rows
+from ttus_opt.contact.friction import DragRows, Sliding, coulomb_rows
+from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -43,15 +43,6 @@ AT_REST = 1e-3
 
 #: Drag of every point for itself, among the places where drag may act
 AT_POINTS = "points"
-
-
-def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRows:
-    """Rows of Coulomb drag in a scene, with drag = −F (μ p)."""
-    if sliding.acts_at == AT_POINTS and deadband == friction.DEADBAND:
-        return scene.point_drag  # the same for every model
-    where = (scene.voxmap, scene.shell, scene.trajectory)
-    how = {"sampling": scene.sampling, "deadband": deadband}
-    return drag_rows(scene.rows, sliding, *where, **how)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -96,8 +87,14 @@ class DragModel(abc.ABC):
 
     @cached_property
     def rows(self) -> DragRows:
-        """Rows of drag over its unknowns."""
-        return coulomb_rows_over(self.scene, self.sliding, self.deadband)
+        """Rows of drag over its unknowns, those of Coulomb's drag = −F (μ p)."""
+        scene, deadband = self.scene, self.deadband
+        if self.acts_at != AT_POINTS:
+            return coulomb_rows(self.sliding, scene.rows, deadband=deadband)
+        if deadband == friction.DEADBAND:
+            return scene.point_drag  # the same for every model
+        where = scene.voxmap, scene.shell, scene.trajectory
+        return point_drag_rows(*where, sampling=scene.sampling, deadband=deadband)
 
     def force_blocks(self) -> Blocks:
         """Force rows by variable: N for the field, and the rows of drag."""

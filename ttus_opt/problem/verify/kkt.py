@@ -34,8 +34,6 @@ its place, a hundred times as strict.
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -171,46 +169,9 @@ def kkt_residuals(
     given += [] if duals.bounds is None else [duals.bounds]
     if not all(np.isfinite(values).all() for values in given):
         return NOT_FINITE
-    point = _digest(program, x, duals, tolerance)
-    # a solver's own check is not repeated by the verdict
-    residuals: KKT | None = program.judged.get(point)
-    if residuals is None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            residuals = _residuals(program, x, duals, tolerance)
-        program.judged.clear()
-        program.judged[point] = residuals
+    with np.errstate(over="ignore", invalid="ignore"):
+        residuals = _residuals(program, x, duals, tolerance)
     return residuals if np.isfinite(residuals.worst_relative) else NOT_FINITE
-
-
-@functools.lru_cache(maxsize=1)
-def _probe(n: int) -> Array:
-    """A vector whose products tell matrices apart, shape (n,)."""
-    return np.random.default_rng(0).uniform(1.0, 2.0, n)
-
-
-def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes:
-    """Hash of a point, its multipliers, the tolerance, and the program's arrays.
-
-    The arrays may be views of a recording or of a matrix that is edited.
-    For a matrix a product stands, which takes a fifth of the time of hashing it.
-    """
-    digest = hashlib.sha256(repr(tolerance).encode())
-    parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
-    probe = _probe(program.n_variables)
-    members = (*program.terms, *program.limited_rows)
-    parts += [("matrix", member.matrix @ probe) for member in members]
-    parts += [("target", term.target) for term in program.terms]
-    limits = [(c.lower, c.upper) for c in program.constraints]
-    limits += [(b.lower, b.upper) for b in program.bounds]
-    parts += [("limit", values) for pair in limits for values in pair]
-    parts += [("offset", cone.offset) for cone in program.cones]
-    parts += [(f"row {name}", values) for name, values in duals.rows.items()]
-    parts += [(f"term {name}", values) for name, values in duals.terms.items()]
-    for name, values in parts:
-        digest.update(repr((name, None if values is None else values.shape)).encode())
-        if values is not None:
-            digest.update(np.ascontiguousarray(values, dtype=float).data)
-    return digest.digest()
 
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:

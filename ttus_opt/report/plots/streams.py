@@ -53,7 +53,7 @@ def _draw(axes: Any, raw: RawRecording, values: Array, what: str) -> None:
         axes.text(0.5, 0.5, "no numbers", transform=axes.transAxes, ha="center")
         return
     time = time - time[0]
-    after = np.flatnonzero(gaps(time, raw.segment[finite]))
+    after = np.flatnonzero(gaps(raw.select(finite)))
     cuts = np.flatnonzero(np.diff(raw.segment[finite]) != 0) + 1
     breaks = np.union1d(after, cuts)
     clock = np.insert(time, breaks, np.nan)
