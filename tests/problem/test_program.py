@@ -52,20 +52,6 @@ def test_objective_is_the_sum_of_the_weighted_costs():
     assert program.objective(p) == pytest.approx(sum(by_hand.values()))
 
 
-def test_gradient_is_the_finite_difference():
-    program = Program.build(TINY, [*eq10(), TwoVariables(TINY, 2.0)], [])
-    x = RNG.normal(size=program.n_variables)
-    gradient = np.add(*program.gradient(x))
-    h = 1e-5
-    for i in RNG.choice(program.n_variables, 12, replace=False):
-        step = np.zeros_like(x)
-        step[i] = h
-        difference = (program.objective(x + step) - program.objective(x - step)) / (
-            2 * h
-        )
-        assert gradient[i] == pytest.approx(difference, rel=1e-6, abs=1e-6)
-
-
 def test_normal_equations_are_the_dense_ones():
     program = Program.build(TINY, eq10(), [])
     L, N, W = (M.toarray() for M in (TINY.L, TINY.N, TINY.W / TINY.torque_length))
@@ -140,16 +126,6 @@ def test_a_linear_penalty_goes_into_q_and_d():
     form = program.least_squares_qp()
     np.testing.assert_allclose(form.q[: len(x)], 2.0 * c)
     assert form.n_lifted == plain.least_squares_qp().n_lifted
-
-
-def test_variables_are_stacked_with_the_field_first():
-    program = Program.build(TINY, [TwoVariables(TINY), LaplaceTerm(TINY)], [])
-    V = TINY.n_voxels
-    assert program.variables == {"p": slice(0, V), "s": slice(V, V + 3)}
-    x = RNG.normal(size=V + 3)
-    np.testing.assert_array_equal(program.split(x)["s"], x[V:])
-    laplace = program.term("laplace")
-    np.testing.assert_allclose(laplace.residual(x), TINY.L @ x[:V] - TINY.b)
 
 
 def test_variables_of_two_sizes_are_refused():

@@ -49,21 +49,6 @@ def test_linear_rows_come_in_one_format_and_keep_their_meaning():
     np.testing.assert_array_equal(found.upper, np.ones(6))
 
 
-def test_rows_are_made_once():
-    made = []
-
-    @dataclass(frozen=True)
-    class Counted(Constraint):
-        name = "counted"
-
-        def rows(self):
-            made.append(1)
-            return Bounds("p", np.zeros(V), np.full(V, np.inf))
-
-    one = Counted(FEW)
-    assert one.assembled is one.assembled and made == [1]
-
-
 def test_cones_take_all_rows():
     whole = Own(FEW, ConeRows({"p": ROWS}, np.zeros(6), (4, 2))).assembled
     assert isinstance(whole, ConeRows) and whole.sizes == (4, 2)

@@ -31,17 +31,6 @@ class Own(Term):
         return AffineRows({"p": sp.coo_array(np.eye(6, V))}, np.arange(6))
 
 
-def test_rows_are_made_once_and_kept_by_another_weight():
-    term = Own(SCENE, 2.0)
-    first = term.assembled
-    other = term.with_weight(5.0)
-    assert (term.weight, other.weight) == (2.0, 5.0)
-    assert other.assembled is first is term.assembled
-    assert term.made == [1]
-    assert isinstance(first.blocks["p"], sp.csr_array)
-    assert first.target.dtype == np.float64
-
-
 def test_before_they_are_made_nothing_is_kept():
     term = Own(SCENE)
     other = term.with_weight(3.0)

@@ -342,17 +342,6 @@ def test_it_finds_in_which_direction_a_drawn_field_varies(ratio):
     assert np.log(found.length_ratio) * np.log(ratio) > 0.5 * np.log(16.0)
 
 
-def test_noise_that_grows_with_the_force_is_not_taken_for_tissue():
-    scene = drawn(4)
-    rng = np.random.default_rng(4)
-    size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
-    own = np.repeat(0.3 * size, 3) * rng.standard_normal(scene.f.shape)
-    found = estimate_depth_map(with_wrenches(scene, scene.f + own))
-    assert found.noise == pytest.approx(
-        np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.35
-    )
-
-
 def test_a_trackers_error_is_not_taken_for_tissue():
     """Depths that are wrong by 0.5 mm for a second, which 20 frames share."""
     scene = drawn(3, 120)
@@ -373,16 +362,6 @@ def test_a_trackers_error_is_not_taken_for_tissue():
         )
     )
     assert exact.depth_error < 2e-4 < 3e-4 < moved.depth_error < 1e-3
-
-
-def test_errors_that_a_press_shares_are_not_taken_for_tissue():
-    """Alike over millimetres: the tissue would vary as fast, if frames were apart."""
-    scene = drawn(3, 120)
-    press = np.arange(120) // 8
-    rng = np.random.default_rng(5)
-    shared = np.repeat(1.0 + 0.05 * rng.standard_normal(15)[press], 3)
-    found = estimate_depth_map(with_wrenches(scene, scene.f * shared))
-    assert found.surface_length > 0.015
 
 
 def test_forces_that_pull_and_none_at_all_are_refused():

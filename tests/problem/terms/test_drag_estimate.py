@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -33,16 +31,6 @@ def test_a_scene_is_estimated_once():
     assert estimate_drag(scene.with_boundary(1.5, 1.5)) is not found
 
 
-def test_drag_of_another_coefficient_needs_no_other_rows():
-    scene = dragged_scene("points")
-    drag = estimate_drag(scene).drag
-    expected = tt.terms.GlobalCoulomb(scene, "points", coefficient=0.3)
-    found = drag.with_coefficient(0.3)
-    assert found.rows is drag.rows
-    difference = found.force_blocks()["p"] - expected.force_blocks()["p"]
-    assert not abs(difference).sum()
-
-
 def test_a_scale_that_is_off_is_told():
     scene = dragged_scene("contact")
     estimate = estimate_drag(scene.with_boundary(1.5, 1.5))
@@ -68,26 +56,6 @@ def test_drag_that_would_push_is_judged_without_it():
         assert estimate.friction_coefficient == 0.0
         assert estimate.boundary_scale == pytest.approx(scale)
         assert estimate.misfit == pytest.approx(np.sqrt(np.mean(rest**2)))
-
-
-def test_a_probe_at_rest_tells_nothing():
-    scene = dragged_scene("contact")
-    position = np.repeat(scene.trajectory.position[:1], len(scene.trajectory), axis=0)
-    rotation = np.repeat(scene.trajectory.rotation[:1], len(scene.trajectory), axis=0)
-    still = replace(scene.trajectory, position=position, rotation=rotation)
-    scene = tt.Scene.assemble(
-        scene.voxmap, scene.shell, still, inner=3.0, outer=3.0, sampling="trilinear"
-    )
-    assert estimate_drag(scene).friction_coefficient == 0.0
-
-
-def test_the_place_may_be_given():
-    scene = dragged_scene("contact")
-    given = estimate_drag(scene, "reference")
-    assert given.acts_at == "reference"
-    assert given.misfit > estimate_drag(scene, "contact").misfit
-    with pytest.raises(InputError, match="acts_at must be one of auto, contact, po"):
-        estimate_drag(scene, "handle")
 
 
 def test_viscous_drag_is_of_the_patch_only():

@@ -9,9 +9,8 @@ from scipy.sparse.linalg import spsolve
 from scipy.special import i0, k0
 
 import ttus_opt as tt
-from tests.kit import InputError, presses, refuses, small_scene, with_wrenches
+from tests.kit import InputError, presses, refuses, small_scene
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.terms.depth_map_estimate import least_squares_profile
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.problem.terms.laplace import (
     LENGTH,
@@ -82,7 +81,6 @@ def test_free_surface_lets_the_skin_push():
 
 
 PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
-WEIGHTS = {"force_weight": 2.0, "torque_weight": 0.5}
 
 
 @functools.cache
@@ -127,35 +125,6 @@ def test_the_answer_is_that_of_dense_normal_equations(solver):
     assert solution.status is tt.Status.SOLVED
     size = np.abs(expected).max()
     assert np.abs(solution.field.values.ravel() - expected).max() < 1e-5 * size
-
-
-def test_without_a_profile_it_is_eq10_with_zero_boundary_values():
-    nothing = DepthProfile((1.0,), (1e-12,))
-    found = tt.fit(place(), declared(nothing)).field.values
-    zero = place().with_boundary(0.0, 0.0)
-    expected = tt.fit(zero, "eq10", **WEIGHTS).field.values
-    assert np.abs(expected).max() > 0.1
-    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
-
-
-def test_without_measurements_the_field_is_the_profile():
-    term = LaplaceResidualTerm(place(), profile=PROFILE)
-    field = tt.fit(place(), tt.Formulation([term])).field.values
-    mean = profile_at_voxels(PROFILE)
-    assert np.abs(field.ravel() - mean).max() < 1e-6 * np.abs(mean).max()
-    surface = place().voxmap.on_surface
-    assert np.abs(field[surface]).max() < 1e-6
-    assert (field[0] > 1.0).all() and (field[-1] < 0.0).all()
-
-
-def test_a_profile_that_made_the_forces_is_found():
-    scene = place()
-    forces = scene.N @ PROFILE(np.maximum(voxel_depths(scene.voxmap), 0.0))
-    found = least_squares_profile(with_wrenches(scene, forces))
-    coefficients = dict(zip(found.exponents, found.coefficients, strict=True))
-    assert coefficients[1.0] == pytest.approx(0.8, rel=1e-6)
-    assert coefficients[2.0] == pytest.approx(0.3, rel=1e-6)
-    assert coefficients[1.5] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_boundary_scale_is_neither_listed_nor_tuned():
@@ -232,15 +201,6 @@ def test_screened_tube_converges_at_second_order():
     errors = [screened_error(n, 60.0) for n in (8, 16, 32)]
     assert np.abs(orders(errors) - 2.0).max() < 0.15
     assert errors[-1] < 1e-3
-
-
-def test_screening_makes_the_deep_flatter():
-    plain = SCENE.laplace.solve(SCENE.b)
-    rows = ScreenedTerm(SCENE, screening=30.0).rows()
-    screened = spsolve(rows.blocks["p"].tocsc(), rows.target)
-    inside = SCENE.voxmap.inside.reshape(-1) & SCENE.laplace.free
-    assert (screened[inside] < plain[inside]).all()
-    assert (screened[inside] > 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -327,14 +287,6 @@ def residual(term, q, m):
     rows = term.assembled
     r = rows.blocks["q"] @ q - rows.target
     return r + rows.blocks["m"] @ [m] if "m" in rows.blocks else r
-
-
-def test_a_share_of_the_laplace_field_costs_nothing():
-    field = np.linalg.solve(FEW.L.toarray(), FEW.b)
-    free, held = DragSmoothnessTerm(FEW), DragSmoothnessTerm(FEW, has_mean=False)
-    np.testing.assert_allclose(residual(free, 0.3 * field, 0.3), 0.0, atol=1e-9)
-    np.testing.assert_allclose(residual(held, 0.3 * field, 0.3), 0.3 * FEW.b, atol=1e-9)
-    np.testing.assert_allclose(residual(held, np.zeros(V), 0.0), 0.0)
 
 
 def test_its_rows_are_l_q_less_m_b():

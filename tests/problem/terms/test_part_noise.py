@@ -13,7 +13,6 @@ from ttus_opt.problem.terms.part_noise import (
     contact_directions,
     independent,
 )
-from ttus_opt.problem.terms.structure import Whitened, declared
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene("contact-size", n_poses=60)
@@ -53,19 +52,6 @@ def test_residuals_are_divided_part_by_part():
     found = (rows.blocks["p"] @ p - rows.target).reshape(-1, 3)
     expected_torque = noise.level * torque / np.sqrt(turned)[:, None]
     np.testing.assert_allclose(found, expected_torque)
-
-
-def test_equal_parts_are_the_plain_term():
-    noise = PartNoise.of(SCENE, np.full(T, 0.3), ZERO, ZERO)
-    assert noise.level == pytest.approx(0.3)
-    for term in (ForceTerm, TorqueTerm):
-        plain, same = term(SCENE).assembled, term(SCENE, noise=noise).assembled
-        assert abs(plain.blocks["p"] - same.blocks["p"]).max() < 1e-12
-        np.testing.assert_allclose(plain.target, same.target)
-        found = [declared(rows.tags, Whitened) for rows in (plain, same)]
-        assert found[1] is not None and (found[0] is None) == (term is ForceTerm)
-        if found[0] is not None:
-            assert abs(found[0].by - found[1].by).max() < 1e-12
 
 
 def covariance(time, recording):

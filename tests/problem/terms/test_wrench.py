@@ -10,24 +10,11 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.terms.structure import Whitened, declared
 from ttus_opt.problem.terms.wrench import (
     LENGTHS,
-    ForceTerm,
     RobustForceTerm,
     TorqueTerm,
 )
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=5)
-
-
-def test_its_cost_is_the_squared_misfit_of_rendered_forces():
-    rows = ForceTerm(SCENE).assembled
-    p = np.random.default_rng(0).normal(size=SCENE.n_voxels)
-    total = sum(
-        float(np.sum((SCENE.N[3 * t : 3 * t + 3] @ p - force) ** 2))
-        for t, force in enumerate(SCENE.trajectory.force)
-    )
-    r = rows.blocks["p"] @ p - rows.target
-    assert ForceTerm(SCENE).penalty.value(r) == pytest.approx(total)
-    assert ForceTerm.measures
 
 
 def test_rows_are_over_the_probe_s_root_mean_square_radius():
@@ -43,16 +30,6 @@ def test_rows_are_over_the_probe_s_root_mean_square_radius():
     np.testing.assert_allclose(
         literal.blocks["p"] @ p - literal.target, SCENE.W @ p - SCENE.tau
     )
-
-
-def test_the_length_is_a_weight():
-    """Half the length is four times the weight."""
-    p = np.random.default_rng(1).normal(size=SCENE.n_voxels)
-    costs = []
-    for length in (0.01, 0.02):
-        rows = TorqueTerm(SCENE, length=length).assembled
-        costs.append(float(np.sum((rows.blocks["p"] @ p - rows.target) ** 2)))
-    assert costs[0] == pytest.approx(4.0 * costs[1])
 
 
 def test_without_torques_there_are_no_rows():

@@ -166,15 +166,6 @@ def test_an_upper_limit_of_what_does_not_cancel(tiny):
         assert contradicts(one, given) == proven
 
 
-def test_a_ray_that_only_a_row_above_stops():
-    """y may fall only while x rises, and x has an upper limit."""
-    down = term([[0, 1]], [0], 1.0, Linear(), name="downhill")
-    tied = rows("tied", [[-1, -1], [1, 0]], [-INF, -INF], [0.0, 3.0])
-    held = program([down], [tied], [bounds("free", [-INF, -INF], [INF, INF])])
-    assert falling_ray(held) is None  # −x ≤ y and x ≤ 3: y ≥ −3
-    assert not decreases_forever(held, np.array([1.0, -1.0]))
-
-
 @pytest.mark.parametrize("limit", ["row", "bound"])
 def test_a_ray_is_sought_within_upper_limits(limit):
     """−x − y falls along y alone where x has an upper limit."""

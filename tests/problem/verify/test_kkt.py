@@ -13,7 +13,7 @@ from ttus_opt.problem.members import (
     ProgramTerm,
 )
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Linear
+from ttus_opt.problem.terms.penalties import Absolute, Linear
 from ttus_opt.problem.verify.distance import CLOSE
 from ttus_opt.problem.verify.kkt import Duals, _held, bound_duals, kkt_residuals
 from ttus_opt.problem.verify.relative_residuals import _least_gradient
@@ -67,15 +67,6 @@ def test_lower_rows_and_equalities(target, row, low, high, x, y):
     assert_optimal(kkt_residuals(problem, np.array(x), duals))
 
 
-def test_bounds_have_multipliers_of_their_own():
-    """min (x-2)² + (y+2)² + z², x ≤ 1, y ≥ -1, z free: duals 2, -2, 0."""
-    box = ProgramBounds("box", np.array([-9, -1.0, -9]), np.array([1.0, 9, 9]))
-    problem = program(3, [squares([2, -2, 0])], (), (box,))
-    x, z = np.array([1.0, -1.0, 0.0]), np.array([2.0, -2.0, 0.0])
-    assert_optimal(kkt_residuals(problem, x, Duals({}, z)))
-    assert kkt_residuals(problem, x, Duals()).dual == pytest.approx(np.sqrt(8))
-
-
 def test_a_multiplier_of_an_absent_limit_is_an_error():
     problem = program(1, [squares([0])], (rows("high", [[1.0]], -np.inf, 5.0),))
     kkt = kkt_residuals(problem, np.zeros(1), Duals({"high": np.array([-1.0])}))
@@ -105,28 +96,6 @@ def test_absolute_penalty_has_a_multiplier_within_one():
         program(1, [squares([0.3]), terms[1]]), np.zeros(1), Duals()
     )
     assert missing.dual == pytest.approx(0.6)
-
-
-def test_huber_penalty_needs_no_multiplier():
-    """min huber(x - 4; 1) + x²: slope 2 beyond the limit, so x = 1."""
-    eye = sp.csr_array(sp.eye_array(1))
-    bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Huber(1.0))
-    problem = program(1, [squares([0]), bent])
-    assert problem.objective(np.ones(1)) == pytest.approx(1.0 + 2 * 3 - 1)
-    assert_optimal(kkt_residuals(problem, np.ones(1), Duals()))
-    assert kkt_residuals(problem, np.full(1, 1.1), Duals()).dual_relative > 0.01
-
-
-def test_group_norm_shrinks_a_group_by_its_length():
-    """min ‖x - (3, 4)‖² + 2‖x‖: shrinks the length 5 by 1; near zero to zero."""
-    eye = sp.csr_array(sp.eye_array(2))
-    length = ProgramTerm("length", 2.0, eye, np.zeros(2), Groups(2))
-    x = 0.8 * np.array([3.0, 4.0])
-    problem = program(2, [squares([3, 4]), length])
-    assert_optimal(kkt_residuals(problem, x, Duals(terms={"length": x / 4.0})))
-    near = program(2, [squares([0.3, 0.4]), length])
-    duals = Duals(terms={"length": np.array([0.3, 0.4])})
-    assert_optimal(kkt_residuals(near, np.zeros(2), duals))
 
 
 def test_bound_duals_go_to_the_bound_that_holds():
