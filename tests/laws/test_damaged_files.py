@@ -18,6 +18,7 @@ from tests.sensors.test_depth_bag import recorded
 from tests.sensors.test_depth_files import whole
 from tests.sensors.test_hand_eye import pairs
 from tests.sensors.test_plus_sequence import sequence
+from tests.sensors.test_ros_bag import recordings
 from tests.sensors.test_stitching import poses_file
 from tests.sensors.test_stream_formats import SAMPLES
 from tests.sensors.test_streams import table
@@ -102,6 +103,7 @@ READERS = {
         read_depth,
     ),
     "depth of a recording": ({"scan.bag": recorded}, read_depth),
+    "wrenches of a recording": (recordings, read_wrenches),
     "photo": (
         {f"a.{suffix}": photo() for suffix in ("png", "jpg", "tiff")},
         read_image,

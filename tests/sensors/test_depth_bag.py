@@ -1,12 +1,13 @@
 """A recording as RealSense's SDK writes it: depth images, intrinsics, depth units."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from tests.kit import FileError, InputError, refuses
+from tests.sensors.bags import Bag
 from ttus_opt.sensors.depth import read_depth_image
 from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.intrinsics import read_intrinsics
@@ -45,60 +46,30 @@ SMALL = Camera()
 
 
 def recorded(file, *, encoding="mono16", unit=True, camera=SMALL, aligned=False):
-    from rosbags import rosbag1
-    from rosbags.typesys import Stores, get_typestore
-
-    store: Any = get_typestore(Stores.ROS1_NOETIC)
-    T = store.types
-
-    def header(i):
-        stamp = T["builtin_interfaces/msg/Time"](sec=1, nanosec=i)
-        return T["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="0")
-
-    image, info = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-    number = "std_msgs/msg/Float32"
-    topics = {
-        f"{SENSOR}/Depth_0/image/data": image,
-        f"{SENSOR}/Depth_0/info/camera_info": info,
-        f"{SENSOR}/option/Depth Units/value": number,
+    streams = {
+        (f"{SENSOR}/Depth_0/image/data", f"{SENSOR}/Depth_0/info/camera_info"): 1
     }
     if aligned:
-        topics |= {f"{ALIGNED}/image_raw": image, f"{ALIGNED}/camera_info": info}
-    with rosbag1.Writer(file) as writer:
-        open_ = {
-            t: writer.add_connection(t, k, typestore=store) for t, k in topics.items()
-        }
-
-        def write(topic, time, message):
-            kind = topics[topic]
-            writer.write(open_[topic], time, store.serialize_ros1(message, kind))
-
-        roi = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        height, width = camera.images[0].shape
-        told = T[info](
-            *(header(0), height, width, "Brown Conrady", np.zeros(5)),
-            *(np.array(camera.K), np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
-        )
-        write(f"{SENSOR}/Depth_0/info/camera_info", 0, told)
+        streams[f"{ALIGNED}/image_raw", f"{ALIGNED}/camera_info"] = 2
+    with Bag(file) as bag:
         if unit:
-            write(f"{SENSOR}/option/Depth Units/value", 0, T[number](camera.unit))
-        for i, whole in enumerate(camera.images):
-            pixels = whole.view(np.uint8).ravel()
-            size = height, width, encoding, 0, 2 * width
-            sent = T[image](header(i), *size, pixels)
-            write(f"{SENSOR}/Depth_0/image/data", FRAME * i, sent)
-            if aligned:
-                half = np.ascontiguousarray(whole[::2, ::2])
-                size = height // 2, width // 2, encoding, 0, width
-                sent = T[image](header(i), *size, half.view(np.uint8).ravel())
-                write(f"{ALIGNED}/image_raw", FRAME * i, sent)
-        if aligned:
-            small = np.array(camera.K) / [2, 1, 2, 1, 2, 2, 1, 1, 1]
-            told = T[info](
-                *(header(0), height // 2, width // 2, "Brown Conrady", np.zeros(5)),
-                *(small, np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
+            told = bag.Float32(camera.unit)
+            bag.write(f"{SENSOR}/option/Depth Units/value", 0, told)
+        for (data, info), part in streams.items():
+            height, width = (n // part for n in camera.images[0].shape)
+            matrix = np.array(camera.K) / [part, 1, part, 1, part, part, 1, 1, 1]
+            roi = bag.RegionOfInterest(0, 0, 0, 0, False)
+            told = bag.CameraInfo(
+                *(bag.header(0, "0"), height, width, "Brown Conrady", np.zeros(5)),
+                *(matrix, np.eye(3).ravel(), np.zeros(12), 0, 0, roi),
             )
-            write(f"{ALIGNED}/camera_info", 0, told)
+            bag.write(info, 0, told)
+            for i, whole in enumerate(camera.images):
+                pixels = np.ascontiguousarray(whole[::part, ::part])
+                size = height, width, encoding, 0, 2 * width
+                header = bag.header(10**9 + i, "0")
+                sent = bag.Image(header, *size, pixels.view(np.uint8).ravel())
+                bag.write(data, FRAME * i, sent)
     return file
 
 

@@ -1,14 +1,13 @@
 """Recordings of ROS 1, ROS 2 and MCAP, written here and read again."""
 
-import shutil
 import sys
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hostile import mutated
-from tests.kit import FileError, MissingPackageError, TtusError, TtusWarning, refuses
+from tests.kit import FileError, MissingPackageError, TtusWarning, refuses
+from tests.sensors.bags import Bag
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.sensors.stream_files import raw_recordings, read_poses, read_wrenches
 
@@ -23,55 +22,29 @@ def turn(i):
 
 def recorded(folder, kind, twice=False):
     """Ten poses, transforms and wrenches, 20 Hz."""
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    ros1 = kind == "ros1"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    T = {
-        name.split("/")[-1]: known
-        for name, known in store.types.items()
-        if name.startswith(("geometry_msgs", "builtin", "std_msgs/msg/Header"))
-    }
-    if ros1:
-        path = folder / "r.bag"
-        writer = rosbag1.Writer(path)
-    else:
-        path = folder / kind
-        plugin = rosbag2.StoragePlugin[kind.upper()]
-        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
-
-    def header(i):
-        stamp = T["Time"](sec=1_700_000_000, nanosec=50_000_000 * i)
-        more = {"seq": i} if ros1 else {}
-        return T["Header"](stamp=stamp, frame_id="base", **more)
-
-    def messages(i):
-        x, y, z, w = turn(i).as_quat()
-        q = T["Quaternion"](x=x, y=y, z=z, w=w)
-        v = T["Vector3"](x=0.1 * i, y=2.0, z=3.0)
-        pose = T["Pose"](position=T["Point"](x=0.1 * i, y=2.0, z=3.0), orientation=q)
-        return {
-            "PoseStamped": T["PoseStamped"](header(i), pose),
-            "TransformStamped": T["TransformStamped"](
-                header(i), "probe", T["Transform"](v, q)
-            ),
-            "WrenchStamped": T["WrenchStamped"](header(i), T["Wrench"](v, v)),
-        }
-
-    with writer:
-        open_ = {
-            name: writer.add_connection(
-                f"/{name.lower()}", f"geometry_msgs/msg/{name}", typestore=store
-            )
-            for name in messages(0)
-        }
+    path = folder / ("r.bag" if kind == "ros1" else kind)
+    with Bag(path, kind) as bag:
         for i in [*range(10), *([4] if twice else [])]:
-            for name, message in messages(i).items():
-                encode = store.serialize_ros1 if ros1 else store.serialize_cdr
-                raw = encode(message, f"geometry_msgs/msg/{name}")
-                writer.write(open_[name], 50_000_000 * i, raw)
+            late = 50_000_000 * i
+            header = bag.header(1_700_000_000 * 10**9 + late)
+            place, q = (0.1 * i, 2.0, 3.0), bag.Quaternion(*turn(i).as_quat())
+            v, pose = bag.Vector3(*place), bag.Pose(bag.Point(*place), q)
+            moved = bag.TransformStamped(header, "probe", bag.Transform(v, q))
+            bag.write("/posestamped", late, bag.PoseStamped(header, pose))
+            bag.write("/transformstamped", late, moved)
+            wrench = bag.WrenchStamped(header, bag.Wrench(v, v))
+            bag.write("/wrenchstamped", late, wrench)
     return path
+
+
+def recordings(folder):
+    """The file of each kind, which is read without what lies beside it, too."""
+    bags = [recorded(folder, kind) for kind in KINDS]
+    files = (
+        bag if bag.is_file() else [*bag.glob("*.db3"), *bag.glob("*.mcap")][0]
+        for bag in bags
+    )
+    return [*files]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -118,34 +91,6 @@ def test_without_rosbags_the_extra_is_named(tmp_path, monkeypatch):
     refuses(MissingPackageError, r"ttus-opt\[sensors\]", read_poses, tmp_path / "r.bag")
 
 
-@pytest.mark.parametrize(
-    "n",
-    [
-        20,
-        pytest.param(200, marks=pytest.mark.slow),
-        pytest.param(3000, marks=[pytest.mark.slow, pytest.mark.long]),
-    ],
-)
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.filterwarnings("ignore::ttus_opt.core.errors.TtusWarning")
-def test_mutations(tmp_path, kind, n):
-    bag = recorded(tmp_path, kind)
-    suffix = {"sqlite3": "*.db3", "mcap": "*.mcap"}.get(kind)
-    sound = bag if suffix is None else next(iter(bag.glob(suffix)))
-    content, rng = sound.read_bytes(), np.random.default_rng(7)
-    for number in range(n):
-        sound.write_bytes(mutated(content, rng))
-        try:
-            read_wrenches(bag)
-        except TtusError as error:
-            assert "\n" not in str(error)
-        except BaseException as error:
-            raise AssertionError(f"mutation {number} of {kind}") from error
-        # sqlite leaves files of its own beside a damaged one
-        for beside in sound.parent.glob(f"{sound.name}-*"):
-            shutil.rmtree(beside, ignore_errors=True)
-
-
 TIME = 1.7e9 + 0.05 * np.arange(20)
 FIXED = homogeneous(Rotation.from_rotvec([0.2, 0, 1]).as_matrix(), [0.0, 0.0, 0.1])
 BACK = homogeneous(Rotation.from_rotvec([0, 0.4, 0]).as_matrix(), [1.0, 0.0, 0.0])
@@ -161,70 +106,34 @@ def arm(t):
 
 def recorded_frames(folder, kind):
     """base → arm → probe (static), and base → camera (moving at half the rate)."""
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    path = folder / ("r.bag" if kind == "ros1" else kind)
+    with Bag(path, kind) as bag:
 
-    ros1 = kind == "ros1"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if ros1:
-        fields = "geometry_msgs/TransformStamped[] transforms"
-        store.register(get_types_from_msg(fields, "tf2_msgs/msg/TFMessage"))
-    rooms = ("geometry_msgs", "builtin", "std_msgs/msg/Header", "nav_", "tf2_")
-    T = {
-        name.split("/")[-1]: known
-        for name, known in store.types.items()
-        if name.startswith(rooms)
-    }
-    if ros1:
-        path = folder / "r.bag"
-        writer = rosbag1.Writer(path)
-    else:
-        path = folder / kind
-        writer = rosbag2.Writer(path, version=9)
+        def parts(motion):
+            turned = Rotation.from_matrix(motion[:3, :3]).as_quat()
+            return motion[:3, 3].tolist(), bag.Quaternion(*turned)
 
-    def header(t, frame):
-        stamp = T["Time"](sec=int(t), nanosec=round(1e9 * (t - int(t))))
-        return T["Header"](stamp=stamp, frame_id=frame, **({"seq": 0} if ros1 else {}))
+        def transform(time, parent, child, motion):
+            place, q = parts(motion)
+            moved = bag.Transform(bag.Vector3(*place), q)
+            return bag.TransformStamped(bag.header(time, parent), child, moved)
 
-    def parts(motion):
-        x, y, z, w = Rotation.from_matrix(motion[:3, :3]).as_quat()
-        place = dict(zip("xyz", motion[:3, 3].tolist(), strict=True))
-        return place, T["Quaternion"](x=x, y=y, z=z, w=w)
-
-    def transform(t, parent, child, motion):
-        place, turn = parts(motion)
-        moved = T["Transform"](T["Vector3"](**place), turn)
-        return T["TransformStamped"](header(t, parent), child, moved)
-
-    tree, odometry = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
-    with writer:
-        open_ = {
-            topic: writer.add_connection(topic, kind_, typestore=store)
-            for topic, kind_ in (
-                ("/tf", tree),
-                ("/tf_static", tree),
-                ("/odom", odometry),
-            )
-        }
-
-        def write(topic, t, message, kind_):
-            encode = store.serialize_ros1 if ros1 else store.serialize_cdr
-            writer.write(open_[topic], round(1e9 * t), encode(message, kind_))
-
-        static = T["TFMessage"]([transform(TIME[0], "arm", "probe", FIXED)])
-        write("/tf_static", TIME[0], static, tree)
+        zero = bag.Vector3(0.0, 0.0, 0.0)
+        still = bag.TwistWithCovariance(bag.Twist(zero, zero), np.zeros(36))
+        begin = round(1e9 * TIME[0])
+        static = bag.TFMessage([transform(begin, "arm", "probe", FIXED)])
+        bag.write("/tf_static", begin, static)
         for i, t in enumerate(TIME):
-            sent = [transform(t, "base", "arm", arm(t))]
+            time = round(1e9 * t)
+            sent = [transform(time, "base", "arm", arm(t))]
             if i % 2 == 0:
-                sent.append(transform(t, "base", "camera", BACK))
-            write("/tf", t, T["TFMessage"](sent), tree)
-            place, turn = parts(arm(t))
-            zero = T["Vector3"](0.0, 0.0, 0.0)
-            pose = T["Pose"](T["Point"](**place), turn)
-            still = T["TwistWithCovariance"](T["Twist"](zero, zero), np.zeros(36))
-            around = T["PoseWithCovariance"](pose, np.zeros(36))
-            odom = T["Odometry"](header(t, "base"), "arm", around, still)
-            write("/odom", t, odom, odometry)
+                sent.append(transform(time, "base", "camera", BACK))
+            bag.write("/tf", time, bag.TFMessage(sent))
+            place, q = parts(arm(t))
+            pose = bag.Pose(bag.Point(*place), q)
+            around = bag.PoseWithCovariance(pose, np.zeros(36))
+            odometry = bag.Odometry(bag.header(time), "arm", around, still)
+            bag.write("/odom", time, odometry)
     return path
 
 
