@@ -27,6 +27,20 @@ def test_the_profile_costs_nothing_and_grows_inwards():
     assert (one.mean > 0.0).sum() == (voxel_depths(one.scene.voxmap) > 0.0).sum()
 
 
+def test_a_field_with_twice_the_deviation_costs_four_times_as_much():
+    one = term()
+    rows = one.assembled
+    g = np.random.default_rng(1).normal(size=len(one.mean))
+    costs = [
+        float(np.sum((rows.blocks["p"] @ (one.mean * (1 + s * g)) - rows.target) ** 2))
+        for s in (1.0, 2.0)
+    ]
+    assert costs[1] == pytest.approx(4.0 * costs[0])
+    wider = term(deviation=0.8).assembled
+    cost = np.sum((wider.blocks["p"] @ (one.mean * (1 + g)) - wider.target) ** 2)
+    assert cost == pytest.approx(costs[0] / 4.0)
+
+
 def test_the_mean_drifts_by_its_scale_and_its_exponents():
     """By differences: the prior of an exponent is one of its logarithm."""
     one, h = term(), 1e-5
