@@ -10,14 +10,13 @@ from tests.solvers.dual.test_field_pair import coulomb
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.constraints.signs import Sign
-from ttus_opt.solvers.dual import active_set, options
+from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField, Subproblem
-from ttus_opt.solvers.dual.working_set import WorkingSet
 
 SCENE = contested(0)
 PROGRAM = eq10(SCENE, 1.0).with_constraints(Sign(SCENE)).compile()
@@ -30,22 +29,6 @@ def iteration(accuracy, tolerance=1e-6):
     return ActiveSetIteration(problem, None, tolerance, accuracy)
 
 
-def test_the_empty_set_violates_limits_and_pivots_mend_them():
-    at = iteration(Accuracy(1e-8))
-    assert at.sets == 0 and at.active.count == 0 and not at.over
-    found = at.solve(at.active, 1e-8)
-    assert at.sets == 1 and found.count > 0 and not at.settled
-    lower = np.where(LIMITS.given, -np.inf, LIMITS.lower)
-    assert ((at.p - lower)[found.side < 0] < 0.0).any()
-    following = found.pivoted(at.limits, at.active)
-    after = at.solve(following, 1e-8)
-    held = following.bounds < 0
-    assert held.any()
-    np.testing.assert_allclose(at.p[held], at.limits.lower[held], atol=1e-12)
-    assert after.worst < found.worst
-    assert (at.multipliers.bounds[held] <= 0.0).all()
-
-
 def test_it_is_over_when_time_or_working_sets_are(monkeypatch):
     late = iteration(Accuracy(1e-8, deadline=time.perf_counter() - 1.0))
     late.solve(late.active, 1e-3)
@@ -54,17 +37,6 @@ def test_it_is_over_when_time_or_working_sets_are(monkeypatch):
     once = iteration(Accuracy(1e-8))
     once.solve(once.active, 1e-3)
     assert once.over and not once.settled
-
-
-def test_no_violation_at_the_last_accuracy_settles_it():
-    wide = replace(LIMITS, lower=np.full(len(LIMITS.lower), -np.inf))
-    wide = replace(wide, upper=np.full(len(wide.upper), np.inf))
-    at = iteration(Accuracy(1e-8))
-    at.limits = wide
-    assert at.solve(WorkingSet.empty(len(wide.lower)), 1e-3).count == 0
-    assert not at.settled  # solved less exactly than it is to be
-    at.solve(at.active, 1e-8)
-    assert at.settled and at.over
 
 
 def test_violations_that_may_remain_settle_it_after_some_working_sets():
@@ -76,19 +48,6 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets():
         assert at.solve(at.active, 1e-8).count > 0
         settled.append(at.settled)
     assert settled == [False, False, True, True]
-
-
-def test_what_may_remain_is_a_part_of_the_tolerance(monkeypatch):
-    """A tenth, and of one field all of it."""
-    monkeypatch.setattr(active_set, "ACCEPTABLE_SETS", 0)
-    first = iteration(Accuracy(1e-8))
-    worst = first.solve(first.active, 1e-8).worst
-    settled = []
-    for tolerance in (9.9 * worst, 10.1 * worst):
-        at = iteration(Accuracy(1e-8), tolerance=tolerance)
-        at.solve(at.active, 1e-8)
-        settled.append(at.settled)
-    assert settled == [False, True]
 
 
 def test_a_model_is_asked_where_bounds_alone_are_violated(monkeypatch):

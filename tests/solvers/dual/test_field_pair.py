@@ -187,15 +187,6 @@ def test_the_unknown_beside_has_a_multiplier_at_its_limits_alone(slope, monkeypa
     assert found == pytest.approx(expected, abs=1e-9)
 
 
-def test_nothing_contested_is_what_was_put_in():
-    scene = contested(0, noise=0.0)
-    candidate = solved(coulomb(scene, 1.0).compile())
-    p = scene.laplace.solve(scene.b)
-    expected = np.concatenate([p, 0.3 * p, [0.3]])
-    np.testing.assert_allclose(candidate.x, expected, atol=1e-8)
-    assert not np.any(candidate.duals.rows["drag_limit"])
-
-
 def test_it_takes_a_share_of_nothing():
     scene = contested(1, noise=0.0, shape=(6, 12, 6)).with_boundary(0.0, 0.0)
     silent = with_wrenches(scene, 0.0 * scene.f, 0.0 * scene.tau)

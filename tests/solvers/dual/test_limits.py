@@ -13,7 +13,6 @@ from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits, two_entries
 
 INF = np.inf
@@ -46,33 +45,6 @@ def test_nothing_given_is_nothing_limited(small):
     assert not duals.rows
 
 
-def test_sign_is_bounds_inside_and_outside(small):
-    limits = read(small, Sign(small))
-    region = small.voxmap.region.reshape(-1)
-    np.testing.assert_array_equal(limits.lower, np.where(region == 1, 0.0, -INF))
-    np.testing.assert_array_equal(limits.upper, np.where(region == -1, 0.0, INF))
-    assert limits.binding
-    assert np.isneginf(limits.least).all()
-
-
-def test_growth_is_read_voxel_by_voxel(small):
-    slope = 7.0
-    limits = read(small, Monotone(small, slope))
-    region, fixed = small.voxmap.region, small.voxmap.dirichlet
-    grid = small.voxmap.grid
-    for i, j, k in np.ndindex(region.shape):
-        linked = i + 1 < region.shape[0] and region[i, j, k] == 1
-        linked = linked and region[i + 1, j, k] >= 0
-        linked = linked and not (fixed[i, j, k] and fixed[i + 1, j, k])
-        v = np.ravel_multi_index((i, j, k), region.shape)
-        step = grid.r_step
-        if linked and region[i + 1, j, k] == 0:  # as far as the surface
-            radius = small.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
-            step = float(radius) - grid.r[i]
-        least = pytest.approx(slope * step) if linked else -INF
-        assert limits.least[v] == least
-
-
 def test_hard_boundary_gives_values(small):
     limits = read(small, HardBoundary(small))
     fixed = ~small.laplace.free
@@ -81,14 +53,6 @@ def test_hard_boundary_gives_values(small):
     np.testing.assert_array_equal(limits.upper[fixed], small.b[fixed])
     assert not limits.binding
     assert read(small, HardBoundary(small), Sign(small)).binding
-
-
-def test_limits_are_the_same_in_any_order(small):
-    members = HardBoundary(small), Monotone(small, 3.0), Sign(small)
-    first, last = read(small, *members), read(small, *reversed(members))
-    assert np.isfinite(first.least).any()
-    for name in ("lower", "upper", "given", "least"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(last, name))
 
 
 def test_several_bounds_and_links_leave_the_tightest(small):
@@ -264,16 +228,6 @@ def test_each_kind_of_limit_binds():
     assert not replace(limits, lower=one, upper=np.abs(one), given=given).binding
 
 
-def test_contradiction_leaves_the_limits_alone():
-    limits = random_limits(1)
-    before = limits.lower.copy(), limits.upper.copy(), limits.least.copy()
-    limits.contradiction()
-    for kept, now in zip(
-        before, (limits.lower, limits.upper, limits.least), strict=True
-    ):
-        np.testing.assert_array_equal(kept, now)
-
-
 def test_duals_have_names_signs_and_balance_the_gradient(small):
     """Any multipliers, put back through the rows, is what was handed in."""
     declared = load("eq10", small).with_constraints(
@@ -315,23 +269,6 @@ def test_a_given_value_outside_its_bound_is_a_contradiction(small):
     scene = small.with_boundary(-1.0, 1.0)
     limits = read(scene, Sign(scene), HardBoundary(scene))
     assert limits.contradiction() == pytest.approx(1.0)
-
-
-def test_the_sweeps_answer_is_a_field_that_holds(small):
-    """Without a contradiction there is a field; its primal residual is zero."""
-    declared = load("eq10", small).with_constraints(Sign(small), Monotone(small, 3.0))
-    limits = read(small, Sign(small), Monotone(small, 3.0))
-    assert limits.contradiction() == 0.0
-    p = np.where(np.isfinite(limits.lower), limits.lower, 0.0).reshape(limits.shape)
-    p = np.minimum(p, limits.upper.reshape(limits.shape))
-    least = np.where(np.isfinite(limits.least), limits.least, 0.0)
-    for i in range(len(p) - 2, -1, -1):
-        linked = np.isfinite(limits.least).reshape(limits.shape)[i]
-        raised = np.maximum(p[i], p[i + 1] + least.reshape(limits.shape)[i])
-        p[i] = np.where(linked, raised, p[i])
-    loaded = declared.compile()
-    duals = limits.duals(Multipliers(*np.zeros((2, p.size))))
-    assert kkt_residuals(loaded, p.reshape(-1), duals).primal <= 1e-15
 
 
 def least_value(limits, v, sign):

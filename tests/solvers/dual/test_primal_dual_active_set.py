@@ -212,36 +212,12 @@ def test_bounds_that_hold_everywhere():
     check(hard, int(free.sum()))
 
 
-def test_bounds_out_of_reach_push_the_whole_field():
-    """All of the field far above what measurements and boundary ask for."""
-    scene = contested()
-    lower = np.where(inside(scene), 50.0, -INF)
-    within = Within(scene, lower, np.full(scene.n_voxels, INF))
-    check(eq10(scene, 1.0, within), least_active=20)
-
-
 def test_no_field_and_no_force_is_no_field():
     scene = contested().with_boundary(0.0, 0.0)
     scene = with_wrenches(scene, 0.0 * scene.f, 0.0 * scene.tau)
     candidate = solved(eq10(scene, 1.0, Sign(scene), Monotone(scene)).compile())
     assert candidate.claim is Claim.DONE
     assert not candidate.x.any()
-
-
-def test_nothing_active_is_the_unconstrained_field():
-    scene = contested(noise=0.0)
-    free = solved(eq10(scene, 1e-3).compile())
-    far = np.full(scene.n_voxels, 100.0)
-    limited = eq10(scene, 1e-3, Within(scene, -far, far), HardBoundary(scene))
-    hard = solved(eq10(scene, 1e-3, HardBoundary(scene)).compile())
-    for declared, expected in (
-        (eq10(scene, 1e-3, Within(scene, -far, far)), free),
-        (limited, hard),
-    ):
-        candidate = solved(declared.compile())
-        apart = np.linalg.norm(candidate.x - expected.x)
-        assert apart <= 1e-8 * np.linalg.norm(expected.x)
-        assert not candidate.duals.bounds.any()
 
 
 SURFACES = {
@@ -400,15 +376,6 @@ def test_other_values_weights_and_slopes_agree_with_a_fresh_solve():
     updated(first, limited(scene, slope=0.0))
     updated(first, limited(scene.with_boundary(1.0, 2.0)))
     updated(first, limited(contested(0, n_poses=14)))
-
-
-def test_an_update_after_too_little_time_agrees_with_a_fresh_solve():
-    program = limited(contested(0)).compile()
-    prepared = STRUCTURED.prepare(program, Request(1e-8, 1e-6))
-    assert prepared.solve().claim is Claim.TIME_LIMIT
-    prepared._request = Request(1e-8)
-    again, fresh = prepared.solve(), solved(program, 1e-8)
-    assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
 
 
 def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with():
