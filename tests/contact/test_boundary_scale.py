@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.kit import InputError, MistakeWarning, TtusWarning, ellipsoid, presses, torso
+from tests.kit import (
+    InputError,
+    MistakeWarning,
+    TtusWarning,
+    ellipsoid,
+    presses,
+    refuses,
+    torso,
+)
 from ttus_opt.contact.boundary_scale import _report_scale
+from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
 
 SURFACE = torso()
 VOXMAP = tt.Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
@@ -99,5 +108,19 @@ def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for():
     pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
     with pytest.warns(MistakeWarning, match="push into the patient"):
         scene = tt.Scene.assemble(VOXMAP, SHELL, pulled)
+        again = scene.resampled("voxel-mean")
+    for one in (scene, again):
+        assert one.inner == 1.0
+        assert "push into" in one.not_identified["boundary_scale"]
+
+
+def test_presses_too_light_for_any_voxel_leave_the_scale_at_one():
+    """Points in contact that pass no inner face of the surface layer sample nothing."""
+    skin = SURFACE.radius_at(np.zeros(1), np.full(1, 0.1))[0]
+    at = np.full((12, 3), [skin + 0.019, 0.0, 0.1])
+    light = replace(TRAJECTORY, position=at, rotation=np.tile(np.eye(3), (12, 1, 1)))
+    scene = tt.Scene.assemble(VOXMAP, SHELL, light, sampling="voxel-mean")
+    assert scene.touching.all()
+    assert not scene.N.nnz
     assert scene.inner == 1.0
-    assert "push into" in scene.not_identified["boundary_scale"]
+    refuses(InputError, "too lightly", estimate_depth_map, scene)

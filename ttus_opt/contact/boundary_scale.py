@@ -92,8 +92,8 @@ def _boundary_scale(
     if square == 0.0:
         raise InputError(
             'inner="fit" needs measured forces in contact, but the probe never '
-            "touches the patient: check the recordings' frame and unit, or give "
-            "inner as a number"
+            "touches the patient, or too lightly for the sampling on this grid: check "
+            "the recordings' frame and unit, or give inner as a number"
         )
     scale = float(unit @ force) / square
     rows = np.repeat(place, 3)

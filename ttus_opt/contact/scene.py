@@ -145,7 +145,7 @@ class Scene:
         warn_cut_off(cut_off(voxmap, shell, *poses))
         asked, ratio = inner is not None, outer
         if inner is None:
-            inner = "fit" if rows.touching.any() and trajectory.has_wrench else 1.0
+            inner = "fit" if rows.N.nnz and trajectory.has_wrench else 1.0
         values = (1.0, 1.0) if isinstance(inner, str) else (float(inner), float(outer))
         b = laplace.right_side(*values)
         scene = cls(voxmap, shell, trajectory, sampling, laplace, rows, *values, b)
@@ -226,7 +226,7 @@ class Scene:
                 known["point_drag"] = self.point_drag.scaled(factor)
         scene = replace(scene, rows=rows)
         if BOUNDARY_SCALE in self.parameters:
-            scene = scene._with_fitted_boundary(self.outer / self.inner, True)
+            scene = scene._with_fitted_boundary(self.outer / self.inner, False)
         vars(scene).update(known)
         return scene
 

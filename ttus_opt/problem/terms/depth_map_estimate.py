@@ -270,11 +270,11 @@ def _frames(scene: Scene, force: Array) -> IntArray:
     """
     size = np.linalg.norm(force.reshape(-1, 3), axis=1)
     frames = np.flatnonzero(scene.touching)
-    if not len(frames):
+    if not scene.N.nnz:  # light presses reach no voxel of voxel-mean
         raise UnusableForcesError(
             "a depth profile needs forces measured in contact, but the probe never "
-            "touches the patient: check the trajectory's frame, or fit "
-            "laplace_only"
+            f"touches the patient, or too lightly for {scene.sampling} on this grid: "
+            "check the trajectory's frame, or fit laplace_only"
         )
     if size[frames].max() <= LEAST_FORCE:
         raise UnusableForcesError(
