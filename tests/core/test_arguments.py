@@ -7,7 +7,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.kit import InputError, dragged_scene, refuses
-from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arguments import numbers
 
 
 def mixed_up():
@@ -66,4 +66,8 @@ def test_what_was_mixed_up_is_named():
 
 @pytest.mark.parametrize("kind", ["f8", "f4", ">f8", "i4", "u1", "?"])
 def test_numbers_of_any_size_are_numbers(kind):
-    expect_numbers(np.ones(3, dtype=kind), "values")
+    taken = numbers(np.ones((4, 3), dtype=kind)[::2], "values")
+    assert taken.dtype == np.float64
+    assert taken.flags.c_contiguous
+    assert taken.sum() == 6.0
+    assert numbers(taken, "values") is taken

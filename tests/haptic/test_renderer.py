@@ -36,6 +36,22 @@ def test_render_is_the_row_of_the_fit(scene):
     assert touched > 5
 
 
+@pytest.mark.parametrize("kind", ["f4", ">f8"])
+def test_shells_and_surfaces_of_other_numbers_render_alike(kind):
+    """A frame reads addresses: single precision was read as double, and gave 0 N."""
+    scene = small_scene("trilinear")
+    k = int(scene.rows.contact_points.argmax())
+    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    shell = replace(scene.shell, points=scene.shell.points.astype(kind))
+    surface = scene.voxmap.surface
+    surface = replace(surface, radius=surface.radius.astype(kind))
+    voxmap = replace(scene.voxmap, surface=surface)
+    field = replace(random_field(scene), voxmap=voxmap)
+    expected = tt.Renderer(random_field(scene), scene.shell).render(*pose).force
+    found = tt.Renderer(field, shell).render(*pose).force
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
 def least_memory(frame):
     """Bytes that 250 frames leave and at most hold: the least of three rounds.
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 
 
@@ -48,8 +49,17 @@ def _of(unit: str) -> str:
     return f" [{unit}]" if unit else ""
 
 
-def expect_numbers(value: object, name: str, hint: str = "") -> None:
-    """Refuse what is no array of real numbers, such as a list.
+def hold_numbers(owner: object, kind: str, *names: str) -> None:
+    """Replace arrays of a frozen dataclass by those of `numbers`; kind for errors."""
+    for name in names:
+        held = numbers(getattr(owner, name), f"{kind} {name}")
+        object.__setattr__(owner, name, held)
+
+
+def numbers(value: object, name: str, hint: str = "") -> Array:
+    """An array of real numbers as compiled code reads it: float64, C order.
+
+    The array itself where it is one already.
 
     Args:
         value: What was given.
@@ -57,10 +67,11 @@ def expect_numbers(value: object, name: str, hint: str = "") -> None:
         hint: What to do, at the end of the message.
 
     Raises:
-        InputError: It is no array, or one of objects, text or complex numbers.
+        InputError: It is no array, such as a list, or one of objects, text or complex
+            numbers.
     """
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return
+        return np.ascontiguousarray(value, dtype=np.float64)
     given = type(value).__name__
     if isinstance(value, np.ndarray):
         given = f"an array of {value.dtype}"

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arguments import hold_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, warn
 from ttus_opt.core.html_card import card, sections_svg
@@ -79,9 +79,9 @@ class PointShell:
         """
         m = len(self.points)
         shapes = {"points": (m, 3), "normals": (m, 3), "areas": (m,), "reference": (3,)}
+        hold_numbers(self, "shell", *shapes)
         for name, shape in shapes.items():
             value = getattr(self, name)
-            expect_numbers(value, f"shell {name}")
             if value.shape != shape:
                 raise InputError(
                     f"shell {name} must have shape {shape}, got {value.shape}"

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ttus_opt.core.arguments import expect_numbers
+from ttus_opt.core.arguments import numbers
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.core.html_card import card, curve_svg
@@ -110,9 +110,10 @@ class Trajectory:
         }
         for name, value in self._arrays().items():
             shape = shapes[name]
-            expect_numbers(
-                value, f"trajectory {name}", ": Trajectory.from_arrays takes lists"
-            )
+            hint = ": Trajectory.from_arrays takes lists"
+            real = numbers(value, f"trajectory {name}", hint)
+            if name != "segment":
+                object.__setattr__(self, name, real)
             if value.shape != shape:
                 raise InputError(
                     f"trajectory {name} must have shape {shape}, got {value.shape}"

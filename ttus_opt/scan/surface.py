@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core import io
+from ttus_opt.core.arguments import hold_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, GeometryError, InputError
 from ttus_opt.core.html_card import card, sections_svg
@@ -51,9 +52,11 @@ class Surface:
         """Validate the surface.
 
         Raises:
-            InputError: Shapes that disagree, or steps that are not constant.
+            InputError: What is no array of numbers, shapes that disagree, or steps that
+                are not constant.
             GeometryError: A radius that is not finite and positive.
         """
+        hold_numbers(self, "surface", "theta", "z", "radius", "radius_std")
         shape = (len(self.theta), len(self.z))
         if min(shape) < 2 or shape[0] < 4:
             raise InputError(
