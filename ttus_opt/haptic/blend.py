@@ -18,7 +18,8 @@ leaves the patient (ΔU = 0: the swap is completed in one frame).
 ΔU is tracked: it starts as the integral of Δw along a straight path out of the body,
 decreases by Δw·δx (trapezoidal rule) with the motion, and is 0 without contact. It is
 exact for conservative fields: trilinear ones are conservative up to the quadrature of
-the shell, voxel-mean ones only approximately, because they jump.
+the shell, voxel-mean ones only approximately, because they jump, and those by
+contact-size only while the patch keeps its length (docs/method/contact.md, 6.4).
 
 Drag is blended with the same a, within the same rate. It stores no energy that a swap
 could raise and only dissipates it, as does a convex combination of two drags, so U, ΔU
