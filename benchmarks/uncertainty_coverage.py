@@ -49,7 +49,7 @@ COLUMNS = (
     "force covered",
     "torque covered",
     "force: stated, error [N]",
-    "torque [mN·m]",
+    "torque [mN m]",
     "ranks: force, torque",
     "true force",
     "true torque",

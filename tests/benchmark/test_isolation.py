@@ -91,11 +91,15 @@ def test_compiling_and_assembling_may_take_longer():
     assert isolation._allowed("scene", 2000.0) == pytest.approx(2205.0)
 
 
-def test_an_ended_run_tells_the_residual_it_reached(tmp_path):
+@pytest.mark.parametrize(
+    ("formulation", "solver"), [("eq10", "osqp"), ("robust", "augmented_lagrangian")]
+)
+def test_an_ended_run_tells_the_residual_it_reached(tmp_path, formulation, solver):
     """What a solver reports on the way is what is left when its process is ended."""
     assert isolation._reached(tmp_path) == {}
     request = Request(told=Progress(tmp_path).reached)
-    fitter = Fitter(load("eq10", small_scene()), solver="osqp", request=request)
+    declared = load(formulation, small_scene())
+    fitter = Fitter(declared, solver=solver, request=request)
     kkt = fitter.solve().kkt
     reached = isolation._reached(tmp_path)["residual_reached"]
     assert reached == pytest.approx(kkt.worst_relative, rel=1e-6)

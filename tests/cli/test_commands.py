@@ -252,7 +252,7 @@ def test_render_gives_what_evaluate_compares(run, files, field, tmp_path):
         "--presliding-length -1"
     )
     assert refused.status == 2 and not (tmp_path / "r.csv").exists()
-    assert "presliding_length of a field must not be negative" in refused.err
+    assert "--presliding-length of a field must not be negative" in refused.err
     without = run(
         f"render {words} --trajectory {files / 'press.csv'} -o {tmp_path / 'r.csv'} "
         "--presliding-length 1e-3"

@@ -41,10 +41,12 @@ def test_the_contact_comes_back(run, words, output):
 @pytest.mark.slow
 def test_false_statements_leave_nothing(run, words, output):
     to = f"-o {output / 'c.csv'} --model {output / 'm.json'}"
-    refused(run(f"{words} --sign by-probe {to}"), "give sign on-probe")
+    refused(
+        run(f"{words} --sign by-probe {to}"), "give --sign on-probe, or check --down"
+    )
     refused(run(f"{words} --sign up {to}"), "on-probe or by-probe")
     refused(run(f"{words} --sign on-probe --down 0,0,0 {to}"), "down")
-    refused(run(f"{words} --sign on-probe --axes 0,0,0,1 {to}"), "give axes")
+    refused(run(f"{words} --sign on-probe --axes 0,0,0,1 {to}"), "give --axes 0.049,")
     refused(run(f"{words} --sign on-probe --point 0,0,80 {to}"), "millimetres")
     both = f"-o {output / 'c.csv'} --model {output / 'c.csv'}"
     refused(run(f"{words} --sign on-probe {both}"), "two outputs")

@@ -38,9 +38,18 @@ def test_json_holds_numbers_and_null(capsys):
         ('choose another or solver="auto"', "choose another or --solver auto"),
         ("use surface='hull'", "use --probe-surface hull"),
         ("the unit is m", "the unit is m"),
+        ("by box=-1,1e3,…; or", "by --box -1,1e3,…; or"),
+        ("(box=… to take more)", "(--box … to take more)"),
+        ("n_points must be 4", "--points must be 4"),
+        ("a wrench_delay of 9 s", "a --wrench-delay of 9 s"),
+        ("got 'wrench_delay' of n_points.csv", "got 'wrench_delay' of n_points.csv"),
+        ("give angles=3 or sign=2", "give angles=3 or sign=2"),  # no such options
     ],
 )
-def test_messages_are_told_as_options(message, told):
+def test_messages_are_told_as_options(monkeypatch, message, told):
+    own = "drop_nan", "solver", "probe_surface", "unit", "box", "points", "wrench_delay"
+    names = {name: f"--{name.replace('_', '-')}" for name in own}
+    monkeypatch.setattr(console._words, "options", names)
     assert console.as_options(message) == told
 
 
@@ -49,6 +58,24 @@ def test_a_warning_is_one_line_and_told_once(capsys):
         for _ in range(2):
             warnings.warn("two\n  lines", TtusWarning, stacklevel=1)
     assert capsys.readouterr().err == "warning: two lines\n"
+
+
+def test_lines_are_no_wider_than_a_terminal(capsys, monkeypatch):
+    """What a file or another program reads stays one line."""
+    monkeypatch.setenv("COLUMNS", "20")
+    for terminal in (False, True):
+        monkeypatch.setattr(sys.stdout, "isatty", lambda shown=terminal: shown)
+        console.tell({}, "force 0.136 N mean, 0.181 N rmse", "a table | is\nleft alone")
+    whole, table = "force 0.136 N mean, 0.181 N rmse\n", "a table | is\nleft alone\n"
+    narrow = "force 0.136 N mean,\n0.181 N rmse\n"
+    assert capsys.readouterr().out == whole + table + narrow + table
+
+
+def test_numpys_warnings_are_none_of_the_users(capsys):
+    with console.warnings_in_one_line():
+        warnings.simplefilter("default")
+        warnings.warn("overflow in multiply", RuntimeWarning, stacklevel=1)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_warning_has_a_line_of_its_own_beside_a_bar(capsys):

@@ -117,7 +117,7 @@ SEEN = "0.png --intrinsics camera.json"
         ("0.png", "give --intrinsics or --rays"),
         ("0.png 1.png --intrinsics camera.json", "give --poses"),
         (f"{SEEN} --refine", "more than one scan"),
-        (f"{SEEN} --poses poses.csv", "3 poses, there is 1 image"),
+        (f"{SEEN} --poses poses.csv", "3 poses for 1 image"),
         # without advice by --columns, which is not an option here
         (f"{SEEN} --poses camera.json", r"t,px,py,pz,qw,qx,qy,qz, got [^;]+$"),
         (f"{SEEN} --noise loud", "noise must be one"),

@@ -107,6 +107,21 @@ def test_faults_and_files_that_cannot_be_read(run, tmp_path):
     assert "fault: line 4" in answer.out  # the others are told all the same
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("scaled.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n", "scales by 2"),
+        ("sheared.csv", "1,1,0,0\n0,1,0,0\n0,0,1,0\n0,0,0,1\n", "no rigid motion"),
+        ("short.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n", "got 12 numbers"),
+        ("list.json", "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]", "scales by 2"),
+    ],
+)
+def test_a_damaged_motion_is_no_cloud(run, tmp_path, name, text, told):
+    (tmp_path / name).write_text(text)
+    answer = run(f"doctor {tmp_path / name}")
+    assert answer.status == 2 and told in " ".join(answer.out.split())
+
+
 def test_units_of_a_cloud_and_of_columns(run, tmp_path):
     points = np.random.default_rng(0).uniform(0, 400, (500, 3))
     np.savetxt(tmp_path / "cloud.xyz", points)
@@ -122,7 +137,10 @@ def test_several_bodies_in_a_room_are_named_in_its_own_unit(run, tmp_path):
     np.save(tmp_path / "two.npy", 1.2 * np.r_[room(), person(-0.6), person(0.6)])
     told = run(f"doctor {tmp_path / 'two.npy'}")
     assert told.status == 2
-    assert "several bodies: crop it by --box" in " ".join(told.out.split())
+    told = " ".join(told.out.split())
+    assert "several bodies: crop it by --box" in told
+    box = told.split("--box ")[1].split(";")[0]
+    assert run(f"doctor {tmp_path / 'two.npy'} --box {box}").status == 0
 
 
 def test_one_stream_of_several(run, tmp_path):

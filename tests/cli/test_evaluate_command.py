@@ -2,11 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from ttus_opt.cli.evaluate_command import RecordingLine, _draw
+from ttus_opt.cli.evaluate_command import RecordingLine, _draw, _lines
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.uncertainty_check import Calibration
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report import metrics
 
 FOUND = Calibration(
     *(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3),
@@ -45,6 +48,15 @@ def test_what_is_not_known_is_left_out():
     lines = RecordingLine("a.csv", 100, math.nan, force).lines
     assert lines[1] == "a.csv: rank correlation of error and uncertainty 0.40 for force"
     assert not any(word in lines[0] for word in ("mN m", "torque", "nan"))
+
+
+def test_without_contact_there_is_no_angle():
+    """Errors of a recording in the air, with torques and without."""
+    still = np.zeros((3, 3))
+    rendered = metrics.as_rendered(np.zeros((3, 6)))
+    air = Trajectory(np.arange(3.0), still, np.tile(np.eye(3), (3, 1, 1)), still, still)
+    told = " ".join(_lines(metrics.compare(air, rendered).errors, True))
+    assert "–° over 0 of 3 frames" in told and "nan" not in told
 
 
 def test_a_refusal_is_said():

@@ -123,7 +123,7 @@ def test_no_contact_and_a_delay_beyond_the_recording(run, tmp_path):
     assert "in none of" in run(own).errors[-1]
     late = words(example.path("press_fit.csv"), output, "--wrench-delay 1e9")
     told = run(late.replace("--columns t=__time", ""))
-    assert "wrench_delay of 1e+09 s is longer than the recording" in told.errors[-1]
+    assert "--wrench-delay of 1e+09 s is longer than the recording" in told.errors[-1]
     assert told.status == 2
     assert not output.exists()
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from tests.cli.conftest import PROBE, empty, fit_words, refused, scene_words
 from tests.kit import presses, python, torso
 from ttus_opt.cli import fit_command
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"
 #: Command lines that are sound
@@ -20,6 +21,8 @@ SOUND = {
     "path": "path {scene} -o {output}/p.nc",
     "next-press": "next-press {scene} -o {output}/n.csv",
     "refine-poses": "refine-poses {scene} -o {output}/r.csv",
+    "evaluate": "evaluate --field {field} --trajectory {files}/press.csv",
+    "render": "render --field {field} --trajectory {files}/press.csv -o {output}/r.csv",
 }
 #: A cloud that ends early
 SHORT = (
@@ -77,7 +80,7 @@ REFUSALS = {
     "surface": [
         (
             "--n-theta 0 --no-support --axis-origin 0,0,0 --axis-direction 0,0,1",
-            ["n_theta", "0"],
+            ["--n-theta must be", "0"],
         ),
         (
             "--no-support --axis-origin 4,0,0 --axis-direction 0,0,1",
@@ -113,7 +116,9 @@ REFUSALS = {
         ("--solver structred", ["structred", "structured"]),
         ("--sampling nearest", ["sampling", "nearest"]),
         ("--tolerance 0", ["tolerance"]),
-        ("--r-inner 0.3", ["r_inner"]),
+        ("--r-inner 0.3", ["must exceed --r-inner 0.3 m"]),
+        ("--points 2", ["--points must be"]),
+        ("--wrench-delay 1e3", ["a --wrench-delay of 1000 s is longer"]),
     ],
     "tune": [
         ("--formulation none", ["unknown formulation"]),
@@ -150,6 +155,9 @@ REFUSALS = {
         ("--rotation-noise 0", ["above 0"]),
         ("--correlation -1", ["correlation time"]),
     ],
+    # that it is another probe is not said of none
+    "evaluate": [("--probe .", ["probe mesh . is a folder"])],
+    "render": [("--probe gone.stl", ["not found: gone.stl"])],
 }
 
 
@@ -157,9 +165,21 @@ REFUSALS = {
     ("command", "more", "words"),
     [(name, *row) for name, rows in REFUSALS.items() for row in rows],
 )
-def test_bad_options(run, files, output, command, more, words):
+def test_bad_options(run, files, field, output, command, more, words):
     own = {"files": files, "output": output, "scene": scene_words(files)}
+    own["field"] = field
     refused(run(f"{SOUND[command].format(**own)} {more}"), *words)
+    assert empty(output)
+
+
+@pytest.mark.parametrize("command", ["tune", "next-press -o {}/n.csv", "evaluate"])
+def test_recordings_without_forces_are_named(run, files, field, output, command):
+    presses, poses = read_trajectory(files / "press.csv"), files / "poses.csv"
+    replace(presses, force=None, torque=None).save(poses)
+    words = f"--field {field} --probe {PROBE} --trajectory {poses}"
+    if command != "evaluate":
+        words = scene_words(files).replace("press.csv", "poses.csv")
+    refused(run(f"{command.format(output)} {words}"), "error: poses.csv: ", "fx")
     assert empty(output)
 
 

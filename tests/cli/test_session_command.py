@@ -112,7 +112,7 @@ def test_a_killed_recording_is_readable(output):
 
 
 def thousandfold(recording):
-    """Torques in N·mm under the unit N·m."""
+    """Torques in N mm under the unit N·m."""
     read = read_wrenches(recording / "force.nc")
     torque = 1e3 * read.torque
     wrenches = WrenchStream(read.time, read.force, torque)
@@ -138,7 +138,7 @@ def axes(recording):
 #: All of them are found in tests/session too; here it is told, by a warning or an error
 MISTAKES = {
     "check clock.offset in the description": offset,
-    "give sign on-probe": sign,
+    "give sign=on-probe": sign,
     "check force.sensor.point in the description": point,
     "check the unit of force.file in the description": thousandfold,
     "the poses jump by 50 mm": jumped,

@@ -11,13 +11,19 @@ import pytest
 
 from ttus_opt.cli import sources as module
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.sources import seen, sources, warn_of_another_probe
+from ttus_opt.cli.sources import probe_for, seen, sources
 from ttus_opt.core.errors import FileError, TtusWarning
 
 
 def written(path, content):
     path.write_text(content)
     return path
+
+
+@pytest.fixture(autouse=True)
+def any_probe(monkeypatch):
+    """None of the files here is a mesh."""
+    monkeypatch.setattr(ProbeOptions, "read", lambda self: None)
 
 
 @pytest.fixture
@@ -43,7 +49,7 @@ def sha256(content):
 def nothing_said(of, probe, recordings):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warn_of_another_probe(of, probe, recordings)
+        probe_for(of, probe, recordings)
 
 
 def test_files_are_kept_by_name_and_hash(surface, recordings, tmp_path):
@@ -94,7 +100,7 @@ def test_another_probe_is_told(surface, recordings):
     found = kept(surface, recordings)
     nothing_said(found, ProbeOptions("sphere:0.02"), recordings)
     with pytest.warns(TtusWarning, match=r"with probe sphere:0.02, this is box:1,1,1"):
-        warn_of_another_probe(found, ProbeOptions("box:1,1,1"), recordings)
+        probe_for(found, ProbeOptions("box:1,1,1"), recordings)
     # a field of no known probe says nothing
     nothing_said({}, ProbeOptions("box:1,1,1"), recordings)
 
@@ -106,7 +112,7 @@ def test_a_probes_file_that_changed_is_told(surface, recordings, tmp_path):
     nothing_said(found, probe, recordings)
     written(mesh, "solid two")
     with pytest.warns(TtusWarning, match=r"fitted with another file probe\.stl"):
-        warn_of_another_probe(found, probe, recordings)
+        probe_for(found, probe, recordings)
     # without a hash of it there is nothing to compare
     nothing_said({**found, "hashes": "{}"}, probe, recordings)
 
@@ -127,7 +133,7 @@ def test_torques_about_another_point_are_told(about, told, surface, recordings):
         nothing_said(found, probe, recordings)
         return
     with pytest.warns(TtusWarning, match=told):
-        warn_of_another_probe(found, probe, recordings)
+        probe_for(found, probe, recordings)
 
 
 @pytest.mark.parametrize("text", ["[1]", "{", ""])
@@ -141,4 +147,4 @@ def test_damaged_provenance_is_told_by_its_key(
         if key == "recordings":
             seen(damaged, recordings.trajectory)
         else:
-            warn_of_another_probe(damaged, ProbeOptions(str(mesh)), recordings)
+            probe_for(damaged, ProbeOptions(str(mesh)), recordings)

@@ -1,6 +1,7 @@
 """``ttus-opt synchronise``."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_the_offset_is_found(run, given, output, by):
     depth = torso().radius_at(np.full(len(x), 1.2), np.full(len(x), 0.1))
     depth = np.maximum(depth - np.hypot(x, y), 0.0)
     assert np.corrcoef(depth, joined.force[:, 2])[0, 1] > 0.99
-    assert "frames in 1 segments" in run(words).out
+    assert "frames in 1 segment," in run(words).out
 
 
 @pytest.mark.slow
@@ -127,6 +128,10 @@ def test_what_is_refused(run, given, output):
     refused(run(f"{words} --offset 500"), "check the offset")
     refused(run(f"{words} --by angular-speed --largest-offset 0.1"), "correlate by")
     refused(run(f"{words} --offset 0 --largest-gap 0"), "gap")
+    robot = read_trajectory(given / "robot.csv")
+    replace(robot, torque=np.full_like(robot.force, 1e3)).save(given / "robot.csv")
+    told = "robot.csv, frame 0: 1000 N m is not plausible (over 100) (and", "N mm?"
+    refused(run(f"{words} --offset 0"), *told)
     assert empty(output)
 
 

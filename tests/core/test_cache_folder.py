@@ -4,6 +4,7 @@ import numba
 import pytest
 
 from ttus_opt.core.cache_folder import cache_folder
+from ttus_opt.core.errors import TtusWarning
 
 
 def test_only_a_private_folder_is_trusted(tmp_path, monkeypatch):
@@ -20,7 +21,7 @@ def test_only_a_private_folder_is_trusted(tmp_path, monkeypatch):
     other.rmdir()
     (tmp_path / "own").mkdir(mode=0o700)
     other.symlink_to(tmp_path / "own")  # or to wherever it points later
-    with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
+    with pytest.warns(TtusWarning, match="set NUMBA_CACHE_DIR"):
         assert chosen() is None
 
 
@@ -34,10 +35,10 @@ def test_what_cannot_be_made_or_written_to_is_passed_over(tmp_path, monkeypatch)
     assert folder is not None and folder.parent == tmp_path / "not" / "yet"
     assert folder.name == f"ttus_opt-{os.getuid()}"  # one of each user's
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
+    with pytest.warns(TtusWarning, match="compiled code is not saved"):
         assert choose() is None
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file"))
-    with pytest.warns(RuntimeWarning) as warned:
+    with pytest.warns(TtusWarning) as warned:
         assert choose() is None
     assert "cannot be created" in str(warned[0].message)
 
@@ -60,7 +61,7 @@ def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(tmp_path, monke
     expected.chmod(0o700)
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
-    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
+    with pytest.warns(TtusWarning, match="compiled code is not saved"):
         assert choose() is None
 
 
@@ -74,17 +75,17 @@ def test_a_chosen_folder_that_others_may_write_to_is_not_used(tmp_path, monkeypa
     assert folder.stat().st_mode & 0o777 == 0o700
     for mode in (0o720, 0o702):
         folder.chmod(mode)
-        with pytest.warns(RuntimeWarning, match="others may write to it"):
+        with pytest.warns(TtusWarning, match="others may write to it"):
             choose()
     folder.chmod(0o777)
-    with pytest.warns(RuntimeWarning, match="others may write to it"):
+    with pytest.warns(TtusWarning, match="others may write to it"):
         assert choose() == tmp_path / "home" / "ttus_opt" / "compiled"
     folder.chmod(0o755)
     assert choose() == folder
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
     if owner != 0:  # the administrator's is trusted
-        with pytest.warns(RuntimeWarning, match="others may write to it"):
+        with pytest.warns(TtusWarning, match="others may write to it"):
             choose()
     else:
         assert choose() == folder

@@ -22,6 +22,7 @@ from tests.kit import python, some
 from ttus_opt.core import compiled as module
 from ttus_opt.core.cache_folder import cache_folder
 from ttus_opt.core.compiled import compiled, content_key, is_cached
+from ttus_opt.core.errors import TtusWarning
 
 PACKAGE = {
     "__init__": "",
@@ -331,7 +332,7 @@ def test_a_folder_that_cannot_be_written_to_is_no_failure(load, tmp_path):
     caller = load()
     assert cache_folder() == tmp_path / "cache" / "ttus_opt"
     (tmp_path / "cache" / "ttus_opt").rmdir()
-    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
+    with pytest.warns(TtusWarning, match="compiled code is not saved"):
         assert caller.twice(0) == 2
 
 

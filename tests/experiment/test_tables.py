@@ -158,7 +158,7 @@ def test_rivals_stand_in_a_table_of_their_own_with_those_that_failed():
 
 
 def test_recordings_are_told_in_newtons_and_millinewton_metres():
-    """Ten frames at rest, seven of them pressed with 4 N and 25 mN·m."""
+    """Ten frames at rest, seven of them pressed with 4 N and 25 mN m."""
     pressed = np.arange(10) >= 3
     force, torque = np.zeros((10, 3)), np.zeros((10, 3))
     force[pressed, 0], torque[pressed, 1] = 4.0, 0.025

@@ -81,7 +81,7 @@ def test_recordings_are_told_apart_in_their_order():
 
 def test_concatenate_refuses():
     refuses(InputError, "at least one", Trajectory.concatenate, [])
-    with pytest.raises(InputError, match="only some of the trajectories have wrenches"):
+    with pytest.raises(InputError, match="of 2 trajectories number 2 have no wrenches"):
         Trajectory.concatenate([made(), made(wrench=False)])
 
 

@@ -101,7 +101,7 @@ def test_errors_are_told_in_short():
     measured = replace(SCENE.trajectory, force=force, torque=torque)
     errors = compare(measured, as_rendered(wrench)).errors
     assert repr(errors) == (
-        "Errors(force 0.25 N, 90.0°; torque 10 mN·m, 90.0°; 20 frames, 5 in contact)"
+        "Errors(force 0.25 N, 90.0°; torque 10 mN m, 90.0°; 20 frames, 5 in contact)"
     )
 
 

@@ -109,6 +109,8 @@ def test_what_is_refused():
         clock_offset(sound, Signal(np.zeros(20), np.arange(20.0)))
     poses = tt.Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
     refuses(InputError, "makes and breaks contact", contact_of_poses, poses, None, 1.0)
+    one = poses.select([0])  # no share of it is deepest
+    refuses(InputError, "at least 10 frames, got 1", contact_of_poses, one, None, 0.5)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

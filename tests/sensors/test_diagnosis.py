@@ -73,6 +73,16 @@ def test_units_are_doubted_with_the_reason(name, factor, words):
     assert not diagnosis(bad.replaced(units_stated=True)).units
 
 
+def test_numbers_beyond_any_unit():
+    """Damaged ones overflow in arithmetic, which is nobody's warning."""
+    raw = recording()
+    raw.position[7:9] = 1e300
+    told = diagnosis(raw)
+    assert (
+        "x -0.050 to 1e+300" in told.lines()[1] and "1e+300 m is not" in told.faults[0]
+    )
+
+
 def test_a_stream_that_was_never_valid():
     """PLUS writes such a transform for a tool that was not in view."""
     whole = recording(50).noted("mm")

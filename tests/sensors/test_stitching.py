@@ -161,8 +161,8 @@ def test_poses_of_a_file(tmp_path):
         file = poses_file(tmp_path / "poses.csv", order)
         found = read_camera_poses(file, 2, order=order)
         np.testing.assert_allclose(found, POSES, atol=1e-8)
-    refuses(FileError, "has 2 poses, there are 3 images", read_camera_poses, file, 3)
-    refuses(FileError, "has 2 poses, there is 1 image:", read_camera_poses, file, 1)
+    refuses(FileError, "has 2 poses for 3 images", read_camera_poses, file, 3)
+    refuses(FileError, "has 2 poses for 1 image:", read_camera_poses, file, 1)
 
 
 def test_poses_of_a_tracker(tmp_path):

@@ -74,7 +74,7 @@ def test_residuals_of_few_poses_are_not_too_small():
 def test_the_other_sign_is_noticed(sign):
     free = readings(tilts(), sensor=replace(SENSOR, sign=sign), noise=0.05)
     other = {"on-probe": "by-probe", "by-probe": "on-probe"}[sign]
-    with pytest.raises(InputError, match=f"give sign {sign}"):
+    with pytest.raises(InputError, match=f"give sign={sign}"):
         identify_load(free, replace(SENSOR, sign=other), DOWN)
 
 
@@ -89,9 +89,9 @@ def test_a_left_handed_sensor_is_noticed(axis):
 
 def test_axes_that_are_turned_are_noticed_and_mended():
     free = readings(tilts(), noise=0.02)
-    with pytest.raises(InputError, match="from the stated axes: give axes") as told:
+    with pytest.raises(InputError, match="from the stated axes: give axes=") as told:
         identify_load(free, replace(SENSOR, axes=np.eye(3)), DOWN)
-    quaternion = str(told.value).split("give axes ")[1].split(" ")[0].split(",")
+    quaternion = str(told.value).split("give axes=")[1].split(" ")[0].split(",")
     axes = Rotation.from_quat([float(v) for v in quaternion]).as_matrix()
     np.testing.assert_allclose(axes, SENSOR.axes, atol=0.02)
     load = identify_load(free, replace(SENSOR, axes=axes), DOWN)
@@ -117,7 +117,7 @@ def test_tilts_in_a_plane_find_the_load_but_no_handedness():
     load = identify_load(readings(plane, sensor=plain, noise=0.005), plain, DOWN)
     assert load.mass == pytest.approx(MASS, abs=0.01)
     assert not load.handedness_told
-    with pytest.raises(InputError, match="give sign on-probe, or give axes"):
+    with pytest.raises(InputError, match="give sign=on-probe, or give axes="):
         identify_load(
             readings(plane, sensor=plain), replace(plain, sign="by-probe"), DOWN
         )

@@ -61,7 +61,7 @@ class OwnScene:
         from ttus_opt.benchmark import CaseSpec, reference_cases
         from ttus_opt.benchmark.cases import existing
 
-        if self.surface is None and self.probe is None and not self.trajectory:
+        if self == OwnScene(sampling=self.sampling):
             return [each.sampled(self.sampling) for each in reference_cases(names)]
         if self.surface is None or self.probe is None or not self.trajectory:
             raise InputError(

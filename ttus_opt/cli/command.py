@@ -24,7 +24,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from ttus_opt.cli.console import speaking
+from ttus_opt.cli.console import know_options, speaking
 from ttus_opt.cli.standard_streams import standard_streams
 from ttus_opt.cli.time_limit import interrupts_unwrapped, time_limited
 from ttus_opt.core import io
@@ -64,6 +64,8 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse, after a look at what is missing."""
+        long = {p.name: [o for o in p.opts if o[:2] == "--"] for p in self.params}
+        know_options({name: opts[0] for name, opts in long.items() if name and opts})
         if not ctx.resilient_parsing and not {*args} & {*ctx.help_option_names}:
             given = self.make_parser(ctx).parse_args(args=list(args))[0]
             needed = (p for p in self.get_params(ctx) if p.required)

@@ -28,6 +28,7 @@ def compensate(
     model: Path | None = None,
     inertia: bool = False,
     stream: str | None = None,
+    columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     repair: bool = False,
 ) -> None:
     """Remove bias, weight and inertia from the readings of a force sensor.
@@ -48,6 +49,7 @@ def compensate(
         model: Write the statements, bias, mass and centre of mass here (JSON).
         inertia: Subtract the load's inertia too.
         stream: Name of the topic, transform, tool or body, if a file has several.
+        columns: Column names of both files, or a YAML file of them.
 
     Example:
         ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1
@@ -55,14 +57,16 @@ def compensate(
         press.csv
     """
     from ttus_opt.core import io
+    from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_recording
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated
 
     sensor = _sensor(axes, point, sign)
     direction = numbers(down, 3, "--down")
-    raw = read_recording(recording, stream, repair=repair)
-    still = read_recording(free, stream, repair=repair)
+    how = stream, read_column_map(columns)
+    raw = read_recording(recording, *how, repair=repair)
+    still = read_recording(free, *how, repair=repair)
     reference = probe.read().reference
     load = identify_load(still, sensor, direction)
     clean = compensated(raw, sensor, load, direction, reference, inertia=inertia)

@@ -31,24 +31,8 @@ LOG = logging.getLogger(__name__)
 #: The logger of the whole package
 PACKAGE = logging.getLogger("ttus_opt")
 
-#: How keywords of the library are written as options.
-OPTIONS = {
-    "unit": "--unit",
-    "drop_nan": "--drop-nan",
-    "inner": "--inner",
-    "solver": "--solver",
-    "surface": "--probe-surface",
-    "box": "--box",
-    "head": "--head",
-    "prone": "--prone",
-    "camera": "--camera",
-    "repair": "--repair",
-    "name": "--stream",
-    "at": "--at",
-    "z_range": "--z-range",
-    "columns": "--columns",
-    "weights": "--weights",
-}
+#: Keywords of the library that options name otherwise
+OPTIONS = {"surface": "--probe-surface", "name": "--stream", "n_points": "--points"}
 
 #: A stage bar is shown on a terminal when the work has taken this long [s].
 PATIENCE = 1.0
@@ -69,22 +53,43 @@ def one_line(text: str) -> str:
 def as_options(message: str, **options: str) -> str:
     """A message of the library in the words of the command line.
 
-    >>> as_options("are these millimetres? pass unit='mm'")
+    Keywords are told as options where the command that runs has such options.
+
+    Args:
+        message: Of the library.
+        options: Further options, by the keywords of the library.
+
+    >>> as_options("are these millimetres? pass unit='mm'", unit="--unit")
     'are these millimetres? pass --unit mm'
-    >>> as_options("map them by columns, for instance px=x")
+    >>> as_options("r_inner is 3 m: give box=…", box="--box", r_inner="--r-inner")
+    '--r-inner is 3 m: give --box …'
+    >>> as_options("map them by columns, for instance px=x", columns="--columns")
     'map them by --columns px=x'
     """
-    table = {**OPTIONS, **options}
+    own = _words.options
+    renamed = {k: v for k, v in OPTIONS.items() if v in own.values()}
+    table = {**own, **renamed, **options}
 
     def written(match: re.Match[str]) -> str:
-        option, value = table[match["name"]], match["quoted"] or match["bare"]
-        return option if value == "True" else f"{option} {shlex.quote(value)}"
+        option, value = table[match["name"]], match["bare"]
+        if match["quoted"]:
+            value = shlex.quote(match["quoted"])
+        return option if value == "True" else f"{option} {value}"
 
-    value = r"(?:(?P<q>['\"])(?P<quoted>[^'\"]+)(?P=q)|(?P<bare>[\w-]+))"
+    value = r"(?:(?P<q>['\"])(?P<quoted>[^'\"]+)(?P=q)|(?P<bare>[\w.,…-]*[\w…]))"
     # a term may be called force and have any other value
     told = message.replace("force=True", "--force")
-    told = re.sub(rf"\b(?P<name>{'|'.join(table)})={value}", written, told)
-    return told.replace("by columns, for instance ", f"by {table['columns']} ")
+    for name, option in table.items():
+        told = re.sub(rf"(?<![\w-])(?P<name>{name})={value}", written, told)
+        if "_" in name:  # a word of Python, whatever follows
+            told = re.sub(rf"(?<![\w./='\"-]){name}(?![\w./='\"])", option, told)
+    told_by = f"by {table.get('columns', 'columns, for instance')} "
+    return told.replace("by columns, for instance ", told_by)
+
+
+def know_options(options: Mapping[str, str]) -> None:
+    """The options of the command that runs, by the names of its parameters."""
+    _words.options = {k: v for k, v in options.items() if k != "force"}
 
 
 def print_json(content: Mapping[str, Any]) -> None:
@@ -96,13 +101,14 @@ def print_json(content: Mapping[str, Any]) -> None:
 class _Words:
     """Where words go: to stderr where a result takes stdout; a folder is not named.
 
-    Bars are those that have begun and not ended.
+    Bars are those that have begun and not ended; options are the command's, by name.
     """
 
     json: bool = False
     to_stderr: bool = False
     unnamed: str = ""
     bars: list[Stages] = field(default_factory=list)
+    options: Mapping[str, str] = field(default_factory=dict)
 
 
 _words = _Words()
@@ -113,10 +119,16 @@ def tell(facts: Mapping[str, Any], *lines: str) -> None:
     if _words.json:
         print_json(facts)
     elif lines:
-        text = "\n".join(lines)
+        text = "\n".join(map(_narrow, lines))
         if _words.unnamed:
             text = text.replace(_words.unnamed, "")
         typer.echo(text, err=_words.to_stderr)
+
+
+def _narrow(line: str) -> str:
+    """A line as a terminal shows it whole; what others read is not broken."""
+    shown = (sys.stderr if _words.to_stderr else sys.stdout).isatty()
+    return wrapped(line) if shown and "\n" not in line else line
 
 
 @contextlib.contextmanager
@@ -143,7 +155,8 @@ def fitted(*blocks: Block) -> str:
 
 def wrapped(text: str) -> str:
     """A paragraph that is no wider than the terminal."""
-    return textwrap.fill(text, shutil.get_terminal_size().columns)
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 @contextlib.contextmanager
@@ -190,7 +203,7 @@ def bars_shown() -> bool:
 
 @contextlib.contextmanager
 def warnings_in_one_line() -> Iterator[None]:
-    """Print this package's warnings as ``warning: …`` on stderr, each once."""
+    """Print warnings as ``warning: …`` on stderr, each once; numpy's are logged."""
     shown: set[str] = set()
 
     def show(
@@ -201,6 +214,9 @@ def warnings_in_one_line() -> Iterator[None]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
+        if issubclass(category, RuntimeWarning):  # of numpy's arithmetic
+            LOG.info("%s:%d: %s", filename, lineno, message)
+            return
         text = as_options(one_line(str(message)))
         if text not in shown:
             shown.add(text)

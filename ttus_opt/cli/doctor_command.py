@@ -9,6 +9,7 @@ import typer
 
 from ttus_opt.cli.console import Stages, as_options, tell
 from ttus_opt.cli.examination import Asked, Found, examined
+from ttus_opt.cli.options import numbers
 from ttus_opt.core.errors import InputError, TtusError
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ def doctor(
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     unit: str | None = None,
     stream: str | None = None,
+    box: Annotated[
+        str | None, typer.Option(metavar="xmin,xmax,ymin,ymax,zmin,zmax")
+    ] = None,
     picture: Path | None = None,
 ) -> None:
     """Say what files hold: streams, rates, gaps, faults, units, ranges, noise.
@@ -38,6 +42,7 @@ def doctor(
         columns: Column names of tables, for instance px=tip_x[mm],t=sec+nanosec.
         unit: Unit of clouds, meshes and depth images: m, cm, mm. By default that of
             their kind, or the likely one.
+        box: Of clouds, only the points inside this box [m].
         stream: Say only of this topic, transform, tool or body; of /tf two frames,
             base:tool.
         picture: Draw all recordings over time here.
@@ -45,7 +50,8 @@ def doctor(
     Example:
         ttus-opt doctor tracker.csv force.csv scan.ply --picture streams.png
     """
-    asked = Asked(columns, unit, stream)
+    limits = None if box is None else numbers(box, 6, "--box")
+    asked = Asked(columns, unit, stream, limits)
     facts, lines, drawn, unreadable, faulty = [], [], {}, False, False
     outcomes: list[Found | TtusError] = []
     with Stages(len(files)) as begin:

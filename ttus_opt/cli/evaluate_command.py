@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ttus_opt.cli.console import Stages, fitted, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
-from ttus_opt.cli.sources import seen, warn_of_another_probe
-from ttus_opt.core.errors import InputError, MistakeWarning, warn
+from ttus_opt.cli.sources import probe_for, seen
+from ttus_opt.core.errors import InputError, MistakeWarning, located, warn
 
 if TYPE_CHECKING:
     import numpy as np
@@ -180,13 +180,13 @@ def evaluate(
         begin("reading field and recordings")
         as_written = recordings.as_written()
         potential = PotentialField.load(field)
-        warn_of_another_probe(potential.provenance, probe, recordings)
         fitted_to = seen(potential.provenance, recordings.trajectory)
-        shell = probe.read()
+        shell = probe_for(potential.provenance, probe, recordings)
         recorded = recordings.read(as_written, shell, potential.voxmap.surface)
         stated = read_uncertainty(field, shell) if uncertainty else None
         begin("rendering")
-        found = metrics.evaluate(potential, shell, recorded)
+        with located(", ".join(recordings.names)):
+            found = metrics.evaluate(potential, shell, recorded)
         cut = cut_off(potential.voxmap, shell, recorded.rotation, recorded.position)
         warn_of_poses(found.in_grid, found.beyond_inner, cut)
         each = recording_lines(found, shell, recorded, recordings.names, stated)
@@ -300,11 +300,13 @@ def _draw(
 
 def _lines(errors: Errors, has_torque: bool) -> list[str]:
     """Errors of force and torque over all recordings."""
+    from ttus_opt.report.tables import number
+
     lines = [
         f"force   {errors.force_magnitude_error_N:.3f} N mean, "
         f"{errors.force_magnitude_rmse_N:.3f} N rmse, "
-        f"{errors.force_angle_error_deg:.1f}° over {errors.frames_in_contact} of "
-        f"{errors.frames} frames in contact"
+        f"{number(errors.force_angle_error_deg, '.1f')}° over "
+        f"{errors.frames_in_contact} of {errors.frames} frames in contact"
     ]
     if not math.isnan(errors.share_told_apart):
         lines.append(
@@ -317,8 +319,8 @@ def _lines(errors: Errors, has_torque: bool) -> list[str]:
     torque = (
         f"torque  {1e3 * errors.torque_magnitude_error_Nm:.1f} mN m mean, "
         f"{1e3 * errors.torque_magnitude_rmse_Nm:.1f} mN m rmse, "
-        f"{errors.torque_angle_error_deg:.1f}° over {errors.frames_with_torque} "
-        "frames with a torque"
+        f"{number(errors.torque_angle_error_deg, '.1f')}° over "
+        f"{errors.frames_with_torque} frames with a torque"
     )
     return [*lines, torque]
 

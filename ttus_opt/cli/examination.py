@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ttus_opt.cli.console import as_options
-from ttus_opt.core.errors import FileError, InputError, TtusError
+from ttus_opt.core.errors import FileError, InputError, TtusError, counted
 
 if TYPE_CHECKING:
     from ttus_opt.core.arrays import Array
@@ -33,11 +34,12 @@ class Found(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """How files are read: columns of tables, unit of clouds, the only stream."""
+    """How files are read: columns, unit, the only stream, box of clouds."""
 
     columns: str
     unit: str | None
     stream: str | None
+    box: tuple[float, ...] | None = None
 
 
 def examined(file: Path, asked: Asked) -> Found:
@@ -120,7 +122,18 @@ def _camera_lines(file: Path, topic: str | None = None) -> list[str]:
 
 def _mapping(file: Path, asked: Asked) -> Found:
     """Intrinsics, or else a rigid motion or pairs of poses."""
-    return _first_of((_intrinsics, _motion, _pairs), file, asked)
+    ways = (_motion, _pairs) if _bare(file) else (_intrinsics, _motion, _pairs)
+    return _first_of(ways, file, asked)
+
+
+def _bare(file: Path) -> bool:
+    """Whether a file holds a list, or no more rows of numbers than a motion has."""
+    from ttus_opt.core import io
+
+    with io.existing_file(file, "file").open("rb") as stream:
+        rows = stream.read(2000).strip().splitlines()
+    pattern = rb"\[" if len(rows) > 4 else rb"[-+.\d\[]"
+    return bool(rows and re.match(pattern, rows[0]))
 
 
 def _first_of(
@@ -157,7 +170,7 @@ def _pairs(file: Path, asked: Asked) -> Found:
     from ttus_opt.sensors.hand_eye import read_pose_pairs
 
     count = len(read_pose_pairs(file)[0])
-    lines = [f"{count} pairs, for ttus-opt register hand-eye"]
+    lines = [f"{counted(count, 'pair')}, for ttus-opt register hand-eye"]
     return Found("pairs of poses", lines, {"pairs": count}, {})
 
 
@@ -165,8 +178,8 @@ def _session(file: Path) -> Found:
     from ttus_opt.session.description import read_description
 
     told = read_description(file)
-    n = len(told.scan.files)
-    scan = f"{n} depth image{'s' * (n > 1)}" if told.scan.cameras else "one file"
+    images = counted(len(told.scan.files), "depth image")
+    scan = images if told.scan.cameras else "one file"
     lines = [
         f"scan: {scan}; probe: {Path(told.probe).name}",
         "recordings: " + ", ".join(part.name for part in told.recordings),
@@ -223,7 +236,7 @@ def _cloud(file: Path, asked: Asked) -> Found:
     failed: list[InputError] = []
     for used in guesses:
         try:
-            points = read_cloud(file, unit=used, drop_nan=True)
+            points = read_cloud(file, unit=used, drop_nan=True, box=asked.box)
             break
         except InputError as error:
             failed.append(error)
@@ -242,7 +255,8 @@ def _cloud(file: Path, asked: Asked) -> Found:
 
 def _text_or_cloud(file: Path, asked: Asked) -> Found:
     """A table of poses or wrenches, a rigid motion, or points."""
-    return _first_of((_recording, _motion, _cloud), file, asked)
+    ways = (_motion,) if _bare(file) else (_recording, _motion, _cloud)
+    return _first_of(ways, file, asked)
 
 
 def _depth(file: Path, asked: Asked) -> Found:

@@ -138,7 +138,6 @@ class RecordingOptions:
             )
         except InputError as error:
             name, _, rest = str(error).partition(" ")
-            rest = rest.replace("base_to_scan", "--base-to-scan")
             raise InputError(f"--{name.replace('_', '-')} {rest}") from error
 
     def as_written(self) -> Trajectory:

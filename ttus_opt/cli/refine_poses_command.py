@@ -10,6 +10,7 @@ from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_building import measured
 from ttus_opt.cli.scene_options import SceneOptions
+from ttus_opt.core.errors import counted
 
 if TYPE_CHECKING:
     from ttus_opt.core.arrays import Array
@@ -92,7 +93,7 @@ def _lines(found: RefinedPoses, output: Path) -> list[str]:
             f"{f['position_std_mm']:.2f} mm and {f['rotation_std_deg']:.2f}°"
         )
     lines.append(
-        f"{output}: {len(found.trajectory)} frames, {found.steps} steps, log evidence "
-        f"{found.gain:+.0f} by the tracker's noise"
+        f"{output}: {len(found.trajectory)} frames, {counted(found.steps, 'step')}, "
+        f"log evidence {found.gain:+.0f} by the tracker's noise"
     )
     return lines

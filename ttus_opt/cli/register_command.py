@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, tell
+from ttus_opt.core.errors import counted
 
 if TYPE_CHECKING:
     from ttus_opt.core.arrays import Array
@@ -158,8 +159,8 @@ def _sentence(found: MarkerPose) -> str:
     shift = " ".join(f"{1e3 * v:.2f}" for v in found.shift_std)
     turn = " ".join(f"{np.rad2deg(v):.2f}" for v in found.turn_std)
     return (
-        f"{_place(found.pose)} ± ({shift}) mm, ± ({turn})°, {len(found.markers)} "
-        f"marker{'s' * (len(found.markers) != 1)}, corners within "
+        f"{_place(found.pose)} ± ({shift}) mm, ± ({turn})°, "
+        f"{counted(len(found.markers), 'marker')}, corners within "
         f"{found.residual:.2f} pixels"
     )
 

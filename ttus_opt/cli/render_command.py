@@ -9,7 +9,7 @@ from pathlib import Path
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.evaluate_command import warn_of_poses
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.sources import warn_of_another_probe
+from ttus_opt.cli.sources import probe_for
 
 
 def render(
@@ -60,9 +60,8 @@ def render(
             potential = replace(potential, parameters={**potential.parameters, **given})
             if presliding_length > 0.0 and not potential.parameters.get(FRICTION):
                 warn(f"{field} has no friction: its presliding length has no effect")
-        warn_of_another_probe(potential.provenance, probe, recordings)
-        shell, patient = probe.read(), potential.voxmap.surface
-        poses = recordings.read(as_written, shell, patient)
+        shell = probe_for(potential.provenance, probe, recordings)
+        poses = recordings.read(as_written, shell, potential.voxmap.surface)
         begin("rendering")
         renderer = Renderer(
             potential, shell, force_limit=force_limit, torque_limit=torque_limit
@@ -87,7 +86,7 @@ def render(
 
             limits = {"force_limit": force_limit, "torque_limit": torque_limit}
             write_flat(flat, potential, shell, **limits)
-        place = patient.axis.scan_to_patient
+        place = potential.voxmap.surface.axis.scan_to_patient
         conventions.as_recorded(rendered, shell.reference, place).save(output)
     facts = {
         "output": str(output),

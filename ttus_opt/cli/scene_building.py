@@ -98,7 +98,7 @@ def measured(
         begin: Called with each of the two stages.
 
     Raises:
-        InputError: As `built_scene`, or a file that cannot be used.
+        InputError: As `built_scene`, a file that cannot be used, or no forces.
     """
     from ttus_opt.scan.surface import Surface
 
@@ -106,10 +106,12 @@ def measured(
     patient, shell = Surface.load(surface), probe.read()
     reading = recordings.as_written(), recordings.conventions
     recorded = recordings.read(reading[0], shell, patient)
+    if not recorded.has_wrench:
+        names = ", ".join(recordings.names)
+        raise InputError(f"{names}: no measured forces: add the columns fx, fy, fz")
     begin("assembling (first run compiles)")
     scene = built_scene(plan, (patient, shell, recorded), reading)
-    if recorded.has_wrench:
-        warn_of_mistake(scene, reading)
+    warn_of_mistake(scene, reading)
     return Measured(patient, shell, recorded, reading, scene)
 
 

@@ -88,10 +88,10 @@ def seen(
     return [{"name": n, "sha256": h, "seen": h in fitted} for n, h in named]
 
 
-def warn_of_another_probe(
+def probe_for(
     provenance: Mapping[str, str], probe: ProbeOptions, recordings: RecordingOptions
-) -> None:
-    """Say when a field was fitted with another probe or other torques.
+) -> PointShell:
+    """The given probe; a warning tells where a field had another or other torques.
 
     Args:
         provenance: Provenance of the field.
@@ -100,11 +100,13 @@ def warn_of_another_probe(
 
     Raises:
         FileError: The provenance is damaged.
+        InputError: The probe cannot be read.
     """
+    shell = probe.read()
     fitted = provenance.get("probe")
     difference = f"probe {fitted}, this is {probe.name}" if fitted != probe.name else ""
     file = Path(probe.probe)
-    if not difference and ":" not in probe.probe and file.is_file():
+    if not difference and ":" not in probe.probe:
         own = _read(provenance, "hashes").get(file.name)
         difference = (
             f"another file {fitted}" if own not in (None, io.sha256(file)) else ""
@@ -124,6 +126,7 @@ def warn_of_another_probe(
             f"{own_about}: is --torque-about right?",
             kind=MistakeWarning,
         )
+    return shell
 
 
 def _hashes(files: Sequence[Path]) -> str:

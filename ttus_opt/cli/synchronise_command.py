@@ -9,7 +9,7 @@ import typer
 
 from ttus_opt.cli.console import as_options, tell
 from ttus_opt.cli.options import compared_clocks
-from ttus_opt.core.errors import InputError, TtusError
+from ttus_opt.core.errors import InputError, TtusError, counted
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
@@ -70,6 +70,7 @@ def synchronise(
         ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface
         surface.nc --base-to-scan base_to_scan.txt -o recording.csv
     """
+    from ttus_opt.probe.recording_faults import checked
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses, read_wrenches
     from ttus_opt.sensors.streams import with_wrenches
@@ -99,8 +100,8 @@ def synchronise(
         offset = found.seconds
     assert offset is not None
     joined = with_wrenches(track, forces, offset, largest_gap=largest_gap)
-    joined.save(output)
-    segments = len(set(joined.segment.tolist()))
+    checked(joined.raw(str(wrenches))).save(output)
+    segments = len(joined.parts)
     facts = {
         "output": str(output),
         "frames": len(joined),
@@ -117,8 +118,8 @@ def synchronise(
         else f" ± {found.std:.4f} s, correlation {found.correlation:.3f}"
     )
     line = (
-        f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
-        f"wrenches moved by {offset:.4f}{how}"
+        f"{output}: {len(joined)} of {len(track)} frames in "
+        f"{counted(segments, 'segment')}, wrenches moved by {offset:.4f}{how}"
     )
     tell(facts, line)
 

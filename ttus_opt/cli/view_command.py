@@ -16,7 +16,7 @@ import typer
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.sources import warn_of_another_probe
+from ttus_opt.cli.sources import probe_for
 from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.interrupts import ended_at_once
@@ -169,8 +169,7 @@ def _read(
     if tool.probe is None:
         shell = probe_of(fields[0])
     else:
-        shell = tool.read()
-        warn_of_another_probe(fields[0].provenance, tool, recordings)
+        shell = probe_for(fields[0].provenance, tool, recordings)
         if ":" not in tool.probe:
             mesh = read_mesh(tool.probe, unit=tool.probe_unit)
     trajectory = None

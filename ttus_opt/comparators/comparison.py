@@ -285,7 +285,7 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     milliseconds = [row.ms_per_frame for row in timed if row.comparator == reference]
     unit = float(np.mean(milliseconds)) if milliseconds else math.nan
     recordings = list(dict.fromkeys(row.recording for row in rows))
-    header = [" / ".join(recordings), "force [N]", "angle [°]", "torque [mN·m]"]
+    header = [" / ".join(recordings), "force [N]", "angle [°]", "torque [mN m]"]
     header += ["angle [°]", "ripple [%]", f"frame / {reference}"]
     body: list[list[str]] = []
     shares: dict[str, list[Row]] = {}

@@ -6,11 +6,12 @@ import functools
 import os
 import stat
 import tempfile
-import warnings
 from pathlib import Path
 
 import numba
 import platformdirs
+
+from ttus_opt.core.errors import warn
 
 
 @functools.cache
@@ -26,11 +27,9 @@ def cache_folder() -> Path | None:
         folder = Path(chosen) / "ttus_opt"
         if _trusted(folder, owners=(0,)):
             return folder
-        warnings.warn(
+        warn(
             f"{folder} is not used for compiled code: it cannot be created, or others "
-            "may write to it: change its owner and mode, or NUMBA_CACHE_DIR",
-            RuntimeWarning,
-            stacklevel=2,
+            "may write to it: change its owner and mode, or NUMBA_CACHE_DIR"
         )
     home = platformdirs.user_cache_path("ttus_opt", appauthor=False)
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
@@ -38,11 +37,9 @@ def cache_folder() -> Path | None:
     for folder in (home / "compiled", temporary):
         if _trusted(folder) and os.access(folder, os.W_OK):
             return folder
-    warnings.warn(
+    warn(
         f"compiled code is not saved: {home} is not writable; set NUMBA_CACHE_DIR to "
-        "a writable folder",
-        RuntimeWarning,
-        stacklevel=2,
+        "a writable folder"
     )
     return None
 

@@ -21,7 +21,6 @@ import sys
 import threading
 import time
 import types
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -34,6 +33,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 from ttus_opt.core.cache_folder import cache_folder
+from ttus_opt.core.errors import warn
 
 # Machine code that has not been used for this long is removed.
 KEEP_SECONDS = 30 * 86400.0
@@ -118,9 +118,7 @@ class Function(CPUDispatcher):
             with global_compiler_lock, _locked(self.folder):
                 return super().compile(sig)
         except OSError as error:
-            warnings.warn(
-                f"compiled code is not saved: {error}", RuntimeWarning, stacklevel=2
-            )
+            warn(f"compiled code is not saved: {error}")
         with contextlib.suppress(OSError):
             return super().compile(sig)  # without a lock
         return super().compile(sig)  # it was compiled, and saving failed

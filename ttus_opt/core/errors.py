@@ -52,6 +52,15 @@ def warn(message: str, depth: int = 1, kind: type[TtusWarning] = TtusWarning) ->
     warnings.warn(message, kind, stacklevel=depth + 2)
 
 
+def counted(n: int, noun: str) -> str:
+    """A number and what it counts.
+
+    >>> counted(1, "row"), counted(2000, "row")
+    ('1 row', '2,000 rows')
+    """
+    return f"{n:,} {noun}{'s' * (n != 1)}"
+
+
 @contextlib.contextmanager
 def located(place: object, kind: type[TtusError] = InputError) -> Iterator[None]:
     """Prefix the message of an `InputError` with a place, and raise it as ``kind``."""

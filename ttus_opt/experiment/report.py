@@ -135,7 +135,7 @@ def _what_was_done(result: ExperimentResult) -> list[Block]:
         Items(
             [
                 *patients,
-                f"Noise: force {FORCE_NOISE:g} N, torque {1e3 * TORQUE_NOISE:g} mN·m "
+                f"Noise: force {FORCE_NOISE:g} N, torque {1e3 * TORQUE_NOISE:g} mN m "
                 f"per axis and frame; poses {1e3 * POSITION_NOISE:g} mm and "
                 f"{np.degrees(ROTATION_NOISE):.2g}° per axis, alike over "
                 f"{POSE_CORRELATION:g} s (a tracker's drift, in fit and test alike)",

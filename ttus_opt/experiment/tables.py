@@ -123,7 +123,7 @@ def recordings_table(result: ExperimentResult) -> Table:
             ]
             cells += [f"{size.max():.1f}", f"{np.median(torque):.0f}"]
             lines.append([f"{each.patient.name}, {name}", *cells, number(lost, ".0f")])
-    header = ["", "in contact", "median [N]", "largest [N]", "median torque [mN·m]"]
+    header = ["", "in contact", "median [N]", "largest [N]", "median torque [mN m]"]
     return Table([*header, "work of presses not given back [%]"], lines)
 
 
@@ -131,7 +131,7 @@ def torque_table(result: ExperimentResult) -> Table:
     """Torque and force errors without and with the torque term."""
     pair = ("eq10_force_only", "eq10")
     columns = (
-        Column("torque [mN·m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
+        Column("torque [mN m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
         _TORQUE,
         _TORQUE_ANGLE._replace(form=".1f"),
         FORCE,
@@ -167,7 +167,7 @@ def uncertainty_table(result: ExperimentResult) -> Table:
                         number(figures.force_place_rank_correlation, ".2f"),
                     ]
                 )
-    header = ["", "force [N]", "covered [%]", "torque [mN·m]", "covered [%]"]
+    header = ["", "force [N]", "covered [%]", "torque [mN m]", "covered [%]"]
     return Table([*header, "rank", "between places"], lines)
 
 

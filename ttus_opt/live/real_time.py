@@ -278,7 +278,6 @@ def run_operator(
     start: tuple[Array, Array],
     *,
     seconds: float = math.inf,
-    rate: float = OPERATOR_RATE,
     show: Callable[[LiveState], None] | None = None,
     record: Callable[[OperatorFrame], None] | None = None,
     tell: Callable[[str, str], None] | None = None,
@@ -290,12 +289,12 @@ def run_operator(
         link: To the follower.
         start: Pose of the hand until the haptic loop runs: (3, 3), (3,) [m].
         seconds: Length [s].
-        rate: Frames a second of this loop, not of the haptic one [Hz].
         show: Called ten times a second with what a page shows.
         record: Called with every frame, such as `Recorder.operated`.
         tell: Called with every new state, and why it is not NORMAL.
     """
-    beat, seen = Metronome(rate, seconds), _Seen(operator.peer, tell)
+    beat = Metronome(OPERATOR_RATE, seconds)
+    seen = _Seen(operator.peer, tell)
     operator.peer.rate.overhead = link.overhead
     pose, shown = start, -math.inf
     for now in beat:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arguments import hold_numbers
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError, InputError, warn
+from ttus_opt.core.errors import GeometryError, InputError, counted, warn
 from ttus_opt.core.html_card import card, sections_svg
 from ttus_opt.probe.even_sampling import (
     FINE,
@@ -423,8 +423,8 @@ def _lengths(values: tuple[float, ...], count: int, what: str) -> Array:
     array = np.asarray(values, dtype=float)
     if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
         raise InputError(
-            f"{what} must be {count} positive length(s) [m], got {values}: a probe of "
-            "zero or negative size has no area"
+            f"{what} must be {counted(count, 'positive length')} [m], got {values}: a "
+            "probe of zero or negative size has no area"
         )
     return array
 

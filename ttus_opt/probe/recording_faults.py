@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ttus_opt.core.arrays import Array, Mask
-from ttus_opt.core.errors import FileError, MistakeWarning, warn
+from ttus_opt.core.errors import FileError, MistakeWarning, counted, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording, complete
 
@@ -105,9 +105,8 @@ def checked(raw: RawRecording) -> RawRecording:
         raise FileError(f"{raw.title}: {NO_FRAME}")
     new = new_rows(raw)
     if not new.all():
-        n = int((~new).sum())
-        rows = f"{n} row{'s' * (n != 1)} equal to the row before"
-        warn(f"{raw.title}: {rows} left out", 2)
+        rows = counted(int((~new).sum()), "row")
+        warn(f"{raw.title}: {rows} equal to the row before left out", 2)
         raw = raw.select(new)
     found = faults(raw)
     if found:
@@ -157,7 +156,7 @@ def _missing(raw: RawRecording) -> Iterator[Fault]:
     at = int(np.argmax(~np.isfinite(values)))
     what = raw.unread.get(row, f"{names[at]} is {values[at]}")
     thing = "line" if len(raw.line) else "frame"
-    remedy = f"remove the {lost.sum()} {thing}(s) with missing values"
+    remedy = f"remove the {counted(int(lost.sum()), thing)} with missing values"
     if row in raw.unread:
         truncated = "truncated" in what
         remedy = "record or copy it again" if truncated else "repair or remove the line"
@@ -172,7 +171,7 @@ def _sizes(raw: RawRecording) -> Iterator[Fault]:
     for values, limit, unit, remedy in (
         (raw.position, far, "m", "millimetres? divide by 1000"),
         (raw.force, most[0], "N", "millinewtons? convert to N"),
-        (raw.torque, most[1], "N·m", "N·mm? divide by 1000"),
+        (raw.torque, most[1], "N m", "N mm? divide by 1000"),
     ):
         if values is None:
             continue

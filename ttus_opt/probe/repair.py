@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ttus_opt.core.arrays import Mask
-from ttus_opt.core.errors import FileError, warn
+from ttus_opt.core.errors import FileError, counted, warn
 from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import bad_quaternions, jumps, missing, new_rows
 
@@ -52,7 +52,7 @@ def repaired(raw: RawRecording) -> Repaired:
     def kept(raw: RawRecording, rows: Mask, what: str) -> RawRecording:
         if rows.all():
             return raw
-        done.append(f"dropped {_count(int((~rows).sum()))} {what}")
+        done.append(f"dropped {counted(int((~rows).sum()), 'row')} {what}")
         if not rows.any():
             raise FileError(f"{raw.title}: no row is left after repair: record again")
         return raw.select(rows)
@@ -86,10 +86,6 @@ def repaired_aloud(raw: RawRecording) -> RawRecording:
     return found.recording
 
 
-def _count(n: int) -> str:
-    return f"{n:,} row{'s' * (n != 1)}"
-
-
 def _split(raw: RawRecording, at: Mask, where: str, done: list[str]) -> RawRecording:
     """The recording with a new segment from each of the rows on."""
     if not at.any():
@@ -105,7 +101,7 @@ def _sorted(raw: RawRecording, done: list[str]) -> RawRecording:
     late = int((raw.steps < 0).sum())
     if not late:
         return raw
-    done.append(f"sorted {_count(late)} that came late")
+    done.append(f"sorted {counted(late, 'row')} that came late")
     # segments in the order in which they stand
     number = np.cumsum(np.diff(raw.segment, prepend=0) != 0)
     return raw.select(np.lexsort((raw.time, number)))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ttus_opt.core.arguments import numbers
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.core.errors import FileError, InputError, located
+from ttus_opt.core.errors import FileError, InputError, counted, located
 from ttus_opt.core.html_card import card, curve_svg
 from ttus_opt.probe.pose import (
     PoseLike,
@@ -153,7 +153,7 @@ class Trajectory:
         spans = [self.time[p.stop - 1] - self.time[p.start] for p in self.parts]
         seconds = float(np.sum(spans))
         return {
-            "frames": f"{len(self)} frames{recordings}",
+            "frames": f"{counted(len(self), 'frame')}{recordings}",
             "duration": f"{seconds:.4g} s",
             "wrenches": wrench,
         }
@@ -339,9 +339,11 @@ class Trajectory:
         """
         if not parts:
             raise InputError("concatenate needs at least one trajectory, got none")
-        if len({p.has_wrench for p in parts}) > 1:
+        without = [str(i) for i, p in enumerate(parts, 1) if not p.has_wrench]
+        if 0 < len(without) < len(parts):
             raise InputError(
-                "only some of the trajectories have wrenches: leave out those without"
+                f"of {len(parts)} trajectories number {', '.join(without)} have no "
+                "wrenches: leave out those without"
             )
         if len({p.has_torque for p in parts}) > 1:
             raise InputError(
@@ -372,8 +374,12 @@ class Trajectory:
         Raises:
             FileError: The folder cannot be written to.
         """
+        self.raw("").save(path, digits=digits)
+
+    def raw(self, source: str) -> RawRecording:
+        """As a file would hold it; errors name the source."""
         values = self.time, self.position, self.quat_wxyz, self.force, self.torque
-        RawRecording("", *values, self.segment).save(path, digits=digits)
+        return RawRecording(source, *values, self.segment)
 
 
 def read_trajectory(

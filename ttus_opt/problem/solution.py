@@ -191,10 +191,10 @@ class Solution:
         if name in self.not_identified:
             return (
                 f"{name}: not identified ({self.not_identified[name]}): "
-                f"{value:.6g} is used"
+                f"{value:.4g} is used"
             )
         error = self.standard_errors.get(name)
-        line = f"{name} {value:.6g}"
+        line = f"{name} {value:.4g}"
         if error is not None:
             # two digits of the error, and the value to the same place
             place = 6 if error == 0.0 else 1 - math.floor(math.log10(error))

@@ -99,7 +99,7 @@ class Errors:
         return (
             f"Errors(force {self.force_magnitude_error_N:.3g} N, "
             f"{self.force_angle_error_deg:.1f}°; torque "
-            f"{1e3 * self.torque_magnitude_error_Nm:.3g} mN·m, "
+            f"{1e3 * self.torque_magnitude_error_Nm:.3g} mN m, "
             f"{self.torque_angle_error_deg:.1f}°; {self.frames} frames, "
             f"{self.frames_in_contact} in contact)"
         )

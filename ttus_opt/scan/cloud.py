@@ -62,9 +62,13 @@ def extent_words(cloud: Array) -> str:
     """The extent of points (n, 3) along each axis, as text."""
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     return ", ".join(
-        f"{axis} {a:.3f} to {b:.3f}"
+        f"{axis} {_length(a)} to {_length(b)}"
         for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=True)
     )
+
+
+def _length(value: float) -> str:
+    return f"{value:.3f}" if abs(value) < 1e6 else f"{value:.4g}"
 
 
 Unit = Literal["m", "cm", "mm"]

@@ -107,8 +107,9 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
 
     Raises:
         UnlikeSignalsError: The poses are not at the skin.
-        InputError: The fraction is 0 or 1.
+        InputError: The fraction is 0 or 1, or too few poses.
     """
+    _require_length(poses.time)
     if not 0.0 < share < 1.0:
         raise InputError(
             f"{100 * share:.0f} % of the forces are in contact: the offset needs a "
@@ -239,16 +240,20 @@ def _slope(time: Array, values: Array) -> Signal:
     return Signal(time[both], slope)
 
 
+def _require_length(time: Array) -> None:
+    if len(time) < 10:
+        raise InputError(
+            f"an offset needs signals of at least 10 frames, got {len(time)}"
+        )
+
+
 def _step(signal: Signal) -> float:
     """The median step of a signal [s].
 
     Raises:
         InputError: The signal is too short, not finite or constant.
     """
-    if len(signal.time) < 10:
-        raise InputError(
-            f"an offset needs signals of at least 10 frames, got {len(signal.time)}"
-        )
+    _require_length(signal.time)
     if not (np.isfinite(signal.time).all() and np.isfinite(signal.values).all()):
         raise InputError("a signal contains NaN or infinity: drop those frames")
     step = float(np.median(np.diff(signal.time)))

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.errors import counted
 from ttus_opt.probe.raw_recording import RawRecording, parts
 from ttus_opt.probe.recording_faults import (
     MOST_FORCE,
@@ -112,8 +113,8 @@ class Diagnosis:
         several = f" in {self.segments} recordings" if self.segments > 1 else ""
         rate = "" if np.isnan(self.rate) else f", {self.rate:.4g} Hz"
         lines = [
-            f"{named}{self.holds}, {self.rows:,} rows over {self.seconds:.4g} s"
-            f"{several}{rate}"
+            f"{named}{self.holds}, {counted(self.rows, 'row')} over "
+            f"{self.seconds:.4g} s{several}{rate}"
         ]
         if self.position is not None and self.turned is not None:
             noise = 1e3 * self.noise["position"]
@@ -140,8 +141,7 @@ class Diagnosis:
             many = "gap of" if number == 1 else "gaps, the longest"
             lines.append(f"{number} {many} {longest:.3g} s")
         if self.jumps:
-            plural = "s" * (self.jumps != 1)
-            lines.append(f"{self.jumps} jump{plural} of the position")
+            lines.append(f"{counted(self.jumps, 'jump')} of the position")
         lines += [f"fault: {fault}" for fault in self.faults]
         if self.repair:
             lines.append(f"--repair: {', '.join(self.repair)}")
@@ -150,6 +150,7 @@ class Diagnosis:
         return lines
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers may be damaged
 def diagnosis(raw: RawRecording) -> Diagnosis:
     """The figures of a stream, whatever is wrong with it."""
     lost = missing(raw) | bad_quaternions(raw)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import FileError, InputError
+from ttus_opt.core.errors import FileError, InputError, counted
 from ttus_opt.core.optional import load
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
 from ttus_opt.probe.recording_faults import checked
@@ -160,9 +160,8 @@ def read_camera_poses(
     found = len(read.time)
     if found != n:
         raise FileError(
-            f"{os.fspath(path)} has {found} pose{'s' * (found != 1)}, there "
-            f"{'is' if n == 1 else 'are'} {n} image{'s' * (n != 1)}: write one line "
-            "for each image, in their order"
+            f"{os.fspath(path)} has {counted(found, 'pose')} for "
+            f"{counted(n, 'image')}: write one line for each image, in their order"
         )
     assert read.quaternion is not None and read.position is not None
     return homogeneous(from_quaternions(read.quaternion, order), read.position)

@@ -230,17 +230,17 @@ def _check_axes(force: Array, u: Array, spans_all: bool, sensor: ForceSensor) ->
         if turn < np.rad2deg(LARGEST_TURN):
             return
         # with tilts in a plane, reversed gravity looks like half a turn
-        first = f"give sign {other}, or " if not spans_all and turn > 150.0 else ""
+        first = f"give sign={other}, or " if not spans_all and turn > 150.0 else ""
         fits = Rotation.from_matrix(sensor.axes @ map_.T).as_quat().round(3) + 0.0
         raise InputError(
-            f"the readings lie {turn:.0f}° from the stated axes: {first}give axes "
-            f"{','.join(f'{v:g}' for v in fits)} (quaternion x,y,z,w), or check down"
+            f"the readings lie {turn:.0f}° from the stated axes: {first}give axes="
+            f"{','.join(f'{v:g}' for v in fits)} (quaternion x,y,z,w), or check down=…"
         )
     flipped = Rotation.from_matrix(-map_).magnitude()
     if flipped < LARGEST_TURN:
         raise InputError(
             "gravity is reversed in all three axes: the sensor measures the opposite "
-            f"force: give sign {other}, or check down"
+            f"force: give sign={other}, or check down=…"
         )
     nearest = int(np.argmin(np.diag(map_)))
     raise InputError(

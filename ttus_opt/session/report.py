@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from ttus_opt.core.errors import counted
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report import plots
 from ttus_opt.report.document import Block, Heading, Picture, Table, Text, write_report
@@ -131,13 +132,13 @@ def _steps(result: SessionResult) -> list[list[str]]:
     ]
     for part in result.session.recordings:
         frames = result.recordings[part.name]
-        n = len(set(frames.segment.tolist()))
+        pieces = counted(len(frames.parts), "piece")
         use = "fitted" if part.fitted else "judged"
         rows.append(
             [
                 part.name,
-                f"{len(frames)} frames from {part.start:g} to {part.end:g} s in {n} "
-                f"piece{'s' * (n != 1)}, {use}",
+                f"{len(frames)} frames from {part.start:g} to {part.end:g} s in "
+                f"{pieces}, {use}",
             ]
         )
     after = result.model.after
@@ -179,10 +180,10 @@ def _clock(result: SessionResult) -> str:
     how = "as given"
     if timing.correlation is not None:
         how = f"by {result.session.clock.by}, correlation {timing.correlation:.3f}"
-    left_out = result.figures["clock"]["left_out"]
+    left_out = counted(result.figures["clock"]["left_out"], "pose")
     return (
-        f"forces moved by {timing.offset:.4f} s ({how}); {left_out} poses without "
-        "forces left out"
+        f"forces moved by {timing.offset:.4f} s ({how}); {left_out} without forces "
+        "left out"
     )
 
 

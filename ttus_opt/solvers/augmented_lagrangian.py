@@ -111,6 +111,7 @@ class _Loaded(Prepared):
             gradient = D.T @ (D @ x - t) + own.adjoint(y[own.name])
             duals = problem.duals(multipliers, gradient)
             kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+            request.tell(kkt.worst_relative)
             if kkt.worst_relative <= request.tolerance:
                 break
         else:

@@ -118,6 +118,11 @@ class Request:
         limit = self.time_limit
         return None if limit is None else time.perf_counter() + limit
 
+    def tell(self, residual: float) -> None:
+        """Pass on the relative KKT residual [–] of a better iterate."""
+        if self.told is not None and math.isfinite(residual):
+            self.told(residual)
+
 
 class Prepared(abc.ABC):
     """A solver with a program loaded, by `update` first.

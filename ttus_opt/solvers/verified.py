@@ -80,8 +80,7 @@ class Verified(Prepared):
             gained = residual < least
             if gained or best.x is None:
                 best, least = candidate, residual
-                if self._request.told is not None and np.isfinite(residual):
-                    self._request.told(residual)
+                self._request.tell(residual)
             if residual <= tolerance or candidate.x is None:
                 break
             if candidate.claim in self.tightened_after:

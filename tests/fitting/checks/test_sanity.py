@@ -136,7 +136,7 @@ def test_torques_in_another_unit_are_told_by_their_size():
     own = recording("sweep_fit")
     found = report(replace(own, torque=1e3 * own.torque)).mistake
     assert re.fullmatch(
-        r"torques in N·mm, \d{3,4} times those expected: read them with "
+        r"torques in N mm, \d{3,4} times those expected: read them with "
         "--torque-unit Nmm",
         str(found),
     )

@@ -35,6 +35,7 @@ from ttus_opt.fitting.checks.other_readings import Reading, other_readings
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate, hysteresis_share
+from ttus_opt.report.tables import number
 from ttus_opt.voxmap.field import PotentialField
 
 #: Most frames that are compared [–]
@@ -43,7 +44,7 @@ FRAMES = 120
 #: Another convention is reported if its S is below this share of the recordings' own
 CLEARLY = 0.7
 
-#: Torques this many times too large are in N·mm
+#: Torques this many times too large are in N mm
 WRONG_UNIT = 100.0
 
 #: Least lever of expected torques that tell a unit, over the probe's rms radius: those
@@ -87,7 +88,7 @@ class RecordingCheck:
     hysteresis_share: float = math.nan
 
     def __str__(self) -> str:
-        torque = f"{1e3 * self.torque_residual_Nm:.1f} mN·m"
+        torque = f"{1e3 * self.torque_residual_Nm:.1f} mN m"
         if math.isnan(self.torque_residual_Nm):
             torque = "no torques"
         lost = ""
@@ -95,9 +96,9 @@ class RecordingCheck:
             lost = f", {100 * self.hysteresis_share:.0f} % hysteresis"
         return (
             f"{self.name}: {self.frames} frames, residual {self.force_residual_N:.2f} "
-            f"N, {torque}, "
-            f"{self.force_angle_deg:.1f}°; {self.force_without_contact} with force but "
-            f"no contact, {self.contact_without_force} with contact but no force, "
+            f"N, {torque}, {number(self.force_angle_deg, '.1f')}°; "
+            f"{self.force_without_contact} with force but no contact, "
+            f"{self.contact_without_force} with contact but no force, "
             f"{self.beyond_inner} below the inner layer{lost}"
         )
 
@@ -304,7 +305,7 @@ def _likely_mistake(
         mends = replace(conventions, torque_unit="Nmm").options
         size = f"{as_read.torque_ratio:.0f} times those expected"
         return as_read.disagreement, Mistake(
-            f"torques in N·mm, {size}",
+            f"torques in N mm, {size}",
             mends,
             as_read.disagreement,
             as_read.disagreement,

@@ -58,7 +58,7 @@ class DepthProfile:
 
     def __str__(self) -> str:
         parts = zip(self.coefficients, self.exponents, strict=True)
-        return " + ".join(f"{c:.3g} (d/10 mm)^{a:g}" for c, a in parts if c)
+        return " + ".join(f"{c:.3g} (d/10 mm)^{a:.3g}" for c, a in parts if c)
 
     def __call__(self, depth: Array) -> Array:
         """φ at depths below the surface; −φ(|d|) above it.

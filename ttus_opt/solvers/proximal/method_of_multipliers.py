@@ -168,6 +168,7 @@ class MethodOfMultipliers:
             if kkt.worst_relative < least:
                 stale = 0 if kkt.worst_relative < 0.9 * least else stale + 1
                 best, least = Candidate(state.x, duals), kkt.worst_relative
+                self._request.tell(least)
             else:
                 stale += 1
             if least <= self._request.tolerance or stale > most or self._late:
