@@ -35,19 +35,6 @@ def test_a_quadratic_program_is_left_alone():
     assert reduce(cones).program is cones
 
 
-def test_names_of_what_is_added():
-    reduced = reduce(bent()).program
-    assert reduced.is_quadratic
-    terms, held, limits = (
-        [member.name for member in members]
-        for members in (reduced.terms, reduced.constraints, reduced.bounds)
-    )
-    assert terms == ["laplace", "robust_force", "robust_force:excess", "sparse_sources"]
-    assert held == ["boundary", "sparse_sources:split"]
-    assert limits == ["sign", "robust_force:excess", "sparse_sources:excess"]
-    assert list(reduced.variables)[1] == "robust_force:above"
-
-
 def test_the_best_auxiliary_variables_give_the_original_objective():
     program = bent()
     reduced = reduce(program).program

@@ -111,24 +111,6 @@ def test_a_straight_press_tells_friction_where_it_is_released(name):
     assert why == ({} if tells else {"friction_coefficient": ONE_SENSE})
 
 
-def test_a_probe_that_slides_tells_friction_in_one_sense_too():
-    n = 40
-    angle = np.linspace(0.5, 0.9, n)
-    scene = pressed(np.full(n, 0.004), np.zeros(1))
-    position = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1) * 0.166
-    slid = tt.Trajectory(
-        scene.trajectory.time,
-        np.add(position, [0.0, 0.0, 0.1]),
-        scene.trajectory.rotation,
-        2.0 * position / 0.166,
-    )
-    scene = tt.Scene.assemble(tube(), scene.shell, slid, inner=3.0)
-    for acts_at in ("points", "contact", "reference"):
-        model = tt.terms.GlobalCoulomb(scene, acts_at)
-        assert distinct_drag(scene, model.rows.force) > 0.9
-        assert not model.not_identifiable()
-
-
 def frictionless(released):
     """Without noise."""
     depth = np.concatenate([DOWN, DOWN[-2::-1]]) if released else DOWN

@@ -289,6 +289,14 @@ def residual(term, q, m):
     return r + rows.blocks["m"] @ [m] if "m" in rows.blocks else r
 
 
+def test_a_share_of_the_laplace_field_costs_nothing():
+    field = np.linalg.solve(FEW.L.toarray(), FEW.b)
+    free, held = DragSmoothnessTerm(FEW), DragSmoothnessTerm(FEW, has_mean=False)
+    np.testing.assert_allclose(residual(free, 0.3 * field, 0.3), 0.0, atol=1e-9)
+    np.testing.assert_allclose(residual(held, 0.3 * field, 0.3), 0.3 * FEW.b, atol=1e-9)
+    np.testing.assert_allclose(residual(held, np.zeros(V), 0.0), 0.0)
+
+
 def test_its_rows_are_l_q_less_m_b():
     q = np.random.default_rng(0).normal(size=V)
     expected = FEW.L @ q - 0.7 * FEW.b

@@ -13,6 +13,7 @@ from ttus_opt.problem.terms.part_noise import (
     contact_directions,
     independent,
 )
+from ttus_opt.problem.terms.structure import Whitened, declared
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene("contact-size", n_poses=60)
@@ -22,16 +23,6 @@ RNG = np.random.default_rng(0)
 OWN, FORCE = RNG.uniform(0.1, 0.5, T), RNG.uniform(0.0, 8.0, T)
 DRIFT = RNG.uniform(0.2, 1.0, T)
 ZERO = np.zeros(T)
-
-
-def test_directions_are_those_of_a_field_that_grows_with_depth():
-    u = contact_directions(SCENE)
-    assert TOUCHING.any()
-    np.testing.assert_allclose(np.linalg.norm(u[TOUCHING], axis=1), 1.0)
-    assert not u[~TOUCHING].any()
-    # out of the patient, the way the skin pushes
-    out = SCENE.trajectory.position[TOUCHING] * [1.0, 1.0, 0.0]
-    assert (np.einsum("ti,ti->t", u[TOUCHING], out) > 0.0).all()
 
 
 def test_residuals_are_divided_part_by_part():
@@ -52,6 +43,19 @@ def test_residuals_are_divided_part_by_part():
     found = (rows.blocks["p"] @ p - rows.target).reshape(-1, 3)
     expected_torque = noise.level * torque / np.sqrt(turned)[:, None]
     np.testing.assert_allclose(found, expected_torque)
+
+
+def test_equal_parts_are_the_plain_term():
+    noise = PartNoise.of(SCENE, np.full(T, 0.3), ZERO, ZERO)
+    assert noise.level == pytest.approx(0.3)
+    for term in (ForceTerm, TorqueTerm):
+        plain, same = term(SCENE).assembled, term(SCENE, noise=noise).assembled
+        assert abs(plain.blocks["p"] - same.blocks["p"]).max() < 1e-12
+        np.testing.assert_allclose(plain.target, same.target)
+        found = [declared(rows.tags, Whitened) for rows in (plain, same)]
+        assert found[1] is not None and (found[0] is None) == (term is ForceTerm)
+        if found[0] is not None:
+            assert abs(found[0].by - found[1].by).max() < 1e-12
 
 
 def covariance(time, recording):

@@ -142,3 +142,15 @@ def test_squares_by_hand():
         again, other = wide.resolvent(R, step)
         np.testing.assert_array_equal(g, again)
         np.testing.assert_array_equal(slope.factor, other.factor)
+
+
+def test_outside_the_ball_only_turning_counts_and_inside_multipliers_follow_v():
+    v, across = np.array([3.0, 4.0]), np.array([-4.0, 3.0])
+    g, slope = PAIRS.resolvent(v, 1.0)
+    np.testing.assert_allclose(slope.times(v), 0.0, atol=1e-15)
+    turned = PAIRS.resolvent(v + 1e-6 * across, 1.0)[0] - g
+    np.testing.assert_allclose(slope.times(across), turned / 1e-6, rtol=1e-5)
+    v = np.array([0.3, -0.4])
+    g, slope = PAIRS.resolvent(v, 1.0)
+    np.testing.assert_array_equal(g, v)
+    np.testing.assert_array_equal(slope.times(v), v)

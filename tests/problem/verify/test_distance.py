@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from tests.kit import dragged_scene, small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties import Linear
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.distance import CLOSE, energy, field_of, held_by_equalities
@@ -130,17 +128,6 @@ def test_nothing_is_said_where_squares_leave_something_open():
     assert energy(one, np.zeros(2), free) == 0.0
     nothing = bare([term([[1.0, 0.0]], [1.0], penalty=Linear())])
     assert energy(nothing, np.array([1.0, 0.0]), free) is None
-
-
-def test_a_term_called_laplace_with_other_rows_is_no_bound_by_its_name():
-    """A hundredth of L under L's name: P is 1e-4 of what the name promises."""
-    program = compiled("laplace_only")
-    (own,) = program.terms
-    weak = own.__class__(own.name, 1.0, sp.csr_array(0.01 * own.matrix), own.target)
-    faked = Program(program.variables, (weak,), (), (), program.laplace)
-    r, free = np.ones(program.n_variables), held_by_equalities(program)
-    bound = energy(faked, r, free)
-    assert bound >= dense(faked, r, free) * (1.0 - 1e-6)
 
 
 def test_rows_that_fix_a_variable():

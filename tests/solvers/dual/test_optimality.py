@@ -3,7 +3,7 @@
 import numpy as np
 
 from ttus_opt.solvers.dual.limits import Multipliers, SpokeLimits
-from ttus_opt.solvers.dual.optimality import Violations, find_violations, right_signs
+from ttus_opt.solvers.dual.optimality import find_violations, right_signs
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 INF = np.inf
@@ -51,11 +51,3 @@ def test_wrong_signs_and_violated_limits_are_found():
     following = found.pivoted(LIMITS, active)
     np.testing.assert_array_equal(following.bounds, [0, 1, -1, 0])
     np.testing.assert_array_equal(following.links, [True, False, False, False])
-
-
-def test_the_worse_half_goes_on():
-    sizes = np.array([0.3, -INF, 0.1, 0.2])
-    found = Violations(sizes, np.zeros(4, np.int8), sizes[::-1].copy())
-    half = found.worse_half()
-    assert half.count == found.count // 2 == 3
-    assert sorted(np.concatenate([half.bounds, half.links]))[-3:] == [0.2, 0.3, 0.3]

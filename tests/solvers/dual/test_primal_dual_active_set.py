@@ -189,14 +189,6 @@ def test_lower_and_upper_bounds(seed, hard):
     check(eq10(scene, 1.0, random_box(scene, seed, hard), *more), least_active=5)
 
 
-def test_upper_bounds_that_fall_outwards():
-    scene = contested()
-    upper = np.where(inside(scene), 2.0 - 0.35 * layer(scene), INF)
-    within = Within(scene, np.full(scene.n_voxels, -INF), upper)
-    check(eq10(scene, 1.0, within, Monotone(scene)), least_active=20)
-    check(eq10(scene, 1.0, within, Monotone(scene, 20.0)), least_active=20)
-
-
 @pytest.mark.slow
 def test_bounds_that_hold_everywhere():
     """Lower and upper bound are one value, at every voxel or in one layer."""
@@ -393,16 +385,6 @@ def test_of_two_bounds_in_a_block_the_tighter_one_holds(seed, hard):
     scene = contested(seed, (6, 9, 5), n_poses=6, scale=[1.0, -3.0][seed % 2])
     more = [HardBoundary(scene)] if hard else []
     check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
-
-
-def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds():
-    """Tight outside, loose inside, and all of the spoke is drawn up."""
-    scene = contested(2, (6, 9, 5), n_poses=6)
-    rng = np.random.default_rng(2)
-    V = scene.n_voxels
-    upper = np.where(inside(scene) & (rng.random(V) < 0.5), rng.uniform(0.2, 2, V), INF)
-    within = Within(scene, np.full(V, -INF), upper)
-    check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
 
 
 def test_two_growths_on_one_link_in_any_order():

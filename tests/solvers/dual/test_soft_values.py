@@ -7,13 +7,8 @@ from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import soft_values
-from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.soft_values import SoftValues
-from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
-from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.structured import Structured
 
 SCENE = small_scene("trilinear", shape=(8, 16, 10), n_poses=6)
@@ -29,18 +24,6 @@ def dense(of):
     system = of.system
     inverse = np.linalg.inv(SCENE.laplace.L.toarray())
     return inverse, system.root_weights[:, None] * system.rows.toarray()
-
-
-def test_slopes_and_fields_are_those_of_l():
-    of, rng = data(), np.random.default_rng(0)
-    made, (inverse, D) = ApproximateSchur(of.system), dense(of)
-    y, values = rng.normal(size=len(D)), rng.normal(size=len(made.fixed))
-    slope = (inverse.T @ (D.T @ y))[made.fixed]
-    assert np.linalg.norm(made.slope(y) - slope) < 0.03 * np.linalg.norm(slope)
-    whole = np.zeros(len(inverse))
-    whole[made.fixed] = values
-    image = D @ (inverse @ whole)
-    assert np.linalg.norm(made.measured(values) - image) < 0.03 * np.linalg.norm(image)
 
 
 @pytest.mark.parametrize("weight", [1e-2, 1.0])
@@ -71,31 +54,6 @@ def test_held_are_those_of_the_equation_itself(weight):
     assert (natural < lower).sum() != held.sum()
     assert predicted is not None
     assert np.count_nonzero(predicted != held) <= 0.02 * len(held)
-
-
-def test_it_is_told_what_soft_values_would_be_without_limits(monkeypatch):
-    """b + ω q, where they are held and where they are free, against dense algebra."""
-    program = load("free_surface", SCENE).compile()
-    of, limits = DualData.of(program), SpokeLimits.of(program)
-    problem = LimitedField(program, limits, of, DualSolver(of.system))
-    at = ActiveSetIteration(problem, None, 1e-6, Accuracy(1e-11))
-    told = []
-    plain = SoftValues.held
-
-    def noted(self, p, natural, lower):
-        told[:] = p, natural
-        return plain(self, p, natural, lower)
-
-    monkeypatch.setattr(SoftValues, "held", noted)
-    following = at.predicted(at.solve(at.active, 1e-11))
-    at.predicted(at.solve(following, 1e-11))
-    inverse, D = dense(of)
-    q = inverse.T @ (D.T @ (of.t - D @ at.p))
-    voxels = problem._soft_values.voxels
-    expected = (of.b + of.system.compliance * q)[voxels]
-    p, natural = told
-    np.testing.assert_allclose(natural, expected, atol=1e-6 * np.abs(expected).max())
-    assert 0 < np.count_nonzero(natural < p - 1e-3) < len(p)
 
 
 @pytest.fixture

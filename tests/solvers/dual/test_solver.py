@@ -174,14 +174,6 @@ def test_the_prior_s_field_is_kept_while_it_serves(monkeypatch):
     assert new == [True, True, True, False, False, True]
 
 
-def test_dependent_columns_share_what_they_explain():
-    E = np.random.default_rng(0).normal(size=(9, 2))
-    twice = Complement(np.column_stack([E, E[:, 0]]), lambda r: r)
-    residual = E @ np.array([2.0, 3.0])
-    np.testing.assert_allclose(twice.coefficients(residual), [1.0, 3.0, 1.0])
-    np.testing.assert_allclose(twice.part(residual), 0.0, atol=1e-14)
-
-
 def test_a_deadline_passes():
     now = time.perf_counter()
     assert not Accuracy(1e-8).late

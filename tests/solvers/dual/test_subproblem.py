@@ -6,14 +6,13 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 import ttus_opt as tt
-from tests.kit import ellipsoid, presses, torso
+from tests.kit import ellipsoid, presses
 from tests.oracles.dense import least_squares, stacked
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
-from tests.solvers.test_structured import rough_surface
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
-from ttus_opt.solvers.dual.solver import Accuracy, DualSolver
+from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
@@ -137,42 +136,6 @@ def shaped(surface, shape, r_outer):
         tt.Scene.assemble(voxmap, shell, trajectory, inner=1.0, sampling="trilinear"),
         seed=2,
     )
-
-
-@pytest.mark.parametrize(
-    ("surface", "shape", "r_outer"),
-    [
-        (torso(), (8, 16, 7), float(torso().radius.max())),
-        (rough_surface(0), (9, 16, 8), None),
-        (rough_surface(1), (8, 15, 9), float(rough_surface(1).radius.max())),
-        (torso(), (9, 21, 3), None),
-        (torso(), (4, 4, 3), None),
-    ],
-    ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
-)
-@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-def test_geometry_that_breaks_careless_subproblems(surface, shape, r_outer, hard):
-    compare(shaped(surface, shape, r_outer), 5, hard)
-
-
-def test_no_limit_active_is_the_whole_problem():
-    program = limited(contested(3), 3, False)
-    limits = SpokeLimits.of(program)
-    nothing = random_working_set(limits, 0, 0.0, 0.0)
-    assert nothing.count == 0
-    data = DualData.of(program)
-    whole = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-12)).p
-    found = solved(program, limits, nothing)
-    assert np.linalg.norm(found - whole) <= 1e-10 * np.linalg.norm(whole)
-
-
-def test_all_voxels_held_leave_nothing_to_solve():
-    program = limited(contested(3), 3, False)
-    limits = SpokeLimits.of(program)
-    V = len(limits.lower)
-    bounds = np.random.default_rng(0).choice([-1, 1], V).astype(np.int8)
-    p = solved(program, limits, WorkingSet(bounds, np.zeros(V, dtype=bool)))
-    np.testing.assert_array_equal(p, np.where(bounds > 0, limits.upper, limits.lower))
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])

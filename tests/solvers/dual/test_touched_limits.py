@@ -1,7 +1,6 @@
 """The model of the limits that can bind, against dense algebra and all active sets."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from tests.solvers.dual.test_pivoting import wrong_signs
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
-from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import Multipliers
 from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -83,29 +81,6 @@ def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper):
         assert found.tolist() in [[active[0]] for active in right]
 
 
-def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open():
-    rows = pair(1.0, 1.0, 0.3, False).rows
-    V = len(rows.laplace.free)
-    touched = np.asarray(abs(rows.rows).sum(axis=0) > 0.0).reshape(-1)
-    touched = touched[:V] | touched[V:]
-    held, limited = np.flatnonzero(~rows.laplace.free), np.ones(V, dtype=bool)
-    limited[np.flatnonzero(touched)[::3]] = False
-    assert not touched[held].any()
-    # an entry of zero beside them touches nothing, one on the boundary moves nothing
-    more = np.zeros((2, 2 * V))
-    more[0, np.flatnonzero(rows.laplace.free & ~touched)[0]] = 1.0
-    more[1, held[:5]] = 1.0
-    added = sp.csr_array(more)
-    added.data[0] = 0.0
-    stacked = sp.csr_array(sp.vstack([rows.rows, added]))
-    assert stacked.nnz == rows.rows.nnz + 6
-    weights = np.append(rows.root_weights, [1.0, 1.0])
-    column = np.append(rows.measured_column, [0.0, 0.0])
-    longer = replace(rows, rows=stacked, root_weights=weights, measured_column=column)
-    made = TouchedLimits.of(longer, limited)
-    np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
-
-
 def test_a_factor_that_fails_makes_no_model(monkeypatch):
     def fails(*_, **__):
         raise np.linalg.LinAlgError("not positive definite")
@@ -121,22 +96,6 @@ def test_too_many_voxels_or_none_make_no_model(monkeypatch):
     assert TouchedLimits.of(of.rows, np.zeros(V, dtype=bool)) is None
     monkeypatch.setattr(touched_limits, "MOST_VOXELS", 1)
     assert TouchedLimits.of(of.rows, np.ones(V, dtype=bool)) is None
-
-
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("tries", [0, 10])
-def test_complementary_is_the_one_set_without_wrong_signs(seed, tries, monkeypatch):
-    monkeypatch.setattr(touched_limits, "TRIES", tries)
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(6, 6))
-    matrix, constant = root @ root.T + 1e-3 * np.eye(6), rng.normal(size=6)
-    right = []
-    for active in itertools.product([False, True], repeat=6):
-        if not wrong_signs(matrix, constant, np.array(active)).any():
-            right.append(np.array(active))
-    (only,) = right
-    found = complementary(matrix, constant, rng.random(6) < 0.5)
-    np.testing.assert_array_equal(found, only)
 
 
 def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end():
@@ -188,16 +147,3 @@ def test_a_rough_prediction_does_not_lead_back_to_a_set_that_failed():
     assert candidate.claim is Claim.DONE
     assert kkt_residuals(program, candidate.x, candidate.duals).worst_relative < 1e-6
     assert int(candidate.detail.split(" ")[0]) <= 10
-
-
-def test_model_leads_to_the_same_answer_in_fewer_working_sets(monkeypatch):
-    scene = contested(1, noise=0.2, mu=0.0, shape=(8, 16, 8))
-    program = coulomb(scene, 1.0, largest_friction=10.0).compile()
-    with_model = Structured().prepare(program, Request(1e-7, None)).solve()
-    monkeypatch.setattr(FieldPair, "predicted", lambda *_: None)
-    without = Structured().prepare(program, Request(1e-7, None)).solve()
-    assert with_model.claim is without.claim is Claim.DONE
-    size = np.abs(without.x).max()
-    np.testing.assert_allclose(with_model.x, without.x, rtol=0.0, atol=1e-6 * size)
-    sets = [int(found.detail.split(" ")[0]) for found in (with_model, without)]
-    assert sets[0] < sets[1]
