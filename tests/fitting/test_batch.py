@@ -15,7 +15,7 @@ from ttus_opt.fitting.weights import weight_choice
 from ttus_opt.fitting.weights.weight_choice import WeightChoice
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.signs import Sign
-from ttus_opt.problem.formulation import Formulation, Search, load
+from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import Status, Timings
 from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
@@ -211,50 +211,6 @@ def test_terms_of_several_kinds_go_through_one_reduction():
     assert set(solution.costs) == {"laplace", "force", "sparse_sources"}
     assert len(solution.candidate) == SCENE.n_voxels
     assert solution.field.values.shape == SCENE.voxmap.grid.shape
-
-
-def test_a_search_finds_the_least_objective():
-    """Over the torque weight's partner: a made-up parameter with a known best."""
-
-    @dataclass(frozen=True)
-    class Shifted(ForceTerm):
-        value: float = 0.0
-
-        def rows(self):
-            rows = super().rows()
-            return replace(rows, target=rows.target * (1.0 + (self.value - 0.3) ** 2))
-
-        def parameters(self, values):
-            return {"value": self.value}
-
-    silent = replace(SCENE, b=np.zeros_like(SCENE.b))  # then the cost grows with ‖f‖
-
-    def build(value):
-        return Formulation([LaplaceTerm(silent), Shifted(silent, 0.1, value)])
-
-    declared = build(0.9).with_search(Search("value", 0.0, 1.0, build))
-    solution = fit(silent, declared)
-    assert solution.parameters["value"] == pytest.approx(0.3, abs=5e-3)
-    grid = [fit(silent, build(v)).objective for v in (0.2, 0.3, 0.4)]
-    assert min(grid) == pytest.approx(solution.objective, rel=1e-4)
-
-
-def test_a_search_that_finds_nothing_is_timed_too():
-    """The objective is the same whatever the value: neutral, named, and not free."""
-
-    @dataclass(frozen=True)
-    class Flat(ForceTerm):
-        value: float = 0.0
-
-        def parameters(self, values):
-            return {"value": self.value}
-
-    def build(value):
-        return Formulation([LaplaceTerm(TINY), Flat(TINY, 0.1, value)])
-
-    found = fit(TINY, build(0.9).with_search(Search("value", 0.0, 1.0, build)))
-    assert set(found.not_identified) == {"value"}
-    assert found.timings.search > 0.0
 
 
 def test_what_cannot_be_fitted():

@@ -42,16 +42,6 @@ def test_a_known_offset_is_found(offset, rates):
     assert found.rival < 0.9
 
 
-def test_gaps_do_not_count():
-    time = np.arange(0, 20, 0.01)
-    keep = (time < 5) | (time > 11)
-    found = clock_offset(
-        Signal(time, wander(time)), Signal(time[keep], wander(time[keep] + 0.4))
-    )
-    assert found.seconds == pytest.approx(0.4, abs=1e-3)
-    assert found.correlation > 0.999
-
-
 def test_clocks_that_count_from_elsewhere():
     time = np.arange(0, 20, 0.02)
     first = Signal(time, wander(time))

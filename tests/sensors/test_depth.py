@@ -7,7 +7,6 @@ import pytest
 from tests.kit import InputError, refuses
 from tests.sensors.cameras import (
     Camera,
-    flying,
     measured,
     millimetres,
     see_ellipsoid,
@@ -158,47 +157,6 @@ def test_range_and_z_are_the_same_scene():
     np.testing.assert_allclose(by_range.points, by_z.points, atol=1e-12)
     mistaken = DepthImage(along, rays()).to_cloud(CAMERA.pose)
     assert distance(mistaken.points).max() > 5e-3
-
-
-def test_flying_and_missing_pixels_are_left_out():
-    rng = np.random.default_rng(0)
-    mixed = flying(seen(), rng)
-    depth = measured(mixed, 0.0, 0.1, rng)
-    cloud = DepthImage(depth, rays()).to_cloud(CAMERA.pose)
-    every = CAMERA.pose[:3, 3] + mixed[..., None] * CAMERA.rays
-    n_flying = int((distance(every.reshape(-1, 3)) > 0.01).sum())
-    assert n_flying > 100
-    assert (distance(cloud.points) > 0.01).sum() < 0.12 * n_flying
-    (dropped,) = cloud.dropped
-    assert dropped.invalid == np.isnan(depth).sum()
-    left_out = dropped.invalid + dropped.flying + dropped.grazing
-    assert len(cloud.points) + left_out == depth.size
-    on_body = np.isfinite(see_ellipsoid(CAMERA, CENTRE, SEMI_AXES)) & (mixed == seen())
-    kept = np.abs(off_the_body(cloud.points)) < 1e-6
-    assert kept.sum() > 0.75 * on_body.sum()  # a tenth is missing
-
-
-@pytest.mark.parametrize("tilt", [0.0, 40.0, 60.0, 67.0, 85.0])
-def test_incidence_is_that_of_a_plane(tilt):
-    """The deviation tells it; beyond 75° nothing is left."""
-
-    class Angle:
-        def along_ray(self, pixels):
-            return pixels.incidence
-
-    camera = Camera((0, 0, 0), (0, 0, 1), focal=600.0)
-    turn = np.deg2rad(tilt)
-    normal = np.array([np.sin(turn), 0.0, -np.cos(turn)])
-    z = see_plane(camera, normal, float(-np.cos(turn)))
-    image = DepthImage(np.where(z < 5, z, np.nan), rays(camera))
-    if tilt > 75:
-        refuses(InputError, "grazing", image.to_cloud, camera.pose, noise=Angle())
-        return
-    found = image.to_cloud(camera.pose, noise=Angle())
-    directions = found.points / np.linalg.norm(found.points, axis=1)[:, None]
-    truth = np.arccos(-directions @ normal)
-    assert len(found.points) == z.size
-    np.testing.assert_allclose(found.std, truth, atol=1e-3)
 
 
 def test_deviations_are_those_of_the_noise():

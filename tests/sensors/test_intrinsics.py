@@ -146,19 +146,6 @@ def test_other_makers(tmp_path, name, text):
     assert not found.distortion.any()
 
 
-def test_opencv_reads_what_we_read_as_xml(tmp_path):
-    """Its own writer, its own names."""
-    import cv2
-
-    storage = cv2.FileStorage(str(tmp_path / "c.xml"), cv2.FILE_STORAGE_WRITE)
-    storage.write("camera_matrix", np.array(K))
-    storage.write("distortion_coefficients", np.array([[0.1, -0.2, 0.0, 0.0, 0.05]]))
-    storage.release()
-    found = read_intrinsics(tmp_path / "c.xml")
-    np.testing.assert_array_equal(found.matrix, K)
-    np.testing.assert_array_equal(found.distortion, [0.1, -0.2, 0.0, 0.0, 0.05])
-
-
 def test_an_inverse_distortion_is_refused(tmp_path):
     (tmp_path / "c.json").write_text(json.dumps({**REALSENSE, "coeffs": [0.1] * 5}))
     with pytest.raises(FileError, match="Inverse Brown Conrady is not known"):

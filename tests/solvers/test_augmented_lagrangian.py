@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.kit import small_scene
-from tests.solvers.problems import bounds, program, rows, term
+from tests.solvers.problems import program, term
 from ttus_opt.problem import formulation
 from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.constraints.signs import Sign
@@ -35,26 +35,6 @@ def solved(what, tolerance=1e-7):
     return point.x
 
 
-@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
-def test_orthogonal_rows_are_thresholded(weight):
-    """‖x − y‖² + w Σ |Qᵀx| is soft thresholding by w/2 along the axes of Q."""
-    rng = np.random.default_rng(0)
-    Q, _ = np.linalg.qr(rng.normal(size=(12, 12)))
-    y = rng.normal(0.0, weight, 12)
-    x = solved(
-        program(
-            [
-                term(np.eye(12), y),
-                term(Q.T, np.zeros(12), weight, Absolute(), name="bent"),
-            ]
-        ),
-        1e-9,
-    )
-    along = Q.T @ y
-    expected = Q @ (np.sign(along) * np.maximum(np.abs(along) - weight / 2.0, 0.0))
-    np.testing.assert_allclose(x, expected, atol=1e-5 * np.abs(y).max())
-
-
 @pytest.mark.slow
 def test_a_step_keeps_its_edge_under_total_variation():
     """‖x − y‖² + w Σ |D x|, a step of 20 and 30: each side w/2n inwards."""
@@ -68,26 +48,6 @@ def test_a_step_keeps_its_edge_under_total_variation():
     )
     expected = np.repeat([2.0 / 40, 1.0 - 2.0 / 60], [20, 30])
     np.testing.assert_allclose(x, expected, atol=1e-6)
-
-
-def test_limits_hold_beside_a_penalty():
-    """‖x − (3, −1, 2)‖² + 2 Σ |x|, x₀ + x₂ ≤ 2, x₁ ≥ −¼, x₂ = ½: by hand."""
-    eye = np.eye(3)
-    x = solved(
-        program(
-            [
-                term(eye, [3.0, -1.0, 2.0]),
-                term(eye, [0.0] * 3, 2.0, Absolute(), name="bent"),
-            ],
-            [
-                rows("sum", [[1.0, 0.0, 1.0]], [-np.inf], [2.0]),
-                rows("given", [[0.0, 0.0, 1.0]], [0.5], [0.5]),
-            ],
-            [bounds("box", [-np.inf, -0.25, -np.inf], [np.inf] * 3)],
-        ),
-        1e-9,
-    )
-    np.testing.assert_allclose(x, [1.5, 0.0, 0.5], atol=1e-6)
 
 
 def test_programs_of_squares_are_refused():

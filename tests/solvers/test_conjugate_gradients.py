@@ -1,7 +1,6 @@
 """Conjugate gradients on dense systems: with all directions kept, and with the last."""
 
 import numpy as np
-import pytest
 
 from ttus_opt.solvers.conjugate_gradients import (
     RecycledSubspace,
@@ -56,49 +55,12 @@ def test_solves_and_keeps_conjugate_directions():
     np.testing.assert_allclose(again, 2.0 * y, rtol=1e-6)
 
 
-def test_other_weights_cost_no_product():
-    w = np.linspace(0.5, 2.0, M)
-    first, second = Dense(np.ones(M)), Dense(w)
-    subspace = RecycledSubspace(first)
-    for t in np.eye(M):
-        solved(subspace, t)
-    subspace.adopt(second)
-    t = np.random.default_rng(2).normal(size=M)
-    y, rest = subspace.project(t)
-    assert second.calls == 0
-    np.testing.assert_allclose(second.S @ y, t - rest, atol=1e-8)
-    np.testing.assert_allclose(rest, 0.0, atol=1e-6)
-
-
-def test_across_columns_only_the_rest_counts():
-    E = np.random.default_rng(3).normal(size=(M, 2))
-    system, t = Dense(np.ones(M)), np.random.default_rng(4).normal(size=M)
-    y, _ = solved(RecycledSubspace(system), t, everything(E))
-    full = np.block([[system.S, E], [E.T, np.zeros((2, 2))]])
-    expected = np.linalg.solve(full, np.concatenate([t, np.zeros(2)]))[:M]
-    np.testing.assert_allclose(y, expected, atol=1e-7)
-
-
 def test_directions_are_limited_and_nonsense_is_not_kept():
     subspace = RecycledSubspace(Dense(np.ones(M)))
     _, steps = solved(subspace, np.ones(M), most=3)
     assert steps == len(subspace) == 3
     assert not subspace.extend(np.full(M, np.nan), 0.0)
     assert len(subspace) == 3
-
-
-def test_a_vector_is_its_parts_and_a_conjugate_rest():
-    system = Dense(np.ones(M))
-    subspace, rng = RecycledSubspace(system), np.random.default_rng(6)
-    for direction in rng.normal(size=(5, M)):
-        subspace.extend(direction, 0.0)
-    y = rng.normal(size=M)
-    parts, rest = subspace.parts(y)
-    d = subspace.directions.astype(float)
-    np.testing.assert_allclose(parts @ d + rest, y, atol=1e-5)
-    size = np.sqrt(y @ system.S @ y)
-    np.testing.assert_allclose(parts, d @ system.S @ y, atol=1e-5 * size)
-    np.testing.assert_allclose(d @ system.S @ rest, 0.0, atol=1e-5 * size)
 
 
 class Rough(Dense):
@@ -251,19 +213,6 @@ def wavering(H):
         return np.asarray(z * (1.0 + 0.1 * rng.uniform(-1.0, 1.0, N)))
 
     return apply
-
-
-@pytest.mark.parametrize("how", ["none", "diagonal", "wavering"])
-def test_it_solves_to_the_residual_asked_for(how):
-    H, side = matrix(), np.random.default_rng(1).normal(size=N)
-    own = {
-        "none": lambda v: v.copy(),
-        "diagonal": lambda v: v / np.diag(H),
-        "wavering": wavering(H),
-    }[how]
-    found = reached(H, side, own)
-    assert np.linalg.norm(H @ found.y - side) <= 1.1e-10 * np.linalg.norm(side)
-    np.testing.assert_allclose(found.y, np.linalg.solve(H, side), rtol=1e-6, atol=1e-9)
 
 
 def test_a_wavering_preconditioner_costs_few_steps():

@@ -32,17 +32,6 @@ def declared(weight=10.0):
     )
 
 
-@pytest.mark.parametrize("weight", [1e-6, 1.0, 1e6])
-def test_it_gives_the_normal_equations_solution(weight):
-    formulation = declared(weight)
-    solution = fit(scene(), formulation, solver="covariance")
-    assert solution.status.name == "SOLVED"
-    M, t = stacked(formulation.compile())
-    expected = np.linalg.lstsq(M.toarray(), t)[0]
-    got = solution.field.values.ravel()
-    assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
-
-
 def test_parameters_within_bounds_agree_with_bounded_least_squares():
     at_bound = []
     for seed in range(4):

@@ -6,7 +6,7 @@ import pytest
 from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.solvers.sizes import Sizes, interior_point_seconds, splitting_seconds
+from ttus_opt.solvers.sizes import Sizes
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 V = SCENE.n_voxels
@@ -33,12 +33,3 @@ def test_a_second_field_and_kinks_are_counted():
     assert Sizes.of(load("coulomb_drag", SCENE).compile()).voxels == 2 * V
     sparse = reduce(load("sparse_sources", SCENE).compile()).program
     assert Sizes.of(sparse).kinks > 0
-
-
-def test_estimates_put_larger_and_harder_programs_later():
-    small = load("eq10", SCENE).compile()
-    large = load("eq10", small_scene("trilinear")).compile()
-    limited = load("eq10_sign_monotone", SCENE).compile()
-    for seconds in (interior_point_seconds, splitting_seconds):
-        assert 0.0 < seconds(small) < seconds(large)
-        assert seconds(small) < seconds(limited)

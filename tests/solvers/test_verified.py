@@ -49,23 +49,6 @@ class Package(Verified):
         return self.reply(eps)
 
 
-def test_an_answer_that_holds_is_taken_at_once():
-    package = Package(lambda eps: off(eps / 100), Request(1e-6))
-    found = package.solve()
-    assert found.claim is Claim.DONE
-    assert package.asked == [1e-6]
-    assert package.limits == [None]
-
-
-def test_a_package_may_be_asked_for_a_part_of_the_tolerance():
-    class Careful(Package):
-        margin = 0.01
-
-    package = Careful(lambda eps: off(10 * eps), Request(1e-6))
-    assert package.solve().claim is Claim.DONE
-    assert package.asked == [pytest.approx(1e-8)]
-
-
 def test_an_answer_that_falls_short_is_tightened_until_it_holds():
     """A package whose own measure is a thousand times too kind."""
     package = Package(lambda eps: off(1000 * eps), Request(1e-6))

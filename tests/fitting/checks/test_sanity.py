@@ -154,19 +154,6 @@ def test_the_torques_of_a_ball_tell_no_unit(sign):
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
-@pytest.mark.parametrize(
-    ("frames", "mends", "what"),
-    [
-        (4, "--wrench-delay 0.2", "wrenches 0.2 s later"),
-        (-4, "--wrench-delay -0.2", "wrenches 0.2 s earlier"),
-    ],
-)
-def test_an_offset_in_time_is_told(frames, mends, what):
-    found = report(late(recording("press_fit"), frames))
-    assert_told(found.mistake, what, mends)
-
-
-@pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_torques_that_nothing_explains_hide_nothing():
     """A sensor whose torques are noise: its forces still tell the offset in time."""
     noise = np.random.default_rng(0).normal(0.0, 0.1, (400, 3))

@@ -112,34 +112,6 @@ def test_whitened_innovations_carry_the_least_objective(coarse):
     assert system.misfit == pytest.approx(objective, rel=1e-6)
 
 
-def test_removing_the_last_returns_the_former_state(coarse):
-    problem = Problem(coarse, 4, 3, 1.0)
-    system = problem.start()
-    problem.fold(system, [0, 1, 2])
-    misfit = system.misfit
-    before = system.forecast(problem.blocks[3])
-    system.append(before, problem.targets[3])
-    system.remove(3, 1)
-    again = system.forecast(problem.blocks[3])
-    assert system.misfit == pytest.approx(misfit, rel=1e-12)
-    assert close(again.schur, before.schur, 1e-12)
-    assert close(again.mean, before.mean, 1e-12)
-
-
-def test_fading_is_the_batch_with_faded_weights(coarse):
-    problem = Problem(coarse, 6, 4, 1.0)
-    system = problem.start()
-    weights = np.ones(0)
-    for s in range(6):
-        problem.fold(system, [s])
-        weights = np.append(weights, 1.0)
-        if s in (1, 3, 4):
-            system.fade(0.4)
-            weights = weights * 0.4
-        _, p = problem.dense(list(range(s + 1)), weights)
-        assert close(system.field(), p)
-
-
 @pytest.mark.parametrize("array", ["_factors", "R"])
 def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse, array):
     problem = Problem(coarse, 7, 9, 1.0)

@@ -162,19 +162,6 @@ def test_a_window_slides_without_drift(scale):
     assert 0 < compared < height * steps
 
 
-def test_an_error_of_the_factor_is_gone_once_the_basis_settles():
-    rng = np.random.default_rng(9)
-    rows = grown(gram(60, 12, rng), 2, n=20)
-    rows.kernel._factors[1, 0] *= 1.1
-    while not rows.kernel.is_worn:
-        rows.extend(len(rows.held) + np.arange(2))
-        rows.shrink(0, 2)
-    rows.settle()
-    g = rng.normal(size=20)
-    y = rows.kernel.solve(g)
-    assert np.allclose(y + rows.block @ y, g, atol=1e-6)
-
-
 def test_a_row_that_takes_all_digits_along():
     """Rows far heavier than the others, and nothing of their rounding is left."""
     K = np.diag([1e14, 1.0, 1.0, 1.0]) + 0.5

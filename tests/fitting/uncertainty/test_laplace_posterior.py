@@ -117,20 +117,6 @@ def test_draws_have_the_covariance(scale):
     assert np.abs(found - stated).max() < 0.25 * stated.max()
 
 
-def test_where_the_basis_is_kept_draws_are_the_same():
-    posterior, _, _ = made()
-    voxels = np.arange(0, V, 7)
-    here = posterior.draw(3, voxels)[0]
-    np.testing.assert_allclose(here, posterior.draw(3)[0][:, voxels], rtol=1e-6)
-    few = replace(posterior, fields=posterior.fields[:, voxels], voxels=voxels)
-    np.testing.assert_allclose(few.draw(3, voxels)[0], here, atol=1e-6)
-    # elsewhere by two solves more
-    others = np.arange(1, V, 7)
-    size = np.abs(posterior.draw(3)[0]).max()
-    found, expected = few.draw(3, others)[0], posterior.draw(3)[0][:, others]
-    np.testing.assert_allclose(found, expected, atol=1e-4 * size)
-
-
 def test_blocks_that_touch_other_voxels_are_not_known():
     posterior, _, _ = made()
     voxels = np.arange(V // 2)

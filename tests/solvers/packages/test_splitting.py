@@ -52,15 +52,6 @@ def test_an_update_keeps_the_solver(name, changed):
     np.testing.assert_allclose(again.x, minimum(**changed), atol=1e-6)
 
 
-def test_other_rows_take_a_new_solver():
-    prepared = solver("osqp").prepare(capped(1.0), Request(1e-8))
-    kept = prepared._solver
-    prepared.update(program([term(M, np.ones(12))]))
-    assert prepared._solver is not kept
-    expected = np.linalg.lstsq(M, np.ones(12))[0]
-    np.testing.assert_allclose(prepared.solve().x, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", LOADED)
 def test_it_goes_on_from_its_iterate(name, monkeypatch):
     """In pieces of 25 iterations, checked between, it comes to the same."""

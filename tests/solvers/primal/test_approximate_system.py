@@ -7,12 +7,9 @@ import scipy.sparse as sp
 
 from tests.kit import small_scene
 from tests.solvers.own_terms import AlongZ
-from ttus_opt.problem.formulation import load
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem, FixedBlock
-from ttus_opt.solvers.primal.least_squares import preconditioner
-from ttus_opt.solvers.primal.split import Split
 from ttus_opt.voxmap.grid import nodes_of
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
@@ -29,23 +26,6 @@ def band(inverse, H, at):
     assert np.abs(own - own.T).max() < 1e-2 * np.abs(own).max()
     exact = np.linalg.inv(H[np.ix_(at, at)])
     return np.asarray(scipy.linalg.eigh((own + own.T) / 2, exact, eigvals_only=True))
-
-
-def test_the_preconditioner_is_the_inverse_of_something_near_h():
-    """Written down column by column: symmetric, and its product with H in a band."""
-    for weight in (1e-2, 1.0):
-        weights = {"force_weight": weight, "torque_weight": weight}
-        program = load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
-        split = Split.of(program, 50)
-        assert len(split.wide) == 1
-        made = preconditioner(split, np.zeros(0, dtype=bool), 1e-4)
-        H = program.normal_equations()[0].toarray()
-        inverse = np.array([made.field(e) for e in np.eye(len(H))])
-        assert np.abs(inverse - inverse.T).max() < 1e-2 * np.abs(inverse).max()
-        ratios = scipy.linalg.eigh(
-            (inverse + inverse.T) / 2, np.linalg.inv(H), eigvals_only=True
-        )
-        assert 0.2 < ratios.min() <= ratios.max() < 5.0
 
 
 def test_the_fixed_block_is_a_schur_complement():

@@ -50,14 +50,6 @@ def test_a_program_is_parted_into_prior_wide_and_few():
     assert not split.given.any()
 
 
-def test_values_that_are_given_do_not_move():
-    scene = SCENE
-    hard = load("eq10_hard_boundary", scene).compile()
-    split = Split.of(hard, FEW)
-    np.testing.assert_array_equal(split.moving, scene.laplace.free)
-    np.testing.assert_allclose(split.given[~scene.laplace.free], hard.dirichlet.lower)
-
-
 def test_its_value_is_the_programs_objective():
     program, _, function = made()
     prior = next(t for t in program.terms if t.laplace_rows is not None)

@@ -16,7 +16,6 @@ from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.solver import Accuracy
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
 from ttus_opt.solvers.primal.split import Split
 
@@ -58,16 +57,6 @@ def test_equals_eliminated_least_squares(held, linked, own, hard):
     deeper = np.flatnonzero(active.links)
     fall = found[deeper] - found[deeper + problem.limits.stride]
     np.testing.assert_allclose(fall, problem.limits.least[deeper], atol=1e-10)
-
-
-def test_soft_values_may_have_weights_of_their_own():
-    program, problem = made(AlongZ, False, "free_surface")
-    assert not NormalEquations().refusal(program)
-    assert np.ptp(problem.split.few.system.compliance) > 0.0
-    active = random_working_set(problem.limits, 3, 0.1, 0.3)
-    expected = eliminated(program, problem.limits, active)
-    found = solved(problem, active, 1e-11)
-    assert np.linalg.norm(found - expected) <= 1e-7 * np.linalg.norm(expected)
 
 
 def test_from_the_last_field_it_takes_fewer_steps_to_the_same():

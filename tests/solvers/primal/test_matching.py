@@ -6,7 +6,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tests.kit import small_scene
-from tests.solvers.own_terms import OWN, AlongZ
+from tests.solvers.own_terms import OWN
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.departures import TikhonovTerm
 from ttus_opt.solvers.primal.matching import _Stencil, _Waves, matched_root
@@ -60,24 +60,6 @@ def test_a_light_term_adds_next_to_nothing():
     root = root_of(wide(TikhonovTerm(SCENE), 1e-16))
     assert np.abs(root.added.screening).max() < 1e-6
     assert not root.added.links
-
-
-def test_differences_along_z_are_links_along_z():
-    root = root_of(wide(AlongZ(SCENE), 1.0))
-    r, theta, z = root.added.links
-    assert not r.any()
-    assert not theta.any()
-    assert (z[1:-1, :, 1:-2].reshape(-1) >= 0.0).all()
-    assert z.any()
-
-
-def test_its_coupling_is_what_links_to_fixed_voxels_carry():
-    root = root_of(wide(AlongZ(SCENE), 1.0))
-    rows, columns = root.coupling.nonzero()
-    assert len(rows)
-    assert LAPLACE.free[rows].all()
-    assert not LAPLACE.free[columns].any()
-    assert (root.coupling.data > 0.0).all()
 
 
 def test_a_stencil_goes_around_the_turn():

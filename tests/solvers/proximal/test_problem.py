@@ -5,7 +5,6 @@ import pytest
 
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.problem.terms.penalties import Absolute, Huber
-from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.proximal.penalised_rows import Between
 from ttus_opt.solvers.proximal.problem import BOX, PenalisedProblem
 
@@ -117,21 +116,3 @@ def test_multipliers_by_name_balance_the_program_s_gradient():
     np.testing.assert_allclose(total[free], left[free], atol=1e-12)
     assert set(duals.rows) == {"held", "cut"}
     assert not duals.bounds[[0, 1, 2, 4]].any()
-
-
-def test_multipliers_of_a_solved_program_are_optimal():
-    """‖x − c‖² with x₀ given and x₁ ≤ 1: by hand, judged by the program's own KKT."""
-    what = program(
-        [term(np.eye(3), [5.0, 3.0, -1.0])],
-        [rows("held", [[4.0, 0.0, 0.0]], [4.0], [4.0])],
-        [bounds("box", [-INF] * 3, [INF, 1.0, INF])],
-    )
-    problem = PenalisedProblem.of(what)
-    x = np.array([1.0, 1.0, -1.0])
-    squares = 2.0 * (x - [5.0, 3.0, -1.0])
-    y = [squares, np.array([4.0])]  # −gradient at the bound
-    left = pulled(problem, y)
-    duals = problem.duals(y, left)
-    np.testing.assert_allclose(duals.rows["held"], [2.0])
-    np.testing.assert_allclose(duals.bounds, [0.0, 4.0, 0.0])
-    assert kkt_residuals(what, x, duals).worst_relative < 1e-12
