@@ -44,7 +44,7 @@ def test_false_statements_leave_nothing(run, words, output):
     refused(
         run(f"{words} --sign by-probe {to}"), "give --sign on-probe, or check --down"
     )
-    refused(run(f"{words} --sign up {to}"), "on-probe or by-probe")
+    refused(run(f"{words} --sign up {to}"), "one of on-probe, by-probe")
     refused(run(f"{words} --sign on-probe --down 0,0,0 {to}"), "down")
     refused(run(f"{words} --sign on-probe --axes 0,0,0,1 {to}"), "give --axes 0.049,")
     refused(run(f"{words} --sign on-probe --point 0,0,80 {to}"), "millimetres")

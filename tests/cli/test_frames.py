@@ -90,7 +90,7 @@ def test_recordings_of_the_scan_read_as_the_patients_are_told(run, tmp_path):
     ("options", "words"),
     [
         ("--frame base", ["--frame base needs --base-to-scan"]),
-        ("--frame hand", ["--frame must be patient or scan or base"]),
+        ("--frame hand", ["--frame must be one of patient, scan, base"]),
         ("--wrench-frame hand", ["--wrench-frame must be"]),
         ("--base-to-scan nowhere.txt", ["--base-to-scan", "not found: nowhere.txt"]),
         ("--base-to-scan 1,2,3", ["--base-to-scan", "got 3 numbers"]),

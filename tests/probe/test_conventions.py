@@ -139,14 +139,14 @@ def test_forces_alone():
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"quaternion": "zyxw"}, "quaternion must be wxyz or xyzw"),
-        ({"wrench_frame": "hand"}, "wrench_frame must be patient or .* tool"),
-        ({"frame": "tool"}, "frame must be patient or scan or base"),
+        ({"quaternion": "zyxw"}, "quaternion must be one of wxyz, xyzw"),
+        ({"wrench_frame": "hand"}, "wrench_frame must be one of patient, .* tool"),
+        ({"frame": "tool"}, "frame must be one of patient, scan, base"),
         ({"frame": "base"}, "needs base_to_scan"),
         ({"wrench_frame": "base"}, "needs base_to_scan"),
         ({"base_to_scan": np.eye(4)}, "frame is patient, give base"),
         ({"frame": "base", "base_to_scan": 2 * np.eye(4)}, "4, 4|ends in the row"),
-        ({"torque_unit": "ftlb"}, "torque_unit must be Nm or Nmm"),
+        ({"torque_unit": "ftlb"}, "torque_unit must be one of Nm, Nmm"),
         ({"torque_about": "tip"}, "centroid, origin or x,y,z"),
         ({"torque_about": (0.0, 0.0, 0.0, 0.0)}, "torque_about must be a point"),
         ({"torque_about": (0.0, np.nan, 0.0)}, "torque_about must be a point"),

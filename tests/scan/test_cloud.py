@@ -157,7 +157,7 @@ def test_implausible_extents(tmp_path, scale, unit, message):
 
 def test_unknown_unit(tmp_path):
     path = write(tmp_path / "c.npy", POINTS, "npy")
-    refuses(InputError, "'m', 'cm', 'mm'", read_cloud, path, unit="inch")
+    refuses(InputError, "one of m, cm, mm", read_cloud, path, unit="inch")
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def test_the_statements_are_three():
         ({"axes": np.full((3, 3), np.nan)}, "axes of the sensor"),
         ({"point": np.array([0, 0, 80.0])}, "millimetres"),
         ({"point": np.array([0, 0, np.nan])}, "millimetres"),
-        ({"sign": "minus"}, "on-probe or by-probe"),
+        ({"sign": "minus"}, "one of on-probe, by-probe"),
     ],
 )
 def test_statements_that_are_none(given, words):

@@ -120,7 +120,7 @@ def test_limits_that_are_none(limit):
 
 
 def test_another_kind_of_camera():
-    refuses(InputError, "fixed or moving", hand_eye, *pairs("fixed"), "flying")
+    refuses(InputError, "one of fixed, moving", hand_eye, *pairs("fixed"), "flying")
 
 
 @pytest.mark.parametrize("suffix", ["json", "npy"])

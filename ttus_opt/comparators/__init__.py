@@ -11,7 +11,7 @@ own file with its source; a new one is a file in this folder with a subclass of
 
 from __future__ import annotations
 
-from ttus_opt.comparators.base import Comparator, RendersWrenches
+from ttus_opt.comparators.base import Comparator
 from ttus_opt.comparators.comparison import (
     Row,
     available,
@@ -23,7 +23,6 @@ from ttus_opt.comparators.comparison import (
 
 __all__ = [
     "Comparator",
-    "RendersWrenches",
     "Row",
     "available",
     "compare",

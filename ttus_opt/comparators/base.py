@@ -39,18 +39,6 @@ class WrenchSource(Protocol):
         """The wrench of every frame, shape (n, 6) [N, N·m]."""
 
 
-class RendersWrenches(WrenchSource, Protocol):
-    """The interface of every comparator."""
-
-    def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
-        """Fit the parameters to recordings with forces; returns itself."""
-
-    def render(
-        self, rotation: PoseLike, position: ArrayLike, twist: Array | None = None
-    ) -> Wrench:
-        """The wrench on the probe in one pose and motion."""
-
-
 class Given(TypedDict):
     """Constructor arguments of every comparator, as its subclasses pass them on."""
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.comparators.base import Comparator, RendersWrenches, WrenchSource
+from ttus_opt.comparators.base import Comparator, WrenchSource
 from ttus_opt.core import plugins
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, TtusError
@@ -163,9 +163,7 @@ def compare(
     for name in chosen:
         if progress is not None:
             progress(name)
-        comparator: RendersWrenches = create(
-            name, surface=surface, shell=shell, cloud=cloud
-        )
+        comparator = create(name, surface=surface, shell=shell, cloud=cloud)
         begin = time.process_time()
         try:
             comparator.fit(fitted)

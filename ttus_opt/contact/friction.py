@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.contact.contact_size import Patches, patches_of
 from ttus_opt.contact.rows import ContactRows, by_pose, checked_poses
-from ttus_opt.core.arguments import expect_positive
+from ttus_opt.core.arguments import expect_one_of, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.cylindrical import cylindrical
@@ -105,10 +105,7 @@ class Sliding:
         Raises:
             InputError: Unknown ``acts_at``, or unusable poses.
         """
-        if acts_at not in get_args(ActsAt):
-            raise InputError(
-                f"acts_at must be one of {', '.join(get_args(ActsAt))}, got {acts_at!r}"
-            )
+        expect_one_of(acts_at, get_args(ActsAt), "acts_at")
         rotation, position = checked_poses(trajectory.rotation, trajectory.position)
         known = patches or patches_of(voxmap, shell, rotation, position)
         normal, centre = known.normal, known.centre

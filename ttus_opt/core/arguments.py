@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -43,6 +44,26 @@ def expect_not_negative(value: float, name: str, unit: str = "") -> None:
     """Refuse a number that is negative or not finite; arguments as above."""
     if not (math.isfinite(value) and value >= 0.0):
         raise InputError(f"{name} must not be negative{_of(unit)}, got {value}")
+
+
+def expect_between(
+    value: float, low: float, high: float, name: str, unit: str = ""
+) -> None:
+    """Refuse a number outside a range."""
+    if not low <= value <= high:
+        limits = f"{low:g} and {high:g} {unit}".rstrip()
+        raise InputError(f"{name} must lie between {limits}, got {value}")
+
+
+def expect_one_of(value: object, known: Iterable[str], name: str) -> None:
+    """Refuse a word that is not known.
+
+    >>> expect_one_of("inch", ("m", "mm"), "unit")
+    Traceback (most recent call last):
+    ttus_opt.core.errors.InputError: unit must be one of m, mm, got 'inch'
+    """
+    if value not in (words := list(known)):
+        raise InputError(f"{name} must be one of {', '.join(words)}, got {value!r}")
 
 
 def _of(unit: str) -> str:

@@ -37,6 +37,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.multigrid import Added, Grounds, Multigrid, MultigridResult
@@ -366,5 +367,4 @@ def _check_variant(
             f"conductivities must be three positive numbers k_r, k_θ, k_z, got "
             f"{conductivities}"
         )
-    if not (np.isfinite(screening) and screening >= 0.0):
-        raise InputError(f"screening must not be negative [1/m], got {screening}")
+    expect_not_negative(screening, "screening", "1/m")

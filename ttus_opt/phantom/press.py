@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.phantom.elasticity import SkinPatch
@@ -83,11 +84,8 @@ class CoulombDrag:
 
     def __post_init__(self) -> None:
         """Refuse a negative coefficient or deadband."""
-        if not (self.coefficient >= 0.0 and self.deadband >= 0.0):
-            raise InputError(
-                "drag coefficient and deadband must not be negative, got "
-                f"{self.coefficient} and {self.deadband} m/s"
-            )
+        expect_not_negative(self.coefficient, "drag coefficient")
+        expect_not_negative(self.deadband, "drag deadband", "m/s")
 
 
 @dataclass(frozen=True)
@@ -160,8 +158,7 @@ def press(
             undeformed skin, or it touches the patch's border.
         InputError: The damping is negative.
     """
-    if damping < 0.0:
-        raise InputError(f"damping must not be negative, got {damping} s/m")
+    expect_not_negative(damping, "damping", "s/m")
     _check_above(patch, position)
     reach = probe.reach(patch.points, -patch.normals, rotation, position)
     under = np.flatnonzero(np.isfinite(reach.depth))

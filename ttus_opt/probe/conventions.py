@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.rigid_motion import Rows, as_rows, composed, inverse, rigid_motion
@@ -67,10 +68,7 @@ class Conventions:
             ("wrench_frame", WRENCH_FRAMES),
             ("torque_unit", tuple(TORQUE_UNITS)),
         ):
-            if getattr(self, name) not in known:
-                raise InputError(
-                    f"{name} must be {' or '.join(known)}, got {getattr(self, name)!r}"
-                )
+            expect_one_of(getattr(self, name), known, name)
         self._require_motion()
         about = self.torque_about
         if isinstance(about, str):

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError, GeometryError, InputError
 
@@ -151,8 +152,7 @@ def metres_per(unit: str) -> float:
     Raises:
         InputError: The unit is not known.
     """
-    if unit not in METRES:
-        raise InputError(f"unit must be one of {', '.join(METRES)}, got {unit!r}")
+    expect_one_of(unit, METRES, "unit")
     return METRES[unit]
 
 

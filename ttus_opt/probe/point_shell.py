@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.arguments import hold_numbers
+from ttus_opt.core.arguments import expect_one_of, hold_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, counted, warn
 from ttus_opt.core.html_card import card, sections_svg
@@ -342,11 +342,7 @@ def _from_mesh(
     mesh: TriangleMesh, n_points: int, surface: SurfaceChoice, seed: Seed
 ) -> PointShell:
     """The shell of a cleaned mesh; errors as `PointShell.from_triangles`."""
-    if surface not in get_args(SurfaceChoice):
-        raise InputError(
-            f"surface must be one of {', '.join(get_args(SurfaceChoice))}, got "
-            f"{surface!r}"
-        )
+    expect_one_of(surface, get_args(SurfaceChoice), "surface")
     _require_points(n_points)
     rng = np.random.default_rng(seed)
     if surface == "hull":

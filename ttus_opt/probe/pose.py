@@ -179,16 +179,6 @@ def to_quaternions(matrices: Array) -> Array:
     )
 
 
-def rotation_vectors_to_quaternions(vectors: Array) -> Array:
-    """Unit quaternions w, x, y, z of rotation vectors (T, 3) [rad], shape (T, 4).
-
-    A vector with NaN has a quaternion of NaN.
-    """
-    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
-    # sinc keeps the zero turn exact
-    return np.hstack([np.cos(angle / 2), 0.5 * vectors * np.sinc(angle / (2 * np.pi))])
-
-
 def rotations(matrices: Array, largest: float = ROUNDING) -> Array:
     """Rotation matrices, the nearest ones where they were rounded.
 

@@ -6,12 +6,12 @@ import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.column_names import ROTATION_VECTOR
-from ttus_opt.probe.pose import rotation_vectors_to_quaternions
 from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
 from ttus_opt.probe.text_table import TextTable, read_text_table, seconds
 
@@ -71,7 +71,7 @@ def recording_of(table: TextTable, what: str, required: Sequence[str]) -> RawRec
     quaternion = part(QUATERNION)
     vectors = part(ROTATION_VECTOR)
     if quaternion is None and vectors is not None:
-        quaternion = rotation_vectors_to_quaternions(vectors)
+        quaternion = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
     unstated, units = _units(table.header.stated, wanted)
     return RawRecording(
         source,

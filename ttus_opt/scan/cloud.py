@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import FileError, GeometryError, InputError, warn
 from ttus_opt.scan.pcd import read_pcd, truncated
@@ -109,8 +110,8 @@ def read_cloud(
         InputError: An unknown unit, coordinates that are not finite, an extent that is
             implausible for a torso, or a box without points.
     """
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
+    if unit is not None:
+        expect_one_of(unit, UNITS, "unit")
     file = io.existing_file(path, "point cloud")
     points = _read_points(file)
     if len(points) == 0:

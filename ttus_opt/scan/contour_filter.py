@@ -32,6 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.scan.candidates import Candidates
@@ -74,8 +75,8 @@ class ContourModel:
                         f"{name} must be between 0 and 0.1 m, got {value:g}: it is in "
                         "metres"
                     )
-            elif not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} must be positive, got {value:g}")
+            else:
+                expect_positive(value, name)
 
     def transition(self, step: float) -> tuple[Array, Array]:
         """F and Q of one step of the angle, exact for a step of any size.

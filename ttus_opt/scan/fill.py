@@ -161,36 +161,25 @@ def fill_smoothly(
     return Filled(np.maximum(solution, _LEAST_RADIUS).reshape(shape), std)
 
 
-def _second_difference(n: int, step: float, *, periodic: bool) -> sp.csr_array:
-    """Second derivative at the nodes; no row at free ends."""
-    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)).tolil()
-    if periodic:
-        D[0, n - 1] = D[n - 1, 0] = 1.0
-    else:
-        D[0, :] = 0.0
-        D[n - 1, :] = 0.0
-    return sp.csr_array(D / step**2)
-
-
-def _first_difference(n: int, step: float, *, periodic: bool) -> sp.csr_array:
-    """First derivative between neighbouring nodes."""
+def _differences(
+    n: int, step: float, *, periodic: bool
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """First derivative between neighbouring nodes, second at those with two."""
     rows = n if periodic else n - 1
-    D = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(rows, n)).tolil()
-    if periodic:
-        D[n - 1, 0] = 1.0
-    return sp.csr_array(D / step)
+    here, after = np.arange(rows), (np.arange(rows) + 1) % n
+    ends = np.repeat([-1.0 / step, 1.0 / step], rows), np.r_[here, after]
+    D = sp.csr_array((ends[0], (np.r_[here, here], ends[1])), shape=(rows, n))
+    inner = slice(None) if periodic else slice(1, n - 1)
+    return D, sp.csr_array(-(D.T @ D))[inner]
 
 
 def _bending(shape: tuple[int, ...], arc: float, z_step: float) -> sp.csr_array:
     """Matrix of the bending energy ∫ R_tt² + 2 R_tz² + R_zz² (t the arc length)."""
     n_theta, n_z = shape
     eye_t, eye_z = sp.eye_array(n_theta), sp.eye_array(n_z)
-    tt = sp.kron(_second_difference(n_theta, arc, periodic=True), eye_z)
-    zz = sp.kron(eye_t, _second_difference(n_z, z_step, periodic=False))
-    tz = sp.kron(
-        _first_difference(n_theta, arc, periodic=True),
-        _first_difference(n_z, z_step, periodic=False),
-    )
+    t, second_t = _differences(n_theta, arc, periodic=True)
+    z, second_z = _differences(n_z, z_step, periodic=False)
+    tt, zz, tz = sp.kron(second_t, eye_z), sp.kron(eye_t, second_z), sp.kron(t, z)
     area = arc * z_step
     return sp.csr_array(area * (tt.T @ tt + 2.0 * tz.T @ tz + zz.T @ zz))
 

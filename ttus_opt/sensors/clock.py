@@ -18,6 +18,7 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors.streams import within
 
 #: Default search range [s]
 LARGEST_OFFSET = 5.0
@@ -277,8 +278,7 @@ def _resampled(signal: Signal, step: float, gap: float) -> Array:
         )
     time = signal.time[0] + step * np.arange(count)
     values = np.array(np.interp(time, signal.time, signal.values), np.float64)
-    after = np.clip(np.searchsorted(signal.time, time), 1, len(signal.time) - 1)
-    values[signal.time[after] - signal.time[after - 1] > gap] = np.nan
+    values[~within(time, signal.time, gap)] = np.nan
     return values
 
 

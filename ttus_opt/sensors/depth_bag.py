@@ -8,10 +8,11 @@ image is taken, by default the one in the middle. Needs the extra ``sensors`` (r
 
 from __future__ import annotations
 
+import contextlib
 import posixpath
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,6 @@ from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
 from ttus_opt.sensors.ros_bag import reading
 from ttus_opt.sensors.stream_format import one_of
-
-T = TypeVar("T")
 
 SUFFIX = ".bag"
 
@@ -70,7 +69,8 @@ def depth_topics(path: Path) -> list[str]:
         FileError: Damaged.
         MissingPackageError: rosbags is not installed.
     """
-    return _opened(path, lambda reader, _: _topics(reader))
+    with _opened(path) as (reader, _):
+        return _topics(reader)
 
 
 def read_bag_depth(
@@ -89,27 +89,24 @@ def read_bag_depth(
         InputError: A time outside the recording.
         MissingPackageError: rosbags is not installed.
     """
-
-    def read(reader: Any, known: Any) -> tuple[NDArray[Any], Frame]:
+    with _opened(path) as (reader, known):
         own = _images(path, reader, topic)
         which, raw = _taken(reader, own, at)
         message = known.deserialize_ros1(raw, IMAGE)
-        if message.encoding not in ENCODINGS:
-            raise FileError(
-                f"{path} has images of {message.encoding} in {own[0].topic}: 16 bits "
-                "are needed"
-            )
-        kind, unit = ENCODINGS[message.encoding]
-        order = ">" if message.is_bigendian else "<"
-        data = np.frombuffer(message.data.tobytes(), np.uint8)
-        rows = data.reshape(message.height, message.step)
-        size = np.dtype(kind).itemsize * message.width
-        pixels = np.ascontiguousarray(rows[:, :size]).view(f"{order}{kind}")
         stated = _option(reader, known)
-        frame = Frame(own[0].topic, *which, unit if stated is None else stated)
-        return pixels, frame
-
-    return _opened(path, read)
+    if message.encoding not in ENCODINGS:
+        raise FileError(
+            f"{path} has images of {message.encoding} in {own[0].topic}: 16 bits are "
+            "needed"
+        )
+    kind, unit = ENCODINGS[message.encoding]
+    order = ">" if message.is_bigendian else "<"
+    data = np.frombuffer(message.data.tobytes(), np.uint8)
+    size = np.dtype(kind).itemsize * message.width
+    with reading(path):
+        rows = data.reshape(message.height, message.step)
+        pixels = np.ascontiguousarray(rows[:, :size]).view(f"{order}{kind}")
+    return pixels, Frame(own[0].topic, *which, unit if stated is None else stated)
 
 
 def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]:
@@ -123,8 +120,7 @@ def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]
         FileError: Damaged, or without a camera_info of depth images.
         MissingPackageError: rosbags is not installed.
     """
-
-    def read(reader: Any, known: Any) -> dict[str, Any]:
+    with _opened(path) as (reader, known):
         image = _images(path, reader, topic)[0].topic
         own = [c for c in reader.connections if c.msgtype == INFO and _depth(c)]
         if not own:
@@ -133,15 +129,13 @@ def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]
         own.sort(key=lambda c: -len(posixpath.commonpath([c.topic, image])))
         _, _, raw = next(iter(reader.messages(connections=own[:1])))
         info = known.deserialize_ros1(raw, INFO)
-        return {
-            "K": info.K.tolist(),
-            "D": info.D.tolist(),
-            "width": info.width,
-            "height": info.height,
-            "distortion_model": info.distortion_model,
-        }
-
-    return _opened(path, read)
+    return {
+        "K": info.K.tolist(),
+        "D": info.D.tolist(),
+        "width": info.width,
+        "height": info.height,
+        "distortion_model": info.distortion_model,
+    }
 
 
 def _depth(connection: Any) -> bool:
@@ -206,8 +200,9 @@ def _option(reader: Any, known: Any) -> float | None:
     return None
 
 
-def _opened(path: Path, read: Callable[[Any, Any], T]) -> T:
-    """What a function reads of a recording.
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The reader of a recording, and ROS's types.
 
     Raises:
         FileError: It cannot be read.
@@ -218,4 +213,4 @@ def _opened(path: Path, read: Callable[[Any, Any], T]) -> T:
     types: Any = load("rosbags.typesys", "sensors")
     known = types.get_typestore(types.Stores.ROS1_NOETIC)
     with reading(path), rosbag.Reader(path) as reader:
-        return read(reader, known)
+        yield reader, known

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.scan.cloud import UNITS
@@ -73,8 +74,8 @@ def read_depth(
         InputError: An unknown unit, depths that are implausible in it, or a time
             outside the recording.
     """
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
+    if unit is not None:
+        expect_one_of(unit, UNITS, "unit")
     if Path(path).suffix.lower() == SUFFIX:
         file = io.existing_file(path, "recording")
         pixels, frame = read_bag_depth(file, topic, at)

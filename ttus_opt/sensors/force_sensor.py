@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, located
 from ttus_opt.probe.pose import rotations
@@ -59,10 +60,7 @@ class ForceSensor:
                 f"{point.tolist()}: is it in millimetres?"
             )
         object.__setattr__(self, "point", point)
-        if self.sign not in get_args(Sign):
-            raise InputError(
-                f"sign must be {' or '.join(get_args(Sign))}, got {self.sign!r}"
-            )
+        expect_one_of(self.sign, get_args(Sign), "sign")
 
     def readings(self, raw: Trajectory, what: str) -> tuple[Array, Array]:
         """Raw force (T, 3) [N] and torque (T, 3) [N·m] on the probe, sensor axes.

@@ -22,6 +22,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, GeometryError, InputError, located, warn
 from ttus_opt.probe.rigid_motion import (
@@ -176,8 +177,7 @@ def hand_eye(
             loops that do not close; the message says whether inverted poses would.
         GeometryError: The motions turn about one axis only.
     """
-    if camera not in get_args(Camera):
-        raise InputError(f"camera must be fixed or moving, got {camera!r}")
+    expect_one_of(camera, get_args(Camera), "camera")
     if not (largest_gap > 0.0 and largest_twist > 0.0):
         raise InputError(
             f"the largest gap and twist must be above 0, got {largest_gap:g} m and "

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, located, warn
 from ttus_opt.probe.trajectory import Trajectory
@@ -148,10 +149,8 @@ def record(
     """
     if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
         raise InputError(f"a port must be 1 to 65535, got {port}")
-    if seconds is not None and not 0.0 < seconds < np.inf:
-        raise InputError(
-            f"the duration of a recording must be positive [s], got {seconds}"
-        )
+    if seconds is not None:
+        expect_positive(seconds, "the duration of a recording", "s")
     server = f"{host}:{port}"
     try:
         connection = socket.create_connection((host, port), timeout=patience)

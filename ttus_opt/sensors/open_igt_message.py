@@ -169,7 +169,7 @@ def _checked(values: Array) -> Array:
 def _pose(content: bytes) -> Array:
     """Twelve single-precision numbers, column by column, shape (4, 4)."""
     columns = np.array(struct.unpack(">12f", content)).reshape(4, 3)
-    return np.vstack([columns.T, [0.0, 0.0, 0.0, 1.0]])
+    return homogeneous(columns[:3].T, columns[3])
 
 
 def _position(content: bytes) -> Array:
@@ -225,13 +225,12 @@ def _tracked(body: bytes) -> Iterator[tuple[str, Array]]:
     """
     if len(body) % TOOL.size:
         raise struct.error
-    for name, _, _, *numbers in TOOL.iter_unpack(body):
-        columns = np.array(numbers).reshape(4, 3)
-        yield _text(name), np.vstack([columns.T, [0.0, 0.0, 0.0, 1.0]])
+    for name, _, _, pose in TOOL.iter_unpack(body):
+        yield _text(name), _pose(pose)
 
 
 #: Element of a TDATA message: name, type, reserved, a pose column by column
-TOOL = struct.Struct(">20sBB12f")
+TOOL = struct.Struct(">20sBB48s")
 
 #: Numbers of an NDARRAY message, by their type
 ARRAY_TYPES = {

@@ -9,10 +9,9 @@ definitions in the file. Times are those of the headers. Needs the extra ``senso
 from __future__ import annotations
 
 import contextlib
-import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,20 +26,6 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 
 #: Most messages of one topic
 MOST_MESSAGES = 5_000_000
-
-
-class _Message(NamedTuple):
-    """A message of a recording.
-
-    Attributes:
-        topic: Its topic.
-        kind: Its type.
-        content: Decoded.
-    """
-
-    topic: str
-    kind: str
-    content: Any
 
 
 def _xyz(vector: Any) -> list[float]:
@@ -197,8 +182,8 @@ def _by_time(raw: RawRecording) -> RawRecording:
     return raw.select(first)
 
 
-def _messages(place: Path, kinds: list[str]) -> Iterator[_Message]:
-    """Messages of some types, decoded."""
+def _messages(place: Path, kinds: list[str]) -> Iterator[tuple[str, str, Any]]:
+    """Topic, type and decoded content of messages of some types."""
     load("rosbags", "sensors")
     ros1 = place.suffix == ".bag"
     types: Any = load("rosbags.typesys", "sensors")
@@ -208,10 +193,6 @@ def _messages(place: Path, kinds: list[str]) -> Iterator[_Message]:
         if kind not in known.types:
             known.register(types.get_types_from_msg(TREE_FIELDS, kind))
     decode = known.deserialize_ros1 if ros1 else known.deserialize_cdr
-    if place.suffix == ".db3":
-        for topic, kind, content in _of_database(place, kinds):
-            yield _Message(topic, kind, decode(content, kind))
-        return
     of_version: Any = load(f"rosbags.rosbag{1 if ros1 else 2}", "sensors")
     with of_version.Reader(place) as reader:
         own = [c for c in reader.connections if c.msgtype in kinds]
@@ -219,20 +200,7 @@ def _messages(place: Path, kinds: list[str]) -> Iterator[_Message]:
             return
         for connection, _, content in reader.messages(connections=own):
             kind = connection.msgtype
-            yield _Message(connection.topic, kind, decode(content, kind))
-
-
-def _of_database(file: Path, kinds: list[str]) -> Iterator[tuple[str, str, bytes]]:
-    """Topic, type and content of a ``.db3`` file, which lost its metadata.yaml."""
-    uri = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
-    with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
-        marks = ",".join("?" * len(kinds))
-        yield from database.execute(
-            "SELECT topics.name, topics.type, messages.data FROM messages "
-            "JOIN topics ON messages.topic_id = topics.id "
-            f"WHERE topics.type IN ({marks}) ORDER BY messages.timestamp",
-            kinds,
-        )
+            yield connection.topic, kind, decode(content, kind)
 
 
 ROS = StreamFormat(

@@ -15,12 +15,13 @@ the offset of the clocks are then fitted together, with Huber's loss.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.rigid_motion import (
@@ -142,8 +143,7 @@ def stream_hand_eye(
             loops with inverted poses only.
         GeometryError: The motion does not determine the camera's pose.
     """
-    if camera not in ("fixed", "moving"):
-        raise InputError(f"camera must be fixed or moving, got {camera!r}")
+    expect_one_of(camera, get_args(hand_eye.Camera), "camera")
     rng = np.random.default_rng(0) if rng is None else rng
     n_seen = len(seen)
     seen, carried = without_spikes(seen), without_spikes(carried)

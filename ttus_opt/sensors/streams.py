@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.raw_recording import RawRecording
@@ -118,7 +119,7 @@ def with_wrenches(
             f"{offset} and {largest_gap}"
         )
     time = wrenches.time + offset
-    keep = _within(poses.time, time, largest_gap)
+    keep = within(poses.time, time, largest_gap)
     if not keep.any():
         raise InputError(
             f"poses from {poses.time[0]:.6g} to {poses.time[-1]:.6g} s have no "
@@ -159,11 +160,10 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     Raises:
         InputError: No time lies between two poses, or an invalid gap.
     """
-    if not 0.0 < largest_gap < np.inf:
-        raise InputError(f"the largest gap must be positive [s], got {largest_gap}")
+    expect_positive(largest_gap, "the largest gap", "s")
     if len(poses) < 2 or len(np.unique(poses.segment)) > 1:
         raise InputError("interpolation needs 2 or more poses of one segment: split it")
-    keep = _within(time, poses.time, largest_gap)
+    keep = within(time, poses.time, largest_gap)
     if not keep.any():
         raise InputError(
             f"no time from {time[0]:.6g} to {time[-1]:.6g} s lies between poses from "
@@ -185,7 +185,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     )
 
 
-def _within(time: Array, known: Array, largest_gap: float) -> NDArray[np.bool_]:
+def within(time: Array, known: Array, largest_gap: float) -> NDArray[np.bool_]:
     """Mask of the times that lie between two known ones at most a gap apart."""
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     near = known[after] - known[after - 1] <= largest_gap

@@ -10,13 +10,12 @@ See docs/method/formulations.md, The shelf.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.problem.constraints.base import Constraint, LinearRows
 from ttus_opt.voxmap.voxmap import INSIDE, SURFACE
 
@@ -41,10 +40,7 @@ class Monotone(Constraint):
 
     def __post_init__(self) -> None:
         """Refuse a slope that is negative or not finite."""
-        if not (math.isfinite(self.least_slope) and self.least_slope >= 0.0):
-            raise InputError(
-                f"least_slope must not be negative [unit/m], got {self.least_slope}"
-            )
+        expect_not_negative(self.least_slope, "least_slope", "unit/m")
 
     def rows(self) -> LinearRows:
         """One row per pair, sorted by the deeper voxel."""

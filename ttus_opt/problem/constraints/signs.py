@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.arguments import expect_between
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.terms.rows import unit_rows
 
@@ -92,11 +92,7 @@ def check_coefficient(largest: float) -> None:
     Raises:
         InputError: Friction has no such coefficient.
     """
-    low, high = COEFFICIENTS
-    if not low <= largest <= high:
-        raise InputError(
-            f"largest friction must lie between {low:g} and {high:g}, got {largest}"
-        )
+    expect_between(largest, *COEFFICIENTS, "largest friction")
 
 
 @dataclass(frozen=True)

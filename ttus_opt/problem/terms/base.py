@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Self
 
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import defined_at, user_errors
@@ -60,11 +61,7 @@ class Term(Member):
 
     def __post_init__(self) -> None:
         """Refuse a weight that is negative or not finite."""
-        if not (math.isfinite(self.weight) and self.weight >= 0.0):
-            raise InputError(
-                f"{self.name} weight must be finite and not negative, got "
-                f"{self.weight:g}"
-            )
+        expect_not_negative(self.weight, f"{self.name} weight")
 
     @property
     def formula(self) -> str:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.problem.terms.base import AffineRows, Term
 from ttus_opt.problem.terms.penalties import Absolute, Groups, Penalty
 from ttus_opt.problem.terms.rows import unit_rows
@@ -42,11 +42,7 @@ class TikhonovTerm(Term):
     def __post_init__(self) -> None:
         """Validate weight and reference."""
         super().__post_init__()
-        if self.reference not in REFERENCES:
-            raise InputError(
-                f"tikhonov reference must be one of {', '.join(REFERENCES)}, got "
-                f"{self.reference!r}"
-            )
+        expect_one_of(self.reference, REFERENCES, "tikhonov reference")
 
     def rows(self) -> AffineRows:
         """Identity rows of the free voxels."""

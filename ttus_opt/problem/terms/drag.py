@@ -21,8 +21,8 @@ from ttus_opt.contact import friction
 from ttus_opt.contact.friction import DragRows, Sliding, coulomb_rows
 from ttus_opt.contact.point_drag import point_drag_rows
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.presliding import with_bristle
 from ttus_opt.problem.terms.base import Fitted
@@ -187,10 +187,7 @@ class GlobalCoulomb(DragModel):
 
     def __post_init__(self) -> None:
         """Refuse a μ that is negative or not finite."""
-        if not (math.isfinite(self.coefficient) and self.coefficient >= 0.0):
-            raise InputError(
-                f"friction_coefficient must not be negative, got {self.coefficient}"
-            )
+        expect_not_negative(self.coefficient, friction.FRICTION)
 
     def with_coefficient(self, coefficient: float) -> Self:
         """The same drag with another μ; sliding and rows are shared."""

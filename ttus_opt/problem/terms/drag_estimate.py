@@ -20,8 +20,8 @@ import numpy as np
 
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
 from ttus_opt.problem.terms.drag import AT_POINTS, GlobalCoulomb
 from ttus_opt.problem.terms.rows import replaced
@@ -108,10 +108,7 @@ def alike_drag(
         places: The same.
         alike: By how much less the others gain at most [–].
     """
-    if acts_at != "auto" and acts_at not in places:
-        raise InputError(
-            f"acts_at must be one of auto, {', '.join(sorted(places))}, got {acts_at!r}"
-        )
+    expect_one_of(acts_at, ("auto", *sorted(places)), "acts_at")
     places = places if acts_at == "auto" else (acts_at,)
     known = vars(scene).setdefault("drag_estimates", {})  # once per scene
     if (deadband, places) not in known:

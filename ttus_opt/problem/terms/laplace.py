@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.contact.scene import BOUNDARY_SCALE
+from ttus_opt.core.arguments import expect_between, expect_positive
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.terms.base import AffineRows, Fitted, Term
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
@@ -47,8 +47,7 @@ class LaplaceTerm(Term):
     def __post_init__(self) -> None:
         """Validate weight and factor."""
         super().__post_init__()
-        if not (math.isfinite(self.factor) and self.factor > 0.0):
-            raise InputError(f"factor on b must be positive, got {self.factor}")
+        expect_positive(self.factor, "factor on b")
 
     def with_factor(self, factor: float) -> Self:
         """The same prior with its boundary values times a factor."""
@@ -88,8 +87,7 @@ class LaplaceFreeSurfaceTerm(Term):
     def __post_init__(self) -> None:
         """Validate weight and the layer's share."""
         super().__post_init__()
-        if not (math.isfinite(self.skin) and 0.0 <= self.skin <= 1.0):
-            raise InputError(f"skin must lie between 0 and 1, got {self.skin}")
+        expect_between(self.skin, 0.0, 1.0, "skin")
 
     def rows(self) -> AffineRows:
         """L and b with the surface layer's rows scaled by √skin."""

@@ -33,8 +33,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 from ttus_opt.problem.terms.structure import Whitened
@@ -91,8 +91,7 @@ class PartNoise:
         """
         if turn is None:
             return None
-        if not 0.0 <= turn < np.inf:
-            raise InputError(f"direction_error must not be negative, got {turn} rad")
+        expect_not_negative(turn, "direction_error", "rad")
         force = np.maximum(normal_rows(contact_directions(scene)) @ scene.f, 0.0)
         own = np.hypot(SENSOR, RELATIVE * force)
         return cls.of(scene, own, force, np.zeros(len(force)), turn)

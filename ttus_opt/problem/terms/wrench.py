@@ -8,7 +8,6 @@ See docs/method/formulations.md, Eq. 10 and Penalties, and docs/method/friction.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -16,8 +15,8 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.core.arguments import expect_between, expect_positive
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import InputError
 from ttus_opt.problem.terms.base import AffineRows, Fitted, Term
 from ttus_opt.problem.terms.drag import DragModel
 from ttus_opt.problem.terms.part_noise import PartNoise, whitened
@@ -102,10 +101,7 @@ class RobustForceTerm(Term):
     def __post_init__(self) -> None:
         """Validate weight and limit."""
         super().__post_init__()
-        if not (math.isfinite(self.limit) and self.limit > 0.0):
-            raise InputError(
-                f"robust_force limit must be positive [N], got {self.limit}"
-            )
+        expect_positive(self.limit, "robust_force limit", "N")
 
     @property
     def penalty(self) -> Huber:
@@ -143,12 +139,8 @@ class TorqueTerm(_Measured):
     def __post_init__(self) -> None:
         """Validate weight and length."""
         super().__post_init__()
-        low, high = LENGTHS
-        if self.length is not None and not low <= self.length <= high:
-            raise InputError(
-                f"torque_length must lie between {low:g} and {high:g} m, got "
-                f"{self.length}"
-            )
+        if self.length is not None:
+            expect_between(self.length, *LENGTHS, "torque_length", "m")
 
     @property
     def formula(self) -> str:

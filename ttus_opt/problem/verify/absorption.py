@@ -24,7 +24,6 @@ import math
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -179,7 +178,10 @@ class _Matrix:
     ) -> None:
         self._program, self._terms, self._fixed = program, terms, fixed
         self.theta = theta
-        diagonal = _diagonal(program, terms, theta)
+        diagonal = np.sum([t.column_squares() for t in terms], axis=0)
+        for t in program.terms if theta else ():
+            if t.is_squares and t.weight > 0.0:
+                diagonal += 2.0 * theta * t.weight * t.column_squares()
         self._inverse = np.where(
             fixed | (diagonal <= 0.0), 0.0, 1.0 / np.where(diagonal > 0, diagonal, 1.0)
         )
@@ -235,32 +237,13 @@ class _Matrix:
         for term in self._terms:
             its_field = field_of(term, name, slice(0, len(fixed)), fixed, laplace)
             if its_field is not None:
-                return partial(_by_laplace, its_field.inverse, 2.0 * term.weight)
+                inverse, twice = its_field.inverse, 2.0 * term.weight
+                return lambda v: twice * inverse(v, RTOL)  # (MᵀM)⁻¹ v
         for term in self._terms:
             solve = _network(term, self._program, part, fixed)
             if solve is not None:
                 return solve
         return None
-
-
-def _by_laplace(
-    inverse: Callable[[Array, float], Array], twice: float, v: Array
-) -> Array:
-    """(MᵀM)⁻¹ v, from the inverse of 2 w MᵀM."""
-    return twice * inverse(v, RTOL)
-
-
-def _squares(program: Program) -> list[ProgramTerm]:
-    return [t for t in program.terms if t.is_squares and t.weight > 0.0]
-
-
-def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array:
-    """The diagonal of Σ MᵀM + θ P, shape (n,)."""
-    out = np.sum([t.column_squares() for t in terms], axis=0)
-    if theta:
-        for t in _squares(program):
-            out += 2.0 * theta * t.weight * t.column_squares()
-    return np.asarray(out)
 
 
 #: Networks by identity of their rows and fixed voxels; dropped with the rows
