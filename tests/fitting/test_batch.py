@@ -216,7 +216,7 @@ def test_terms_of_several_kinds_go_through_one_reduction():
 def test_what_cannot_be_fitted():
     other = replace(SCENE)
     refuses(InputError, "belongs to another scene", fit, other, eq10())
-    with pytest.raises(InputError, match="force weight must be finite and not"):
+    with pytest.raises(InputError, match="force weight must not be negative"):
         fit(SCENE, "eq10", force_weight=-1.0)
     with pytest.raises(InputError, match="unknown solver 'structred', did you mean"):
         fit(SCENE, "eq10", solver="structred")

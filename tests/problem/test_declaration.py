@@ -58,7 +58,7 @@ def test_weights_change_without_reassembly():
         assert new.target is old.target
     with pytest.raises(InputError, match="no term 'forse', there are laplace, force"):
         first.with_weights(forse=1.0)
-    with pytest.raises(InputError, match="force weight must be finite and not"):
+    with pytest.raises(InputError, match="force weight must not be negative"):
         first.with_weights(force=-1.0)
 
 

@@ -150,44 +150,29 @@ def associate(
     Returns:
         The measurement; not ``seen`` if nothing is within the gate.
     """
-    per_point = np.ndim(depth_noise) > 0
-    S = variance[..., None] + depth_noise**2
+    square = np.broadcast_to(np.square(depth_noise), radius.shape)
+    S = variance[..., None] + square
     # Relative to the prediction: padding (inf) falls outside every gate.
     innovation = radius - predicted[..., None]
     inside = innovation**2 < _GATE**2 * S
     v = np.where(inside, innovation, 0.0)
-    sigma = _mean_noise(inside, depth_noise) if per_point else depth_noise
-    weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, sigma)
-    if per_point:
-        weight /= depth_noise**2
+    weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, square) / square
     total = weight.sum(axis=-1)
     seen = total > 0
     weight /= np.where(seen, total, 1.0)[..., None]
     y = (weight * v).sum(axis=-1)
     spread = (weight * (v - y[..., None]) ** 2).sum(axis=-1)
     # Two surfaces within the gate: unsure which, beyond what noise explains.
-    if per_point:
-        explained = (weight * depth_noise**2).sum(axis=-1)
-        noise = (weight**2 * depth_noise**2).sum(axis=-1)
-    else:
-        explained = depth_noise**2
-        noise = depth_noise**2 * (weight**2).sum(axis=-1)
-    uncertainty = np.maximum(spread - 2.0 * explained, 0.0)
+    uncertainty = np.maximum(spread - 2.0 * (weight * square).sum(axis=-1), 0.0)
+    noise = (weight**2 * square).sum(axis=-1)
     return _Measurement(predicted + y, np.where(seen, noise + uncertainty, 1.0), seen)
 
 
-def _mean_noise(inside: NDArray[np.bool_], depth_noise: float | Array) -> Array:
-    """Root mean square deviation of the candidates inside, shape (…, 1) [m]."""
-    square = np.where(inside, depth_noise, 0.0) ** 2
-    n = np.maximum(inside.sum(axis=-1, keepdims=True), 1)
-    return np.asarray(np.sqrt(square.sum(axis=-1, keepdims=True) / n))
-
-
-def _far_weight(
-    v: Array, inside: NDArray[np.bool_], depth_noise: float | Array
-) -> Array:
+def _far_weight(v: Array, inside: NDArray[np.bool_], square: Array) -> Array:
     """D = (1 − (r − r_min)/(r_max − r_min))² of each candidate's surface, (…, m)."""
-    gap = _SAME_SURFACE * depth_noise
+    n = np.maximum(inside.sum(axis=-1, keepdims=True), 1)
+    mean_square = (inside * square).sum(axis=-1, keepdims=True) / n
+    gap = _SAME_SURFACE * np.sqrt(mean_square)
     split = np.diff(v, axis=-1) > gap
     split &= inside[..., 1:] & inside[..., :-1]
     D = np.ones_like(v)
@@ -205,8 +190,7 @@ def _far_weight(
     mean = (mean / np.maximum(size, 1.0))[key].reshape(values.shape)
     low = np.where(within, mean, np.inf).min(axis=1, keepdims=True)
     # Half a gap beyond the farthest surface: its weight is small but not zero.
-    room = gap[rows] if isinstance(gap, np.ndarray) else gap
-    high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + room / 2
+    high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + gap[rows] / 2
     D[rows] = (1.0 - (mean - low) / (high - low)) ** 2
     return D
 
@@ -251,10 +235,10 @@ def without_end_cliffs(contour: Contour, z_step: float) -> Contour:
     return replace(contour, observed=seen & ~beyond)
 
 
-def _noise(candidates: Candidates, model: ContourModel) -> float | Array:
-    """σ of all candidates, or of each if the points have deviations [m]."""
+def _noise(candidates: Candidates, model: ContourModel) -> Array:
+    """σ of every candidate, its point's own where points have deviations [m]."""
     if candidates.std is None or candidates.offset is None:
-        return model.depth_noise
+        return np.full_like(candidates.radius, model.depth_noise)
     return np.hypot(candidates.std, model.slope_std * candidates.offset)
 
 
@@ -273,7 +257,7 @@ class _Lap:
     """Input of every lap; ``jump`` (n_theta, n_z) is filled by the first."""
 
     radius: Array
-    noise: float | Array
+    noise: Array
     prior: Array
     model: ContourModel
     jump: Array
@@ -302,8 +286,7 @@ def _two_laps(lap: _Lap, given: _Measurement | None) -> Contour:
             P[:, 0, 0] += jump[(step - 1) % n]
         predictions[step], spreads[step] = x, P
         if given is None:
-            spread = noise[k] if isinstance(noise, np.ndarray) else noise
-            m = associate(radius[k], x[:, 0], P[:, 0, 0], spread)
+            m = associate(radius[k], x[:, 0], P[:, 0, 0], noise[k])
             missed = ~m.seen & np.isfinite(radius[k, :, 0])
             jump[k] = np.where(missed, _JUMP**2, jump[k] if step >= n else 0.0)
         else:
