@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from scipy.stats import multivariate_normal
 
 from tests.comparators.contacts import NO_PATCH, STILL, samples
@@ -11,8 +12,8 @@ from ttus_opt.comparators.stiffness_map import (
     PowerLaw,
     StiffnessMap,
     chosen_law,
-    matern,
 )
+from ttus_opt.gaussian.matern import matern
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 
 
@@ -20,7 +21,7 @@ def palpation(n, noise, seed=0):
     """Depths of 2 to 12 mm on a patch of 8 cm, stiffness from the process itself."""
     rng = np.random.default_rng(seed)
     place = np.column_stack([np.full(n, 0.1), rng.uniform(-0.04, 0.04, (n, 2))])
-    cov = 0.35**2 * matern(place, place, 0.03) + 1e-10 * np.eye(n)
+    cov = 0.35**2 * matern(cdist(place, place), 0.03) + 1e-10 * np.eye(n)
     stiffness = 5.0 * (1.0 + np.linalg.cholesky(cov) @ rng.normal(size=n))
     depth = rng.uniform(0.2, 1.2, n)
     force = stiffness * depth**1.4 + noise * rng.normal(size=n)
@@ -41,7 +42,7 @@ def test_evidence_is_the_density_of_the_forces():
     data, law = palpation(30, 0.1), PowerLaw(1.2, 0.02, 0.5, 0.2)
     _, stiffness = data.base(1.2)
     mean = stiffness * data.depth**1.2
-    C = 0.5**2 * np.outer(mean, mean) * matern(data.place, data.place, 0.02)
+    C = 0.5**2 * np.outer(mean, mean) * matern(cdist(data.place, data.place), 0.02)
     density = multivariate_normal(mean, C + 0.2**2 * np.eye(30)).logpdf(data.force)
     constant = -0.5 * 30 * np.log(2.0 * np.pi)
     assert data.given(law).log_density + constant == pytest.approx(density)
@@ -54,7 +55,7 @@ def test_kriging_is_regression_on_a_dense_field():
     law, mean = found.law, found.mean_stiffness
     asked = np.column_stack([np.full(7, 0.1), np.linspace(-0.05, 0.05, 7), np.zeros(7)])
     every = np.vstack([data.place, asked])
-    prior = (mean * law.deviation) ** 2 * matern(every, every, law.length)
+    prior = (mean * law.deviation) ** 2 * matern(cdist(every, every), law.length)
     rows = np.hstack([np.diag(data.depth**law.exponent), np.zeros((25, 7))])
     # information form: no formula of the module is used
     precision = np.linalg.inv(prior + 1e-9 * np.eye(32)) + rows.T @ rows / law.noise**2

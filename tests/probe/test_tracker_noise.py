@@ -15,10 +15,8 @@ def two_recordings():
 
 
 def test_the_phantoms_errors_have_the_default_noise():
-    """The simulation has numbers and an autoregression of its own."""
+    """The simulation has an autoregression of its own."""
     noise = tt.TrackerNoise()
-    assert noise.position == recording.POSITION_NOISE
-    assert noise.rotation == pytest.approx(recording.ROTATION_NOISE)
     still = presses(torso(), 3, np.random.default_rng(1))
     rng = np.random.default_rng(2)
     drawn = np.stack(

@@ -44,8 +44,8 @@ def test_cut_ends_are_left_out():
     theta = rng.uniform(0, 2 * np.pi, r.size)
     cap = np.stack([r * np.cos(theta), r * np.sin(theta), np.full(r.size, 0.2)], 1)
     found = usable_range(np.concatenate([cylinder(rng, noise=0.001), cap]))
-    assert -0.2 <= found.z_min < -0.185
-    assert 0.185 < found.z_max < 0.2
+    assert -0.2 <= found[0] < -0.185
+    assert 0.185 < found[1] < 0.2
 
 
 def test_strays_are_dropped_and_surfaces_kept():
@@ -66,5 +66,5 @@ def test_a_sparse_front_is_usable_over_its_whole_height(spacing):
     noise = np.random.default_rng(0).normal(0.0, 0.002, y.shape)
     points = np.stack([x, y + noise, z], axis=-1).reshape(-1, 3)
     found = usable_range(points)
-    assert found.z_min < 0.06
-    assert found.z_max > 0.52
+    assert found[0] < 0.06
+    assert found[1] > 0.52

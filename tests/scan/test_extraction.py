@@ -397,7 +397,7 @@ def test_a_flat_fronts_edges_are_usable():
     rng = np.random.default_rng(0)
     x, z = rng.uniform(-0.22, 0.22, 60_000), rng.uniform(-0.25, 0.25, 60_000)
     found = usable_range(np.stack([x, rng.normal(0.11, 0.005, x.size), z], axis=1))
-    np.testing.assert_allclose([found.z_min, found.z_max], [-0.245, 0.245], atol=0.011)
+    np.testing.assert_allclose(found, [-0.245, 0.245], atol=0.011)
 
 
 def test_association_weighs_by_each_deviation():

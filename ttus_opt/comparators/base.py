@@ -160,10 +160,7 @@ class Comparator(ABC):
             points = local @ recording.rotation[t].T + recording.position[t]
             if (self.surface.depth_of(points) > 0.0).any():
                 return
-        raise InputError(
-            f"{self.name}: the probe touches the surface in no frame: check the "
-            "recordings' frame and unit"
-        )
+        raise no_contact(self.name)
 
     def _require_fit(self) -> None:
         if self.needs_fit and not self.fitted:
@@ -222,10 +219,7 @@ def positive_scale(shape: Array, force: Array, name: str) -> float:
     """
     square = float((shape**2).sum())
     if square == 0.0:
-        raise InputError(
-            f"{name}: the probe touches the surface in no frame: check the "
-            "recordings' frame and unit"
-        )
+        raise no_contact(name)
     scale = float((shape * force).sum()) / square
     if scale <= 0.0:
         raise InputError(
@@ -233,6 +227,14 @@ def positive_scale(shape: Array, force: Array, name: str) -> float:
             "probe in patient axes"
         )
     return scale
+
+
+def no_contact(name: str) -> InputError:
+    """The error of a comparator whose probe touches in no frame."""
+    return InputError(
+        f"{name}: the probe touches the surface in no frame: check the recordings' "
+        "frame and unit"
+    )
 
 
 def _checked_cloud(surface: Surface, cloud: Array | None) -> Array:

@@ -27,7 +27,7 @@ from scipy.spatial.distance import cdist
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.core.arrays import Array
 from ttus_opt.gaussian.conditioned import ByCovariance, Conditioned
-from ttus_opt.gaussian.matern import matern as of_distances
+from ttus_opt.gaussian.matern import matern
 from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
@@ -81,7 +81,9 @@ class Palpation:
         """The forces less K₀ hᵃ, of covariance C [N]."""
         power, stiffness = self.base(law.exponent)
         scaled = stiffness * law.deviation * power
-        cov = scaled[:, None] * scaled * matern(self.place, self.place, law.length)
+        cov = (
+            scaled[:, None] * scaled * matern(cdist(self.place, self.place), law.length)
+        )
         cov[np.diag_indices_from(cov)] += law.noise**2
         return ByCovariance.of(cov, self.force - stiffness * power)
 
@@ -115,7 +117,7 @@ class StiffnessMap(PatchModel):
     def stiffness_at(self, place: Array) -> float:
         """K(s) [N at 10 mm] at a place (3,) on the surface [m]."""
         assert self.law is not None
-        near = matern(place[None], self._places, self.law.length)[0]
+        near = matern(cdist(place[None], self._places), self.law.length)[0]
         return self.mean_stiffness + float(near @ self._weights)
 
     def _fit_law(self, samples: list[Sample]) -> None:
@@ -149,8 +151,3 @@ def chosen_law(data: Palpation) -> PowerLaw:
 
     mode = posterior_mode(lambda steps: data.given(law(steps)).log_density, 4, 200)
     return law(mode.steps)
-
-
-def matern(places: Array, others: Array, length: float) -> Array:
-    """Matérn 3/2 of places, shapes (n, 3) and (m, 3), and length ℓ [m]: (n, m)."""
-    return of_distances(cdist(places, others), length)

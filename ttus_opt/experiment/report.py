@@ -22,13 +22,8 @@ from ttus_opt.experiment.scores import (
 )
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
-from ttus_opt.phantom.recording import (
-    FORCE_NOISE,
-    POSE_CORRELATION,
-    POSITION_NOISE,
-    ROTATION_NOISE,
-    TORQUE_NOISE,
-)
+from ttus_opt.phantom.recording import FORCE_NOISE, TORQUE_NOISE
+from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.report import plots
 from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.document import (
@@ -136,9 +131,10 @@ def _what_was_done(result: ExperimentResult) -> list[Block]:
             [
                 *patients,
                 f"Noise: force {FORCE_NOISE:g} N, torque {1e3 * TORQUE_NOISE:g} mN m "
-                f"per axis and frame; poses {1e3 * POSITION_NOISE:g} mm and "
-                f"{np.degrees(ROTATION_NOISE):.2g}° per axis, alike over "
-                f"{POSE_CORRELATION:g} s (a tracker's drift, in fit and test alike)",
+                f"per axis and frame; poses {1e3 * TrackerNoise.position:g} mm and "
+                f"{np.degrees(TrackerNoise.rotation):.2g}° per axis, alike over "
+                f"{TrackerNoise.correlation:g} s (a tracker's drift, in fit and test "
+                "alike)",
                 "Drag: Coulomb; damping: normal force times (1 + damping × speed "
                 "into the body)",
                 f"Grid {shape}, trilinear sampling, λ_f = λ_τ = {plan.weight:g} unless "

@@ -18,12 +18,6 @@ from ttus_opt.probe.trajectory import Trajectory
 #: Noise of the force and torque sensor, standard deviation per axis [N], [N m]
 FORCE_NOISE, TORQUE_NOISE = 0.08, 0.003
 
-#: Error of a tracked pose, standard deviation per axis [m], [rad]
-POSITION_NOISE, ROTATION_NOISE = 0.5e-3, np.radians(0.5)
-
-#: Correlation time of the tracker's errors [s]
-POSE_CORRELATION = 1.0
-
 
 def record(
     patch: SkinPatch,
@@ -92,12 +86,12 @@ def add_pose_noise(
     trajectory: Trajectory,
     rng: np.random.Generator,
     *,
-    correlation: float = POSE_CORRELATION,
+    correlation: float = TrackerNoise.correlation,
 ) -> Trajectory:
     """The trajectory as a tracker reports it, with stationary Gauss–Markov errors.
 
-    `POSITION_NOISE` and `ROTATION_NOISE` are added to the poses; the wrench remains
-    that of the true poses.
+    Those of `TrackerNoise` are added to the poses; the wrench remains that of the true
+    poses.
 
     Args:
         trajectory: One recording with even time steps.
@@ -107,7 +101,7 @@ def add_pose_noise(
     Raises:
         InputError: The correlation time is negative.
     """
-    noise = TrackerNoise(POSITION_NOISE, ROTATION_NOISE, correlation)
+    noise = TrackerNoise(correlation=correlation)
     white = rng.standard_normal((len(trajectory), 6))
     unit = _correlated(white, trajectory.time, correlation)
     return noise.without(trajectory, -unit)

@@ -31,19 +31,6 @@ _BRIDGE = 0.03  # most empty height within the body [m]
 
 
 @dataclass(frozen=True)
-class ZRange:
-    """Heights at which the scan shows the body's side.
-
-    Attributes:
-        z_min: Lowest usable height [m].
-        z_max: Highest usable height [m].
-    """
-
-    z_min: float
-    z_max: float
-
-
-@dataclass(frozen=True)
 class Candidates:
     """Radii near every spoke.
 
@@ -80,7 +67,7 @@ def stray(points: Array) -> NDArray[np.bool_]:
     return np.asarray(around < max(4.0, 0.1 * float(np.median(around))))
 
 
-def usable_range(points: Array) -> ZRange:
+def usable_range(points: Array) -> tuple[float, float]:
     """The longest range of heights whose sections show the body's side.
 
     A section is left out when it shows less than a quarter turn, or when the radii in a
@@ -91,35 +78,33 @@ def usable_range(points: Array) -> ZRange:
     Args:
         points: Body points, patient frame, shape (n, 3) [m].
 
+    Returns:
+        Lowest and highest usable height [m].
+
     Raises:
         GeometryError: No section shows a quarter turn around the axis, or too few.
     """
-    best: ZRange | None = None
+    best: tuple[float, float] | None = None
+    length = 0.0
     for size in _BINS:
         found = _usable(points, size)
-        if found is not None and (
-            best is None or _length(found) > _LONGER * _length(best)
-        ):
-            best = found
+        if found and (best is None or found[1] - found[0] > _LONGER * length):
+            best, length = found, found[1] - found[0]
     if best is None:
         raise GeometryError(
             "no section of the scan shows a quarter turn around the axis: does the "
             "axis run inside the body and along it? give another axis or estimate it, "
             "or give z_range=low,high"
         )
-    if _length(best) < _LEAST_LENGTH:
+    if length < _LEAST_LENGTH:
         raise GeometryError(
-            f"only {1e3 * _length(best):.0f} mm of the scan show the body's side: show "
+            f"only {1e3 * length:.0f} mm of the scan show the body's side: show "
             "more of it, or give z_range=low,high"
         )
     return best
 
 
-def _length(found: ZRange) -> float:
-    return found.z_max - found.z_min
-
-
-def _usable(points: Array, size: float) -> ZRange | None:
+def _usable(points: Array, size: float) -> tuple[float, float] | None:
     """The same with sections of one thickness [m]; None where none is usable."""
     r, theta, z = cylindrical(points)
     start = z.min()
@@ -156,7 +141,7 @@ def _usable(points: Array, size: float) -> ZRange | None:
         return None
     first, last = max(runs, key=lambda run: run[1] - run[0])
     # The outermost bins are only partly filled.
-    return ZRange(float(start + (first + 1) * size), float(start + last * size))
+    return float(start + (first + 1) * size), float(start + last * size)
 
 
 def _runs(

@@ -237,8 +237,7 @@ def _body_points(
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:
     """Heights of the slices, given or found, shape (n_z,) [m]."""
     if z_range is None:
-        usable = usable_range(points)
-        low, high = usable.z_min, usable.z_max
+        low, high = usable_range(points)
     else:
         low, high = z_range
         if not high > low:

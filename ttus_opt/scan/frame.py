@@ -18,7 +18,7 @@ from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.rigid_motion import homogeneous, inverse
-from ttus_opt.scan.frame_estimate import Lying, estimate_frame
+from ttus_opt.scan.frame_estimate import estimate_frame
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
 
@@ -104,12 +104,16 @@ class Axis:
                 direction that is zero, or a camera at no place.
             GeometryError: The scan shows no body, or ``head`` points across it.
         """
-        towards = None if head is None else np.asarray(head, dtype=np.float64)
-        place = None if camera is None else np.asarray(camera, dtype=np.float64)
-        if place is not None and not (place.shape == (3,) and np.isfinite(place).all()):
-            raise InputError(f"a camera's place must be finite x,y,z [m], got {place}")
-        lying = Lying(towards, flip, prone, place, support)
-        return cls(*estimate_frame(cloud, lying, rng=rng))
+        frame = estimate_frame(
+            cloud,
+            head=head,
+            flip=flip,
+            prone=prone,
+            camera=camera,
+            support=support,
+            rng=rng,
+        )
+        return cls(*frame)
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
         """The stored plane; if unknown, the one found in the scan (n, 3) [m].

@@ -18,13 +18,13 @@ head and, without a support, which side is the front.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import GeometryError
+from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.probe.even_sampling import sphere_lattice
 from ttus_opt.scan.body_sides import (
     checked_direction,
@@ -107,50 +107,25 @@ class FrameEstimate(NamedTuple):
     support: SupportingPlane | None
 
 
-@dataclass(frozen=True)
-class Lying:
-    """What is known of how the patient lies; the rest is found in the scan.
-
-    Attributes:
-        head: Direction to the head in the scan, shape (3,); None to find it.
-        flip: Take the opposite end for the head.
-        prone: The patient lies on the front; without a support, the back was seen.
-        camera: Where the scan was seen from, shape (3,) [m]; None to find out.
-        support: Look for the plane that the body lies on.
-    """
-
-    head: Array | None = None
-    flip: bool = False
-    prone: bool = False
-    camera: Array | None = None
-    support: bool = True
-
-
 def estimate_frame(
-    cloud: Array, lying: Lying | None = None, *, rng: np.random.Generator | None = None
+    cloud: Array,
+    *,
+    head: ArrayLike | None = None,
+    flip: bool = False,
+    prone: bool = False,
+    camera: ArrayLike | None = None,
+    support: bool = True,
+    rng: np.random.Generator | None = None,
 ) -> FrameEstimate:
-    """Estimate the patient frame from a scan.
-
-    Args:
-        cloud: Scan, shape (n, 3) [m].
-        lying: What is known of how the patient lies.
-        rng: Draws the trial planes; a fixed seed when not given.
-
-    Returns:
-        The frame. A `TtusWarning` says if head and feet are hardly distinguishable.
-
-    Raises:
-        InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
-            direction that is zero.
-        GeometryError: Nothing stands above the supporting plane, the points do not
-            span a body, or the direction to the head points across it.
-    """
-    known = lying or Lying()
-    head = None if known.head is None else checked_direction(known.head)
-    camera = camera_of(cloud) if known.camera is None else known.camera
+    """Estimate the patient frame from a scan; all else as `Axis.from_cloud`."""
+    towards = None if head is None else checked_direction(np.asarray(head, float))
+    place = None if camera is None else np.asarray(camera, dtype=np.float64)
+    if place is not None and not (place.shape == (3,) and np.isfinite(place).all()):
+        raise InputError(f"a camera's place must be finite x,y,z [m], got {place}")
+    eye = camera_of(cloud) if place is None else place
     plane = None
-    if known.support:
-        plane = find_supporting_plane(cloud, rng=rng, camera=known.camera)
+    if support:
+        plane = find_supporting_plane(cloud, rng=rng, camera=place)
     body = cloud if plane is None else cloud[plane.above(cloud)]
     points = _thinned(body)
     if len(points) < 50:
@@ -160,18 +135,18 @@ def estimate_frame(
         )
     normals = _normals(points)
     if plane is None:
-        frame = _free_frame(points, normals, camera, stated=known.camera is not None)
+        frame = _free_frame(points, normals, eye, stated=place is not None)
     else:
         frame = _supported_frame(points, normals, plane)
     upward, z = frame.upward, frame.z
-    if head is not None:
-        z = z * sign_towards(z, head)
+    if towards is not None:
+        z = z * sign_towards(z, towards)
     else:
         depth = body @ upward if plane is None else plane.height(body)
         z = z * head_along(body @ z, depth, supported=plane is not None)
-    if known.flip:
+    if flip:
         z = -z
-    y = -upward if known.prone else upward
+    y = -upward if prone else upward
     return FrameEstimate(frame.origin, np.stack([np.cross(y, z), y, z], axis=1), plane)
 
 
