@@ -151,7 +151,7 @@ def test_nothing_asked_for_is_nothing_changed():
 
 def test_what_cannot_be_perturbed():
     with pytest.raises(
-        InputError, match="unknown perturbation 'loud': choose noise or"
+        InputError, match="unknown perturbation 'loud': choose from noise"
     ):
         perturbed(PLAIN, "loud")
     with pytest.raises(InputError, match="trajectory has none"):

@@ -7,7 +7,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.kit import InputError, dragged_scene, refuses
-from ttus_opt.core.arguments import numbers
+from ttus_opt.core.arguments import chosen, numbers
 
 
 def mixed_up():
@@ -71,3 +71,14 @@ def test_numbers_of_any_size_are_numbers(kind):
     assert taken.flags.c_contiguous
     assert taken.sum() == 6.0
     assert numbers(taken, "values") is taken
+
+
+def test_names_that_are_chosen():
+    known = ("a", "b", "c")
+    assert chosen(["c", "a", "c"], known, "letter") == ("c", "a")
+    assert chosen([], known, "letter") == ()
+    assert chosen(["c", "all"], known, "letter") == known
+    told = "unknown letter 'd': choose from a, b, c, or all$"
+    refuses(InputError, told, chosen, ["all", "d"], known, "letter")
+    told = "unknown letter 'all': choose from a, b, c$"
+    refuses(InputError, told, chosen, ["all"], known, "letter", every="")

@@ -8,22 +8,18 @@ import pytest
 from tests.kit import InputError, TtusError, presses, torso
 from ttus_opt import comparators
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.rivals import PREFIX, chosen, rival
+from ttus_opt.experiment.result import Plan
+from ttus_opt.experiment.rivals import PREFIX, rival
 from ttus_opt.probe.trajectory import Trajectory
 
 RECORDINGS = ("press_fit", "sweep_fit", "press_test", "sweep_test")
 
 
 def test_names_of_comparators():
-    known = tuple(comparators.available())
-    assert chosen(()) == ()
-    assert chosen(("signed_distance", "kelvin_voigt", "signed_distance")) == (
-        "signed_distance",
-        "kelvin_voigt",
-    )
-    assert chosen(("all",)) == chosen(("kelvin_voigt", "all")) == known
+    assert Plan().rivals == ()
+    assert Plan(comparators=("all",)).rivals == tuple(comparators.available())
     with pytest.raises(InputError, match="unknown comparator 'kelvin': choose from"):
-        chosen(("all", "kelvin"))
+        _ = Plan(comparators=("all", "kelvin")).rivals
 
 
 def recordings(seed):

@@ -14,6 +14,7 @@ import numpy as np
 
 from ttus_opt import example
 from ttus_opt.contact.scene import Scene, ScenePlan
+from ttus_opt.core.arguments import chosen
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.io import existing_file
 from ttus_opt.probe.point_shell import PointShell
@@ -135,9 +136,8 @@ class CaseSpec:
         Raises:
             InputError: Not in `PERTURBATIONS`, nor "".
         """
-        return self._with(
-            "perturbation", checked_perturbation(how) or self.perturbation
-        )
+        chosen([how] * bool(how), PERTURBATIONS, "perturbation", every="")
+        return self._with("perturbation", how or self.perturbation)
 
     def _with(self, name: str, value: str, **others: Any) -> CaseSpec:
         """The same with another value, in its name, and others that follow."""
@@ -254,7 +254,7 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     Raises:
         InputError: An unknown perturbation, or no wrenches.
     """
-    if not checked_perturbation(how):
+    if not chosen([how] * bool(how), PERTURBATIONS, "perturbation", every=""):
         return trajectory
     force, torque = trajectory.force, trajectory.torque
     if force is None or torque is None:
@@ -273,11 +273,3 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     sign = np.ones((len(trajectory), 1))
     sign[rng.choice(len(trajectory), count, replace=False)] = -1.0
     return replace(trajectory, force=sign * force, torque=sign * torque)
-
-
-def checked_perturbation(how: str) -> str:
-    """The perturbation's name or ""; `InputError` if it is unknown."""
-    if how and how not in PERTURBATIONS:
-        choices = " or ".join(PERTURBATIONS)
-        raise InputError(f"unknown perturbation {how!r}: choose {choices}")
-    return how

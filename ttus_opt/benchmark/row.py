@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.solvers.base import Solver
@@ -81,8 +81,9 @@ WEIGHTS = {"force_weight": WEIGHT, "torque_weight": WEIGHT}
 #: Every formulation, or every installed solver
 ALL = "all"
 
-#: Reference `CLOSED_FORM` on cases that are small enough
-AUTO = "auto"
+#: The solver that `tt.fit` chooses; the reference `CLOSED_FORM` on cases that are small
+#: enough
+AUTO: Literal["auto"] = "auto"
 
 #: The default reference, and its largest case [voxels]: factorising Q takes time ∝ V²
 #: (a minute on S), and soon exceeds the default time limit

@@ -23,7 +23,7 @@ import numpy as np
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.progress import Progress
-from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.row import AUTO, Row, RunSpec
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -35,9 +35,6 @@ from ttus_opt.problem.solution import Solution
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import asked_for, candidates, solvers
-
-#: The solver that `tt.fit` chooses by default
-AUTO: Literal["auto"] = "auto"
 
 
 def options_of(given: str | Path | Solver) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import typer
 from ttus_opt.cli.console import bars_shown, fitted, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
-from ttus_opt.core.arguments import expect_positive
+from ttus_opt.core.arguments import chosen, expect_positive
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -139,9 +139,10 @@ def benchmark(
     """
     from ttus_opt.benchmark import Settings, Suite
     from ttus_opt.benchmark.machine import describe
-    from ttus_opt.benchmark.parts.base import chosen
+    from ttus_opt.benchmark.parts.base import parts as every
 
-    names, machine = chosen(parts), describe()  # its load is that at the start
+    machine = describe()  # its load is that at the start
+    names = chosen(listed(parts) or [parts], every(), "part")
     cases = own.cases(case)
     if memory_limit is not None:
         expect_positive(memory_limit, "--memory-limit", "GiB")

@@ -70,6 +70,33 @@ def _of(unit: str) -> str:
     return f" [{unit}]" if unit else ""
 
 
+def chosen(
+    names: Iterable[str], known: Iterable[str], what: str, every: str = "all"
+) -> tuple[str, ...]:
+    """Names that are known, each once.
+
+    Args:
+        names: As given.
+        known: All there are.
+        what: They are names of, for the message.
+        every: Stands for all; "" where no word does.
+
+    Raises:
+        InputError: An unknown name.
+
+    >>> chosen(["b", "b"], "abc", "letter"), chosen(["b", "all"], "abc", "letter")
+    (('b',), ('a', 'b', 'c'))
+    """
+    there, asked = tuple(known), tuple(dict.fromkeys(names))
+    for name in asked:
+        if name not in there and not (every and name == every):
+            rest = f", or {every}" if every else ""
+            raise InputError(
+                f"unknown {what} {name!r}: choose from {', '.join(there)}{rest}"
+            )
+    return there if every in asked else asked
+
+
 def hold_numbers(owner: object, kind: str, *names: str) -> None:
     """Replace arrays of a frozen dataclass by those of `numbers`; kind for errors."""
     for name in names:

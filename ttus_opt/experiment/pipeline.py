@@ -17,6 +17,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ttus_opt.core import io, optional
+from ttus_opt.core.arguments import chosen
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.core.saved_results import write_json
 from ttus_opt.experiment import rivals
@@ -160,12 +161,7 @@ def n_stages(plan: Plan) -> int:
 def _wanted(plan: Plan) -> tuple[str, ...]:
     """Names of the patients, each once; `InputError` for an unknown one."""
     everyone = names(scanned=plan.torso is not None)
-    for name in plan.patients:
-        if name not in everyone:
-            raise InputError(
-                f"unknown patient {name!r}: choose from {', '.join(everyone)}"
-            )
-    return tuple(dict.fromkeys(plan.patients)) or everyone
+    return chosen(plan.patients, everyone, "patient", every="") or everyone
 
 
 def _require_resolved(patient: Patient, shape: tuple[int, int, int]) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from ttus_opt.core.arguments import chosen as named
 from ttus_opt.core.errors import InputError
-from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError
 from ttus_opt.experiment.fits import Fitted
 from ttus_opt.experiment.patients import Examination, Patient
@@ -123,7 +123,11 @@ class Plan:
     @property
     def rivals(self) -> tuple[str, ...]:
         """Names of the comparators; `InputError` for an unknown one."""
-        return rivals.chosen(self.comparators)
+        if not self.comparators:
+            return ()
+        from ttus_opt.comparators import available
+
+        return named(self.comparators, available(), "comparator")
 
 
 @dataclass(frozen=True)

@@ -7,36 +7,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
-from ttus_opt.core.errors import InputError, TtusError
+from ttus_opt.core.errors import TtusError
 from ttus_opt.experiment.fits import AGAINST, FITTED, Fitted, PatientFits
 from ttus_opt.experiment.scores import Row
 from ttus_opt.report.metrics import as_rendered, compare
 
 #: Begins the setting of a comparator's rows
 PREFIX = "comparator "
-
-
-def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of comparators; ``all`` stands for every one.
-
-    Raises:
-        InputError: An unknown name.
-    """
-    if not names:
-        return ()
-    from ttus_opt.comparators import available
-
-    known = tuple(available())
-    for name in names:
-        if name not in (*known, "all"):
-            raise InputError(
-                f"unknown comparator {name!r}: choose from {', '.join(known)}, or all"
-            )
-    return known if "all" in names else tuple(dict.fromkeys(names))
 
 
 def rival(fits: PatientFits, name: str) -> Fitted:

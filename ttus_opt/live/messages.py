@@ -4,7 +4,7 @@ A packet is a msgpack array and its CRC-32. Every packet tells who sent it (an e
 another one at every start of that side), its number, the sender's clock, what it last
 heard, and its state of safety: a lost packet loses nothing but its body. Poses and
 wrenches are float32. `decode` refuses what is damaged, too long, of another version or
-not finite: msgspec checks types, but lets NaN pass.
+not finite: msgspec checks types and ranges, but lets NaN pass.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import struct
 import zlib
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -46,6 +46,10 @@ FARTHEST, STRONGEST = 10.0, 1000.0
 
 _CHECKSUM = struct.Struct("<I")
 
+#: 32 bits; a text of a message
+Bits = Annotated[int, msgspec.Meta(ge=0, lt=MOST_TICKS)]
+Words = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
+
 
 class MessageError(InputError):
     """A packet that is not one of this version, or with values out of range."""
@@ -70,7 +74,7 @@ class Hello(msgspec.Struct, tag=1, array_like=True, frozen=True):
 
     version: int
     model: int = 0
-    units: str = "SI"
+    units: Words = "SI"
 
 
 class PoseCommand(msgspec.Struct, tag=2, array_like=True, frozen=True):
@@ -87,7 +91,7 @@ class Measurement(msgspec.Struct, tag=3, array_like=True, frozen=True):
         samples: `SAMPLE` float32 of each.
     """
 
-    index: int
+    index: Bits
     samples: bytes
 
 
@@ -110,7 +114,7 @@ class StateReport(msgspec.Struct, tag=7, array_like=True, frozen=True):
 class Stop(msgspec.Struct, tag=8, array_like=True, frozen=True):
     """Stop, and why."""
 
-    cause: str
+    cause: Words
 
 
 Body = (
@@ -138,13 +142,13 @@ class Packet(msgspec.Struct, array_like=True, frozen=True):
         body: The content.
     """
 
-    epoch: int
-    sequence: int
-    sent: int
-    echo: int
-    held: int
-    state: int
-    stops: int
+    epoch: Bits
+    sequence: Bits
+    sent: Bits
+    echo: Bits
+    held: Bits
+    state: Annotated[int, msgspec.Meta(ge=0, le=2)]
+    stops: Bits
     body: Body
 
 
@@ -191,38 +195,16 @@ def decode(data: bytes, longest: int = LONGEST) -> Packet:
         packet = _DECODER.decode(content)
     except (msgspec.DecodeError, RecursionError) as error:
         raise MessageError(f"not a packet of version {VERSION}: {error}") from error
-    _check_header(packet)
-    _check_body(packet.body)
-    return packet
-
-
-def _check_header(packet: Packet) -> None:
-    for name in ("epoch", "sequence", "sent", "echo", "held", "stops"):
-        if not 0 <= getattr(packet, name) < MOST_TICKS:
-            raise MessageError(f"{name} must have 32 bits, got {getattr(packet, name)}")
-    if not 0 <= packet.state <= 2:
-        raise MessageError(f"unknown state {packet.state}")
-
-
-def _check_body(body: Body) -> None:
-    match body:
-        case PoseCommand():
+    match packet.body:
+        case PoseCommand() as body:
             pose_of(body)
-        case Measurement():
-            if not 0 <= body.index < MOST_TICKS:
-                raise MessageError(f"index must have 32 bits, got {body.index}")
+        case Measurement() as body:
             samples_of(body, 0.0)
-        case Hello():
-            _check_text(body.units)
-        case Stop():
-            _check_text(body.cause)
+        case Hello(units=text) | Stop(cause=text) if not text.isprintable():
+            raise MessageError("a text has printable characters only")
         case _:
             pass
-
-
-def _check_text(text: str) -> None:
-    if len(text) > LONGEST_TEXT or not text.isprintable():
-        raise MessageError(f"a text has at most {LONGEST_TEXT} printable characters")
+    return packet
 
 
 def decoded_surface(content: bytes, whole: bytes | None) -> tuple[Surface, bool]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -44,54 +43,16 @@ SHOWN, PATIENT = 50.0, "patient"
 #: Frames in one message; most points of a recorded probe's shell [–]
 BLOCK, MOST_POINTS = 100, 1_000_000
 
-_HEADER = """std_msgs/Header header
-"""
-_RULE = "=" * 80
-_STAMP = f"""{_RULE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_RULE}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_POSE = (
-    _HEADER
-    + f"""geometry_msgs/Pose pose
-{_RULE}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_RULE}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{_RULE}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-"""
-    + _STAMP
-)
-_WRENCH = (
-    _HEADER
-    + f"""geometry_msgs/Wrench wrench
-{_RULE}
-MSG: geometry_msgs/Wrench
-geometry_msgs/Vector3 force
-geometry_msgs/Vector3 torque
-{_RULE}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-"""
-    + _STAMP
-)
+#: Types of ROS 2 of the standard messages
+POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+
+#: The standard channels
+CHANNELS = {
+    "/hand/pose": POSE,
+    "/hand/felt": WRENCH,
+    "/probe/pose": POSE,
+    "/probe/measured": WRENCH,
+}
 
 
 @dataclass(frozen=True)
@@ -151,8 +112,10 @@ class Recorder:
             description: What makes the operator again.
 
         Raises:
-            MissingPackageError: mcap is not installed.
+            MissingPackageError: mcap or rosbags is not installed.
         """
+        types = load("rosbags.typesys", "live")
+        self._ros = types.get_typestore(types.Stores.ROS2_HUMBLE)
         self._writer_of = load("mcap.writer", "live").Writer
         self._target = io.replacing(path)
         self._description = description or Description()
@@ -169,22 +132,17 @@ class Recorder:
         writer.add_metadata(
             DESCRIPTION, {"json": json.dumps(asdict(self._description))}
         )
-        pose = writer.register_schema(
-            "geometry_msgs/msg/PoseStamped", "ros2msg", _POSE.encode()
-        )
-        wrench = writer.register_schema(
-            "geometry_msgs/msg/WrenchStamped", "ros2msg", _WRENCH.encode()
-        )
+        schemas = {
+            kind: writer.register_schema(
+                kind, "ros2msg", self._ros.generate_msgdef(kind)[0].encode()
+            )
+            for kind in (POSE, WRENCH)
+        }
         self._channels = {
             name: writer.register_channel(
-                topic=name, message_encoding="cdr", schema_id=kind
+                topic=name, message_encoding="cdr", schema_id=schemas[kind]
             )
-            for name, kind in (
-                ("/hand/pose", pose),
-                ("/hand/felt", wrench),
-                ("/probe/pose", pose),
-                ("/probe/measured", wrench),
-            )
+            for name, kind in CHANNELS.items()
         }
         self._frames = writer.register_channel(
             topic=FRAMES, message_encoding="msgpack", schema_id=0
@@ -241,32 +199,40 @@ class Recorder:
     def _show(
         self, now: float, pose: tuple[Array, Array], felt: Array, sensed: Sample | None
     ) -> None:
-        shown = {"/hand/pose": _pose(*pose), "/hand/felt": felt}
+        shown = {"/hand/pose": self._pose(*pose), "/hand/felt": self._wrench(felt)}
         if sensed is not None:
-            shown["/probe/pose"] = _pose(sensed.rotation, sensed.position)
-            shown["/probe/measured"] = sensed.wrench
-        for name, numbers in shown.items():
-            self._add(self._channels[name], now, _cdr(now, numbers))
+            shown["/probe/pose"] = self._pose(sensed.rotation, sensed.position)
+            shown["/probe/measured"] = self._wrench(sensed.wrench)
+        split = divmod(round(1e9 * now), 10**9)
+        stamp = self._ros_of("builtin_interfaces", "Time", *split)
+        header = self._ros_of("std_msgs", "Header", stamp, PATIENT)
+        for name, content in shown.items():
+            kind = CHANNELS[name]
+            message = self._ros.types[kind](header, content)
+            self._add(self._channels[name], now, self._ros.serialize_cdr(message, kind))
+
+    def _ros_of(self, package: str, kind: str, *values: object) -> Any:
+        """A message of ROS."""
+        return self._ros.types[f"{package}/msg/{kind}"](*values)
+
+    def _pose(self, rotation: Array, position: Array) -> Any:
+        w, x, y, z = to_quaternions(rotation[None])[0].tolist()
+        point = self._ros_of("geometry_msgs", "Point", *position.tolist())
+        turn = self._ros_of("geometry_msgs", "Quaternion", x, y, z, w)
+        return self._ros_of("geometry_msgs", "Pose", point, turn)
+
+    def _wrench(self, wrench: Array) -> Any:
+        force, torque = (
+            self._ros_of("geometry_msgs", "Vector3", *part.tolist())
+            for part in (wrench[:3], wrench[3:])
+        )
+        return self._ros_of("geometry_msgs", "Wrench", force, torque)
 
     @io.signals_deferred()
     def _add(self, channel: int, now: float, content: bytes) -> None:
         stamp = round(1e9 * now)
         self._writer.add_message(channel, stamp, content, stamp, self._number)
         self._number += 1
-
-
-def _pose(rotation: Array, position: Array) -> Array:
-    """Position, then quaternion x, y, z, w as ROS has it, shape (7,)."""
-    w, x, y, z = to_quaternions(rotation[None])[0]
-    return np.array([*position, x, y, z, w])
-
-
-def _cdr(now: float, numbers: Array) -> bytes:
-    """A header and float64 numbers in CDR, little-endian."""
-    stamp, frame = divmod(round(1e9 * now), 10**9), PATIENT.encode() + b"\0"
-    head = struct.pack("<iII", *stamp, len(frame)) + frame
-    head += bytes(-len(head) % 8)
-    return b"\0\1\0\0" + head + numbers.astype("<f8").tobytes()
 
 
 def frames_of(path: str | os.PathLike[str]) -> tuple[Description, Iterator[Frame]]:

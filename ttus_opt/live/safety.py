@@ -18,6 +18,7 @@ import enum
 import math
 from dataclasses import dataclass
 
+from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 
@@ -55,9 +56,7 @@ class SafetyLimits:
     def __post_init__(self) -> None:
         """Refuse limits that are not positive, or a STOP before a HOLD."""
         for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} must be positive, got {value}")
+            expect_positive(getattr(self, name), name)
         if self.stop_seconds <= self.silence:
             raise InputError(
                 f"stop_seconds must be longer than {self.silence:g} s, after which "

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ttus_opt.core.arguments import chosen, expect_not_negative, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
@@ -94,17 +95,10 @@ class Trial:
 
     def __post_init__(self) -> None:
         """Refuse an unknown comparator and values out of range."""
-        if self.comparator not in COMPARATORS:
-            raise InputError(
-                f"unknown comparator {self.comparator!r}: choose from "
-                f"{', '.join(COMPARATORS)}"
-            )
+        chosen([self.comparator], COMPARATORS, "comparator", every="")
         for name in ("prior", "seconds"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} must be positive, got {value}")
-        if self.seed < 0:
-            raise InputError(f"seed must not be negative, got {self.seed}")
+            expect_positive(getattr(self, name), name)
+        expect_not_negative(self.seed, "seed")
         if not 0.0 <= self.round_trip <= 2.0 * LONGEST_DELAY:
             raise InputError(
                 f"a round trip takes from 0 to {2e3 * LONGEST_DELAY:.0f} ms, got "

@@ -18,7 +18,6 @@ import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec, Settings
-from ttus_opt.core.errors import InputError
 from ttus_opt.report.document import Block, Heading, Table, Text
 
 #: Points of the probe's shell in parts whose time depends on their number
@@ -151,22 +150,3 @@ def parts() -> dict[str, Part]:
         listed += [loaded.PART] if hasattr(loaded, "PART") else []
     listed.sort(key=lambda part: (part.name != SOLVERS, part.name))
     return {part.name: part for part in listed}
-
-
-def chosen(text: str) -> list[str]:
-    """Names of parts, each once, from a comma-separated list or "all".
-
-    Raises:
-        InputError: An empty list, or an unknown name.
-    """
-    known = list(parts())
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if names == ["all"]:
-        return known
-    unknown = [name for name in names if name not in known]
-    if unknown or not names:
-        raise InputError(
-            f"unknown part {', '.join(unknown) or text!r}: choose from "
-            f"{', '.join(known)}, or all"
-        )
-    return list(dict.fromkeys(names))

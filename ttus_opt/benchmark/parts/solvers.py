@@ -12,6 +12,13 @@ import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Part
+from ttus_opt.benchmark.pictures import LEGEND as PROFILE
+from ttus_opt.benchmark.pictures import (
+    pictures,
+    profile_picture,
+    profile_table,
+    ranked,
+)
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import (
     ALL,
@@ -22,24 +29,34 @@ from ttus_opt.benchmark.row import (
     RunSpec,
     Settings,
 )
-from ttus_opt.benchmark.solver_report import sections, terminal
-from ttus_opt.benchmark.solver_run import AUTO as AUTO_SOLVER
 from ttus_opt.benchmark.solver_run import (
     FIELDS,
+    NONZERO,
     label,
     measured,
     options_of,
     solver_of,
     version,
 )
-from ttus_opt.benchmark.summary import row_table
+from ttus_opt.benchmark.summary import (
+    SHIFT,
+    closed_form_table,
+    group,
+    growth_table,
+    memory_table,
+    problem_table,
+    row_table,
+    score_table,
+    solved,
+    time_table,
+)
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.errors import InputError
 from ttus_opt.problem.formulation import available, load
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.report.document import Block, Table
+from ttus_opt.report.document import Block, Heading, Picture, Table, Text
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 
@@ -65,6 +82,46 @@ FIGURES = {
     "difference_from_closed_form": "norm of the difference of the fields, relative",
     "field_file": "file with p, shape (V,), in the folder of fields; or empty",
 }
+
+
+#: With more problems the terminal shows only a line for each
+MANY = 4
+
+#: Fewest problems of a performance profile
+FEWEST = 2
+
+AGAINST = (
+    "`{}` forms Q and factorises it. Difference is the Euclidean norm of the "
+    "difference of the fields over that of the reference; times and the memory that "
+    "set-up and solve add to the process are ratios to the reference's own, given in s "
+    "and MiB."
+)
+NO_REFERENCE = (
+    "`{}` has no answer here. It is run on cases it fits; `--closed-form` asks for one "
+    "on any."
+)
+LEGEND = (
+    "Every answer is checked here: KKT is the largest relative residual of the "
+    "original problem, whatever the solver says of itself; of a run that was ended it "
+    "is the last it had reached, and a dash if it had no answer yet. *First* "
+    "includes set-up; *again* is taking in other measured values of the same structure "
+    "and solving. Imports and compilation are done before on a small problem. *Gap* is "
+    "the objective over the best verified one. *Peak* is the largest size of the "
+    "process, *solver* what set-up and solve added at most. *Active limits* are the "
+    f"bounds and inequality rows whose multiplier is above {NONZERO:g} of the largest."
+)
+MEANS = (
+    f"Shifted geometric means (shift {SHIFT:g} s) over the problems a solver takes, a "
+    "failure counted as its time limit."
+)
+TIMES = (
+    "Seconds of the first solve, set-up included; in brackets why there is no verified "
+    "answer, a dash if a solver cannot take the problem."
+)
+GROWTH = (
+    "A power of V fitted by least squares to the verified answers, logarithm against "
+    "logarithm; the number of cases in brackets, which may differ in poses as well."
+)
 
 
 class SolversPart(Part):
@@ -100,19 +157,19 @@ class SolversPart(Part):
         programs: dict[tuple[str, str], Program] = {}
         for spec in specs:
             solver = solver_of(spec.options)
-            if solver == AUTO_SOLVER:
+            if solver == AUTO:
                 continue
             if not solver.installed:
                 install = f"pip install {solver.pip_name}"
                 rows[spec.key] = self.row(spec, "not installed", install)
                 continue
-            group = (spec.case_name, spec.options["formulation"])
-            if group not in programs:
+            problem = spec.case_name, spec.options["formulation"]
+            if problem not in programs:
                 declared = load(
-                    group[1], _small_scene(spec.scene_case), **spec.options["options"]
+                    problem[1], _small_scene(spec.scene_case), **spec.options["options"]
                 )
-                programs[group] = reduce(declared.compile()).program
-            why = solver.refusal(programs[group])
+                programs[problem] = reduce(declared.compile()).program
+            why = solver.refusal(programs[problem])
             if why:
                 rows[spec.key] = self.row(spec, "refused", why)
         return rows
@@ -146,18 +203,18 @@ class SolversPart(Part):
         """Rows with gap to the best and difference from the closed form."""
         best: dict[tuple[str, str], float] = {}
         reference: dict[tuple[str, str], Row] = {}
-        for row in rows:
-            if row["status"] == "solved":
-                group = (row["case"], row["formulation"])
-                best[group] = min(best.get(group, math.inf), row["objective"])
-                if row["solver"] == settings.reference:
-                    reference[group] = row
+        for row in filter(solved, rows):
+            problem = group(row)
+            best[problem] = min(best.get(problem, math.inf), row["objective"])
+            if row["solver"] == settings.reference:
+                reference[problem] = row
         result = []
         for row in rows:
-            group, gap, difference = (row["case"], row["formulation"]), None, None
-            if row["status"] == "solved":
-                gap = (row["objective"] - best[group]) / max(abs(best[group]), 1e-300)
-                difference = _difference(row, reference.get(group), output / FIELDS)
+            problem, gap, difference = group(row), None, None
+            if solved(row):
+                least = best[problem]
+                gap = (row["objective"] - least) / max(abs(least), 1e-300)
+                difference = _difference(row, reference.get(problem), output / FIELDS)
             filled = {"objective_gap": gap, "difference_from_closed_form": difference}
             result.append(row | filled)
         return result
@@ -167,12 +224,59 @@ class SolversPart(Part):
         return row_table(rows)
 
     def text(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
-        """All tables."""
-        return terminal(rows, settings)
+        """All tables in short."""
+        parts: list[Block] = []
+        groups = _groups(rows)
+        if len(groups) > MANY:
+            parts += [
+                Text("Solved of those run, and the fastest:"),
+                problem_table(rows),
+            ]
+        else:
+            against = closed_form_table(rows, settings.reference)
+            if against:
+                parts += [Text("Against the closed form:"), against]
+            for (case, formulation), runs in groups:
+                size = f"{runs[0]['voxels']:,} voxels"
+                parts += [Text(f"{case}, {formulation}, {size}:")]
+                parts += [row_table(runs).without("objective")]  # the gap says it
+        profile, n_problems = _profile(rows)
+        if profile:
+            head = f"Share of {n_problems} problems solved within τ times the fastest:"
+            parts += [Text(head), profile_table(profile)]
+        parts += [Text("Shifted geometric means:"), score_table(rows)]
+        if settings.memory:
+            parts += [Text("Memory by stage [MiB]:"), memory_table(rows)]
+        return parts
 
     def report(self, rows: Sequence[Row], settings: Settings) -> list[Block]:
         """Its sections, the closed form first."""
-        return sections(rows, settings)
+        blocks: list[Block] = []
+        if reference := settings.reference:
+            against = closed_form_table(rows, reference)
+            blocks += [Heading("Against the closed form Q p = d")]
+            blocks += [Text((AGAINST if against else NO_REFERENCE).format(reference))]
+            blocks += [against] if against else []
+        groups = _groups(rows)
+        if len(groups) > 1:
+            blocks += [Heading("Every problem"), problem_table(rows)]
+            blocks += [Text(TIMES), time_table(rows)]
+        blocks += _profile_section(rows)
+        for (case, formulation), runs in groups:
+            size = f"{runs[0]['voxels']:,} voxels, {runs[0]['poses'] or 'all'} poses"
+            taken = [r["seconds_assembly"] for r in runs if r["seconds_assembly"]]
+            made = f", assembly {min(taken):.2g} s" if taken else ""
+            blocks += [
+                Heading(f"{case} ({size}{made}): {formulation}"),
+                row_table(runs),
+            ]
+        blocks += [Heading("Over all"), Text(MEANS), score_table(rows), Text(LEGEND)]
+        if settings.memory:
+            blocks += [Heading("Memory by stage [MiB]"), memory_table(rows)]
+        blocks += [Heading("Time, memory and residual")]
+        if laws := growth_table(rows):
+            blocks += [Text(GROWTH), laws]
+        return [*blocks, *pictures(rows)]
 
 
 def check(settings: Settings) -> None:
@@ -256,6 +360,29 @@ def _difference(row: Row, reference: Row | None, fields: Path) -> float | None:
         return None
     p, other = (np.load(file) for file in files)
     return float(np.linalg.norm(p - other) / np.linalg.norm(other))
+
+
+def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
+    """Ratios by solver, none with too few problems; number of problems."""
+    profile = ranked(rows)
+    n_problems = len(next(iter(profile.values()), []))
+    return (profile if n_problems >= FEWEST else {}), n_problems
+
+
+def _profile_section(rows: Sequence[Row]) -> list[Block]:
+    """Performance profile as table and picture; nothing with too few problems."""
+    profile, n_problems = _profile(rows)
+    if not profile:
+        return []
+    head = [Heading("Performance profile"), Text(PROFILE.format(n=n_problems))]
+    picture = Picture("profile.png", "performance profile", profile_picture(profile))
+    return [*head, profile_table(profile), picture]
+
+
+def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:
+    """Rows by case and formulation, in order."""
+    names = dict.fromkeys(map(group, rows))
+    return [(name, [row for row in rows if group(row) == name]) for name in names]
 
 
 PART = SolversPart()

@@ -3,8 +3,8 @@
 import pytest
 
 from tests.benchmark.rows import row
+from ttus_opt.benchmark.parts.solvers import FEWEST, MANY, PART
 from ttus_opt.benchmark.row import Settings
-from ttus_opt.benchmark.solver_report import FEWEST, MANY, sections, terminal
 from ttus_opt.report.document import Picture, text
 
 QUIET = Settings(closed_form="")
@@ -23,22 +23,22 @@ def problems(count):
 @pytest.mark.parametrize("count", [1, FEWEST, MANY, MANY + 1])
 def test_the_terminal_has_a_table_for_each_of_few_problems(count):
     """And a line for each of many; a profile from two of them on."""
-    said = text(terminal(problems(count), QUIET))
+    said = text(PART.text(problems(count), QUIET))
     each = [f"C{k}, eq10, {1000 * (k + 1):,} voxels:" in said for k in range(count)]
     assert all(each) if count <= MANY else not any(each)
     assert ("Solved of those run, and the fastest:" in said) == (count > MANY)
     profiled = f"Share of {count} problems solved within τ times the fastest" in said
     assert profiled == (count >= FEWEST)
     assert "Memory by stage" not in said
-    told = text(terminal(problems(count), Settings(closed_form="", memory=True)))
+    told = text(PART.text(problems(count), Settings(closed_form="", memory=True)))
     assert "Memory by stage" in told
     assert "Against the closed form" not in said
 
 
 def test_the_reference_comes_first_where_there_is_one():
     rows = [row("closed_form", 4.0, 2.0, case="C0", voxels=1000), *problems(1)]
-    assert text(terminal(rows, Settings())).startswith("Against the closed form:")
-    assert not text(terminal(rows, QUIET)).startswith("Against")
+    assert text(PART.text(rows, Settings())).startswith("Against the closed form:")
+    assert not text(PART.text(rows, QUIET)).startswith("Against")
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -46,7 +46,7 @@ def test_sections_of_one_and_of_two_problems(count):
     rows = problems(count)
     rows[0]["seconds_assembly"], rows[1]["seconds_assembly"] = 0.5, 0.3
     rows[0]["poses"] = rows[1]["poses"] = None
-    blocks = sections(rows, QUIET)
+    blocks = PART.report(rows, QUIET)
     lines = text(blocks).splitlines()
     assert ("## Every problem" in lines) == (count > 1)
     assert ("## Performance profile" in lines) == (count > 1)
