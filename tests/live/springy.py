@@ -9,8 +9,7 @@ from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import Sample
-from ttus_opt.live.model import LiveModel, ModelPlan
-from ttus_opt.live.model_codec import encode_model
+from ttus_opt.live.model import LiveModel, ModelPlan, encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.simulation import Simulation
 from ttus_opt.message import decode, encode

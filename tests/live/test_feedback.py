@@ -7,7 +7,7 @@ import pytest
 
 from tests.live.springy import BALL, RADIUS, parts
 from ttus_opt.live.feedback import PRESLIDING_LENGTH, ModelFeedback
-from ttus_opt.live.model_codec import decode_model
+from ttus_opt.live.model import decode_model
 from ttus_opt.live.trial import Trial, run
 from ttus_opt.message import decode
 

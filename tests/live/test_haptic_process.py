@@ -11,7 +11,6 @@ import pytest
 
 from tests.live.springy import BALL, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.gate import Gate
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.haptic_process import (
     SHOWN,
@@ -23,12 +22,12 @@ from ttus_opt.live.haptic_process import (
     LoopPlan,
 )
 from ttus_opt.live.messages import ModelMessage
-from ttus_opt.live.model_codec import decode_model
+from ttus_opt.live.model import decode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.real_time import run_operator
 from ttus_opt.live.recording import Description, Recorder
 from ttus_opt.live.replay import replay
-from ttus_opt.live.safety import SafetyLimits, State
+from ttus_opt.live.safety import Gate, SafetyLimits, State
 from ttus_opt.message import decode, encode
 
 

@@ -22,8 +22,7 @@ from ttus_opt.live.messages import (
     measurement,
     pose_command,
 )
-from ttus_opt.live.model import LiveModel
-from ttus_opt.live.model_codec import encode_model
+from ttus_opt.live.model import LiveModel, encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Peer
 from ttus_opt.live.safety import State

@@ -142,7 +142,7 @@ class Follower:
 
         Where a camera or a belt tells how far breathing has moved the skin, the probe
         goes along: commands and samples are those of the patient at rest, which the
-        operator feels, whatever the delay (`skin_motion`: images are late).
+        operator feels, whatever the delay (`patient.SkinMotion`: images are late).
 
         Args:
             now: This side's clock, which never goes back [s].

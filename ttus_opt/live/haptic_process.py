@@ -26,9 +26,8 @@ from ttus_opt.contact.friction import FRICTION
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.feedback import Feedback, ModelFeedback
-from ttus_opt.live.gate import Gate
 from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, promptly
-from ttus_opt.live.safety import SafetyLimits, State, is_pose
+from ttus_opt.live.safety import Gate, SafetyLimits, State, is_pose
 from ttus_opt.live.shared_arrays import SharedArray
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface

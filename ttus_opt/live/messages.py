@@ -102,7 +102,7 @@ class SurfaceMessage(msgspec.Struct, tag=4, array_like=True, frozen=True):
 
 
 class ModelMessage(msgspec.Struct, tag=5, array_like=True, frozen=True):
-    """A whole model over the last surface, of `ttus_opt.live.model_codec`."""
+    """A whole model over the last surface, of `ttus_opt.live.model`."""
 
     content: bytes
 

@@ -20,9 +20,8 @@ import numpy as np
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import TtusWarning
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import Sample
-from ttus_opt.live.operator import Operator
+from ttus_opt.live.operator import LiveState, Operator
 from ttus_opt.live.patient import Patient
 from ttus_opt.live.peer import Outgoing, Peer
 from ttus_opt.live.safety import State

@@ -26,11 +26,10 @@ from ttus_opt.live.haptic_process import (
     LoopPlan,
 )
 from ttus_opt.live.impairment import Impairment, WorseLink
-from ttus_opt.live.live_state import LiveState
 from ttus_opt.live.messages import MOST_TICKS, TICKS, Sample
 from ttus_opt.live.model import LiveModel
 from ttus_opt.live.numbering import later
-from ttus_opt.live.operator import Operator
+from ttus_opt.live.operator import LiveState, Operator
 from ttus_opt.live.real_time import (
     OperatorFrame,
     promptly,

@@ -22,12 +22,10 @@ from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import LONGEST_DELAY, Impairment
-from ttus_opt.live.model import LiveModel, ModelPlan
-from ttus_opt.live.model_codec import encode_model
+from ttus_opt.live.model import LiveModel, ModelPlan, encode_model
 from ttus_opt.live.operator import Operator
-from ttus_opt.live.patient import Breathing, SimulatedPatient
+from ttus_opt.live.patient import Breathing, SimulatedPatient, SkinMotion
 from ttus_opt.live.simulation import HAPTIC, Moment, Simulation
-from ttus_opt.live.skin_motion import SkinMotion
 from ttus_opt.live.subject import (
     MEETING,
     Subject,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ttus_opt.core.errors import TtusError
-from ttus_opt.live.live_state import LiveState
+from ttus_opt.live.operator import LiveState
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
 from ttus_opt.viewer.looks import small

@@ -93,7 +93,7 @@ def haptic_loop(seconds: float) -> Lateness:
         NumericalError: The loop's process died.
     """
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
-    from ttus_opt.live.model_codec import decode_model
+    from ttus_opt.live.model import decode_model
     from ttus_opt.live.real_time import Metronome
     from ttus_opt.live.safety import State
     from ttus_opt.live.subject import example_subject
