@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +53,6 @@ def demo(
     Example:
         ttus-opt live demo -o live
     """
-    import sys
     from importlib.util import find_spec
 
     from ttus_opt.core.threads import usable_cores
@@ -93,8 +95,6 @@ def page(
     Example:
         ttus-opt live page --surface torso.nc --probe probe.stl --probe-axes=-y,z
     """
-    import sys
-
     from ttus_opt.cli.view_command import open_browser
     from ttus_opt.live.trial import Trial
     from ttus_opt.probe.mesh import read_mesh
@@ -151,8 +151,6 @@ def report(
     Example:
         ttus-opt live report --delay 1000 --loss 0.05 --prior 2 --picture felt.png
     """
-    import contextlib
-
     from ttus_opt.live.demo import comparison, live_picture
     from ttus_opt.live.recording import Description, Recorder
     from ttus_opt.live.trial import Trial, run
@@ -171,7 +169,7 @@ def report(
         seconds=seconds,
         seed=seed,
     )
-    with contextlib.ExitStack() as files, Stages(1) as begin:
+    with ExitStack() as files, Stages(1) as begin:
         begin("session in virtual time")
         watch = None
         if recording is not None:
@@ -204,7 +202,7 @@ def replay(recording: Path) -> None:
     line = f"{found.identical} of {found.frames} frames are identical bit by bit"
     if found.identical < found.frames:
         line += f"; the others differ by up to {found.largest_difference:.2g} N"
-    tell(found.as_dict(), line)
+    tell(asdict(found), line)
 
 
 def key(output: Path) -> None:
@@ -272,28 +270,19 @@ def follower(
     who = given or example_subject()
     law = TORSO_LAW if recording is None else USUAL_LAW
     content = prepared(prior, law, who.surface, who.shell)
-    side, start = Follower(int(time.time()), who.surface, content), who.examination()
+    side, start = Follower(int(time.time()), who.surface, content), who.start
     patient: Patient
     if recording is None:
         patient = simulated_patient(Trial(friction=friction), given)
     else:
-        start, safety = read_trajectory(recording), side.peer.safety
-        patient = RecordedPatient(start, lambda: safety.state is State.NORMAL)
+        played, safety = read_trajectory(recording), side.peer.safety
+        patient = RecordedPatient(played, lambda: safety.state is State.NORMAL)
+        start = played.rotation[0], played.position[0]
     warm_up()
     promptly()
-    opened = open_link(link, secret, host, port, calls=False)
-    try:
-        ended = run_follower(
-            side,
-            opened,
-            patient,
-            start.rotation[0],
-            start.position[0],
-            seconds=seconds,
-            tell=_say("follower", link, side.peer),
-        )
-    finally:
-        opened.close()
+    say = _say("follower", link, side.peer)
+    with closing(open_link(link, secret, host, port, calls=False)) as opened:
+        ended = run_follower(side, opened, patient, *start, seconds=seconds, tell=say)
     _tell_end("follower", ended, side.peer)
 
 
@@ -328,58 +317,38 @@ def operator(
     Example:
         ttus-opt live operator --key session.key --host 192.0.2.7 --link webrtc
     """
+    from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
     from ttus_opt.live.links import open_link
+    from ttus_opt.live.operator import Operator
+    from ttus_opt.live.real_time import promptly, run_operator
     from ttus_opt.live.subject import example_subject
     from ttus_opt.live.trial import warm_up
 
     secret = _checked(link, key, port, seconds)
     who = _subject(surface, probe, probe_axes) or example_subject()
+    shell, epoch, record = who.shell, int(time.time()), None
     warm_up()
-    opened = open_link(link, secret, host, port, calls=True)
-    try:
-        side, ended = _operate(opened, link, who, seconds, probe, recording)
-    finally:
-        opened.close()
-    _tell_end("operator", ended, side.peer, side.view(side.peer.now).as_dict())
-
-
-def _operate(
-    link: Any,
-    name: str,
-    who: Subject,
-    seconds: float,
-    probe: str,
-    recording: Path | None,
-) -> tuple[Any, Any]:
-    """The haptic loop in a process of its own; the operator, and how it ended."""
-    from contextlib import ExitStack
-    from dataclasses import replace
-
-    from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
-    from ttus_opt.live.operator import Operator
-    from ttus_opt.live.real_time import promptly, run_operator
-
-    shell, epoch = who.shell, int(time.time())
-    plan = LoopPlan(shell, who.device())
     with ExitStack() as opened:
-        record = None
+        network = open_link(link, secret, host, port, calls=True)
+        opened.enter_context(closing(network))
         if recording is not None:
             from ttus_opt.live.recording import Description, Recorder
 
             told = Description(probe, len(shell), epoch=epoch, apart=True)
             record = opened.enter_context(Recorder(recording, told)).operated
-        loop = opened.enter_context(HapticProcess(plan))
+        loop = opened.enter_context(HapticProcess(LoopPlan(shell, who.device())))
         side = Operator(epoch, shell, feedback=lambda model: loop.begin(model.field))
         promptly()
         ended = run_operator(
             side,
-            link,
+            network,
             who.start,
             seconds=seconds,
             record=record,
-            tell=_say("operator", name, side.peer),
+            tell=_say("operator", link, side.peer),
         )
-    return side, replace(ended, lateness=loop.lateness or ended.lateness)
+    ended = replace(ended, lateness=loop.lateness or ended.lateness)
+    _tell_end("operator", ended, side.peer, side.view(side.peer.now).as_dict())
 
 
 def _say(name: str, link: str, peer: Any) -> Callable[[str, str], None]:
@@ -406,7 +375,7 @@ def _tell_end(
     late, cause = ended.lateness, f" ({ended.cause})" if ended.cause else ""
     quality = peer.quality
     facts = {
-        **ended.as_dict(),
+        **asdict(ended),
         "round_trip_s": quality.round_trip,
         "loss": quality.loss,
         "packets_sent": peer.rate.sent_packets,

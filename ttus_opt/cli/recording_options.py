@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -147,8 +146,16 @@ class RecordingOptions:
             FileError: A file is not a usable trajectory.
             InputError: Only some of them have wrenches, or columns that are not pairs.
         """
-        return read_trajectories(
-            self.trajectory, self.columns, self.stream, repair=self.repair
+        from ttus_opt.probe.trajectory import Trajectory
+        from ttus_opt.sensors.column_map import read_column_map
+        from ttus_opt.sensors.stream_files import read_recording
+
+        told, repair = read_column_map(self.columns), self.repair
+        return Trajectory.concatenate(
+            [
+                read_recording(f, self.stream, told, repair=repair)
+                for f in self.trajectory
+            ]
         )
 
     def read(
@@ -174,33 +181,3 @@ class RecordingOptions:
         )
         warn_of_another_frame(as_written, read, shell, patient, self.conventions)
         return read
-
-
-def read_trajectories(
-    paths: Sequence[Path],
-    columns: str = "",
-    stream: str | None = None,
-    *,
-    repair: bool = False,
-) -> Trajectory:
-    """All recordings as one trajectory, with the files' numbers taken at their word.
-
-    Args:
-        paths: The files.
-        columns: Pairs ``ours=theirs`` of column names, separated by commas, or a YAML
-            file of them.
-        stream: Name of the stream in each file that has several.
-        repair: Mend holes (`ttus_opt.probe.repair`).
-
-    Raises:
-        FileError: A file is not a usable trajectory.
-        InputError: Only some of them have wrenches, or columns that are not pairs.
-    """
-    from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.sensors.column_map import read_column_map
-    from ttus_opt.sensors.stream_files import read_recording
-
-    told = read_column_map(columns)
-    return Trajectory.concatenate(
-        [read_recording(path, stream, told, repair=repair) for path in paths]
-    )

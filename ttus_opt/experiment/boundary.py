@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -45,10 +44,6 @@ class BoundaryError:
     before_N: float
     after_N: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
-
 
 def boundary_errors(fits: PatientFits, weight: float) -> tuple[BoundaryError, ...]:
     """Errors over a decade of boundary values, computed or from their file.
@@ -61,7 +56,7 @@ def boundary_errors(fits: PatientFits, weight: float) -> tuple[BoundaryError, ..
         fits.folder / "boundary.json",
         {"digest": fits.stamp, "weight": weight, "factors": list(FACTORS)},
         lambda: tuple(_at(fits, weight, factor) for factor in FACTORS),
-        save=lambda rows: {"rows": [row.as_dict() for row in rows]},
+        save=lambda rows: {"rows": [asdict(row) for row in rows]},
         load=lambda content: tuple(
             restored(BoundaryError, row) for row in content["rows"]
         ),

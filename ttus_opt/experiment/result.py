@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from ttus_opt.core.arguments import chosen as named
@@ -202,5 +202,5 @@ class ExperimentResult:
             "weight": self.plan.weight,
             "resolution": self.plan.resolution,
             "rows": [row.as_dict() for row in self.rows],
-            "boundary": [row.as_dict() for row in self.boundary],
+            "boundary": [asdict(row) for row in self.boundary],
         }

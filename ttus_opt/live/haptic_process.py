@@ -18,12 +18,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import Self
 
 import numpy as np
 
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.closing import Closing
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.live.feedback import Feedback, ModelFeedback
 from ttus_opt.live.real_time import HAPTIC, HandDevice, Lateness, Metronome, promptly
@@ -70,7 +70,7 @@ class LoopPlan:
     core: int | None = None
 
 
-class HapticProcess(Feedback):
+class HapticProcess(Feedback, Closing):
     """The operator's end of the loop, in place of a `ModelFeedback`.
 
     The process starts before a session, as that takes seconds; the loop begins with the
@@ -113,14 +113,6 @@ class HapticProcess(Feedback):
         self.tell(0.0, State.HOLD)
         self._send((field, self._values.name))
         return self
-
-    def __enter__(self) -> Self:
-        """For ``with``."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the loop."""
-        self.close()
 
     @property
     def alive(self) -> bool:

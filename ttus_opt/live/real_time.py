@@ -12,8 +12,8 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -131,10 +131,6 @@ class Lateness:
         late = float((found > LATE * period).mean())
         return cls(len(times), 1.0 / period, median, p99, worst, late)
 
-    def as_dict(self) -> dict[str, float]:
-        """All figures by name, for JSON."""
-        return asdict(self)
-
 
 class Metronome:
     """Absolute deadlines at a rate; after a pause of the process they begin anew.
@@ -224,10 +220,6 @@ class Ended:
     cause: str
     lateness: Lateness
     seen: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """All figures by name, for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,10 +48,6 @@ class Replay:
     identical: int
     largest_difference: float
     description: Description
-
-    def as_dict(self) -> dict[str, Any]:
-        """All figures by name, for JSON."""
-        return asdict(self)
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:
@@ -105,22 +100,17 @@ def _pose(numbers: Array) -> tuple[Array, Array]:
     return numbers[:9].reshape(3, 3), numbers[9:12]
 
 
-class _Hand:
-    """A device that is where it was."""
+class _Again(Feedback):
+    """The haptic loop, with fields as they were published, in place of its process.
+
+    It is the loop's device as well, which is where it was.
+    """
 
     rotation: Array
     position: Array
 
-    def step(self, time: float, wrench: Array, seconds: float) -> None:
-        """It moves with the next frame."""
-
-
-class _Again(Feedback):
-    """The haptic loop, with fields as they were published, in place of its process."""
-
     def __init__(self, shell: PointShell) -> None:
-        self._hand = _Hand()
-        self._plan = LoopPlan(shell, lambda: self._hand)
+        self._plan = LoopPlan(shell, lambda: self)
         self._fields: list[PotentialField] = []  # in shared memory
         self._whole: list[tuple[PotentialField, int]] = []  # and how many were before
         self._taken = self._came = 0
@@ -130,6 +120,9 @@ class _Again(Feedback):
         self._loop, self._voxmap = Loop(self._plan, field), field.voxmap
         self._size = field.values.size
         return self
+
+    def step(self, time: float, wrench: Array, seconds: float) -> None:
+        """It moves with the next frame."""
 
     def update(self, field: PotentialField) -> None:
         """As `HapticProcess.update`."""
@@ -150,5 +143,5 @@ class _Again(Feedback):
             values = self._fields[self._taken - 1]
             flat = values.voxmap.grid.flatten(values.values)
             self._loop.renew(flat, float(then[RUBS]))
-        self._hand.rotation, self._hand.position = _pose(then)
+        self.rotation, self.position = _pose(then)
         return self._loop.frame(float(then[TIME]), bool(then[STOPPED]))[SHOWN]

@@ -14,12 +14,12 @@ copy that the second look at the counter refuses.
 from __future__ import annotations
 
 from multiprocessing import shared_memory
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
+from ttus_opt.core.closing import Closing
 from ttus_opt.core.errors import NumericalError
 
 #: Copies made before a reader gives up [–]: a writer would have to be faster than a
@@ -27,7 +27,7 @@ from ttus_opt.core.errors import NumericalError
 ATTEMPTS = 100
 
 
-class SharedArray:
+class SharedArray(Closing):
     """A vector of float64, written by one process and read by another.
 
     Attributes:
@@ -55,14 +55,6 @@ class SharedArray:
         self._buffers = whole[2:].view(np.float64).reshape(depth, size)
         if self._owner:
             whole[:] = 0
-
-    def __enter__(self) -> Self:
-        """For ``with``."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Detach."""
-        self.close()
 
     @property
     def count(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from ttus_opt.core.closing import Closing
 from ttus_opt.core.optional import load
 from ttus_opt.live.subject import Subject
 from ttus_opt.live.trial import Trial
@@ -21,7 +22,7 @@ WRITING, COLOURING = 0.2, 3.0
 FIRST = Trial(round_trip=0.2, prior=1.6)
 
 
-class LivePage:
+class LivePage(Closing):
     """A page with a session that runs, open until `close`.
 
     Attributes:
@@ -64,14 +65,6 @@ class LivePage:
         """End session and page."""
         self.session.close()
         self.viewer.close()
-
-    def __enter__(self) -> LivePage:
-        """The page itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
 
     def _show(self) -> None:
         """After a batch of frames: probe, numbers, field."""

@@ -10,6 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from ttus_opt.core.arguments import expect
+from ttus_opt.core.closing import Closing
 from ttus_opt.core.errors import InputError, TtusError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.point_shell import PointShell
@@ -35,7 +36,7 @@ ENDED = "the viewer has ended: this page no longer changes"
 HEIGHT = 640
 
 
-class Viewer:
+class Viewer(Closing):
     """A page about one or two fields, open while this lives.
 
     Attributes:
@@ -99,14 +100,6 @@ class Viewer:
         self._thread.join(timeout=5.0)
         self.page.jobs.close()
         self._served.end(ENDED)
-
-    def __enter__(self) -> Viewer:
-        """The viewer itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
 
     def __repr__(self) -> str:
         return f"Viewer({self.url})"

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from ttus_opt.benchmark.cases import CaseSpec
@@ -157,7 +157,7 @@ def webrtc(seconds: float, trip: float) -> Row:
         ) as here:
             took = echoes(here, there, seconds, PAUSE)
     found = Lateness.of([one - trip for one in took], BEYOND)
-    return {**found.as_dict(), "rate": len(took) / seconds}
+    return {**asdict(found), "rate": len(took) / seconds}
 
 
 def echoes(here: Link, there: Link, seconds: float, pause: float = 0.0) -> list[float]:
@@ -207,7 +207,7 @@ def swaps(seconds: float) -> list[Row]:
     return [
         {
             "what": what,
-            **Lateness.of(times, goal).as_dict(),
+            **asdict(Lateness.of(times, goal)),
             "rate": len(times) / seconds,
         }
         for what, times, goal in (
@@ -221,8 +221,8 @@ def swaps(seconds: float) -> list[Row]:
 
 #: What is measured, by name; `swaps` names its rows itself
 MEASUREMENTS: dict[str, Callable[[float], list[Row]]] = {
-    "haptic loop": lambda seconds: [haptic_loop(seconds).as_dict()],
-    "UDP there and back": lambda seconds: [link(seconds).as_dict()],
+    "haptic loop": lambda seconds: [asdict(haptic_loop(seconds))],
+    "UDP there and back": lambda seconds: [asdict(link(seconds))],
     "WebRTC there and back": lambda seconds: [webrtc(seconds, 0.0)],
     "WebRTC beyond 200 ms": lambda seconds: [webrtc(seconds, 0.2)],
     "WebRTC beyond 500 ms": lambda seconds: [webrtc(seconds, 0.5)],
