@@ -1,6 +1,7 @@
 """A live session in a page, without a browser: the hand, the link, the button."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,3 +98,14 @@ def test_one_click_takes_the_probe_over_whenever_it_comes(page):
     before = page.session.view().time
     until(lambda: page.session.view().time > before + 0.1)
     assert page.tab.presses.value
+
+
+@pytest.mark.slow
+def test_a_session_that_cannot_begin_again_is_told(page, monkeypatch):
+    told, trial = [], page.session.trial
+    monkeypatch.setattr(page.viewer.page, "tell", told.append)
+    page.session.trial = replace(trial, round_trip=20.0)
+    for pressed in page.tab.again._impl.update_cb:
+        pressed(None)
+    page.session.trial = trial
+    assert told == ["no model arrived within 5 s: the link is too bad"]

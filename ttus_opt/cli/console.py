@@ -15,7 +15,6 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
@@ -267,12 +266,7 @@ class Stages:
         self._stage = stage
         LOG.info("%d of %d: %s", self._begun, self._total, stage)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Close the bar, full when all went well."""
         if kind is None:
             self._begun = self._total + 1

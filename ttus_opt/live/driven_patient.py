@@ -26,17 +26,12 @@ class DrivenPatient:
     """The newest pose and wrench of a robot, as the follower's loop wants them.
 
     All methods are called by one thread.
-
-    Attributes:
-        silence: Age from which a pose or a wrench is too old [s].
     """
 
     def __init__(
         self,
         command: Callable[[Array, Array], None],
         poll: Callable[[], None] | None = None,
-        *,
-        silence: float = SILENCE,
     ) -> None:
         """A robot of which nothing was heard.
 
@@ -44,9 +39,8 @@ class DrivenPatient:
             command: Sends the robot a target: rotation, probe to patient, (3, 3) [–],
                 and position, patient frame, (3,) [m].
             poll: Takes what came by now; None where messages come by themselves.
-            silence: Age from which a pose or a wrench is too old [s].
         """
-        self._command, self._poll, self.silence = command, poll, silence
+        self._command, self._poll = command, poll
         self._posed = self._felt = -math.inf
         self._rotation, self._position = np.eye(3), np.zeros(3)
         self._wrench = np.full(6, math.nan)
@@ -79,7 +73,7 @@ class DrivenPatient:
 
     def ready(self, now: float) -> bool:
         """Whether the newest pose and wrench are of now."""
-        return now - min(self._posed, self._felt) <= self.silence
+        return now - min(self._posed, self._felt) <= SILENCE
 
     @property
     def here(self) -> tuple[Array, Array]:

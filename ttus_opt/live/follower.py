@@ -217,7 +217,8 @@ class Follower:
             self._ready, self._command, self._commanded = False, None, -np.inf
         if received is None:
             return
-        match received.body:
+        body, sent = received
+        match body:
             case Hello(model=name) if name == zlib.crc32(self._model):
                 self._ready = True
             case Hello() if self._greeted != self.peer.met or self._waits(now):
@@ -226,8 +227,8 @@ class Follower:
                 offer += map(SurfaceMessage, self._surfaces)
                 offer.append(ModelMessage(self._model))
                 send += [self.peer.pack(now, body, reliable=True) for body in offer]
-            case PoseCommand() as command if received.sent >= self._commanded:
-                self._commanded = received.sent
+            case PoseCommand() as command if sent >= self._commanded:
+                self._commanded = sent
                 self._command = pose_of(command)
             case _:
                 pass

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,14 +22,8 @@ REACH = 0.05
 #: Time between changes of the rotation [s]
 TURNS = 5e-3
 
-
-@dataclass(frozen=True)
-class HandDynamics:
-    """Mass [kg], stiffness [N/m] and damping [N·s/m] of hand and device."""
-
-    mass: float = 0.4
-    stiffness: float = 500.0
-    damping: float = 15.0
+#: Mass [kg], stiffness [N/m] and damping [N·s/m] of hand and device
+MASS, STIFFNESS, DAMPING = 0.4, 500.0, 15.0
 
 
 class Hand:
@@ -42,22 +35,15 @@ class Hand:
         velocity: Shape (3,) [m/s].
     """
 
-    def __init__(
-        self,
-        path: Trajectory,
-        dynamics: HandDynamics | None = None,
-        *,
-        again: float = math.inf,
-    ) -> None:
+    def __init__(self, path: Trajectory, *, again: float = math.inf) -> None:
         """A hand at the start of a path.
 
         Args:
             path: What it intends.
-            dynamics: Of hand and device.
             again: Time from the start to which it returns at the path's end [s]; by
                 default it stays there.
         """
-        self._path, self._dynamics = path, dynamics or HandDynamics()
+        self._path = path
         self._again, self._ends = again, float(path.time[-1] - path.time[0])
         self.position, self.velocity = path.position[0].copy(), np.zeros(3)
         self.rotation = path.rotation[0].copy()
@@ -70,10 +56,9 @@ class Hand:
     def step(self, time: float, wrench: Array, seconds: float) -> None:
         """Move for some seconds under a force; see `real_time.HandDevice`."""
         wanted, speed = self.wanted(time)
-        own = self._dynamics
-        pull = own.stiffness * (wanted - self.position)
-        pull += own.damping * (speed - self.velocity) + wrench[:3]
-        self.velocity = self.velocity + seconds / own.mass * pull
+        pull = STIFFNESS * (wanted - self.position)
+        pull += DAMPING * (speed - self.velocity) + wrench[:3]
+        self.velocity = self.velocity + seconds / MASS * pull
         self.position = self.position + seconds * self.velocity
         away = self.position - wanted
         length = math.sqrt(away @ away)

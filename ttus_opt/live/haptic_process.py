@@ -60,14 +60,12 @@ class LoopPlan:
         device: Makes the haptic device there; a function of a module.
         seconds: Length of the loop [s].
         limits: When it stops by itself.
-        core: Processor to pin it to; None for any.
     """
 
     shell: PointShell
     device: Callable[[], HandDevice]
     seconds: float = math.inf
     limits: SafetyLimits = field(default_factory=SafetyLimits)
-    core: int | None = None
 
 
 class HapticProcess(Feedback, Closing):
@@ -212,7 +210,7 @@ def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
     if first is not None:
         begun, name = first
         with SharedArray(begun.voxmap.grid.n_voxels, name) as values:
-            promptly(plan.core, HAPTIC)
+            promptly(HAPTIC)
             late = _beat(Loop(plan, begun), hand, control, values, end)
         with contextlib.suppress(OSError):
             end.send(late)

@@ -14,6 +14,10 @@ from collections import deque
 #: Time over which quality is judged [s]
 WINDOW = 5.0
 
+#: Most packets and, with headers, most bytes a second that are sent [1/s]: 64 kbit/s;
+#: most bytes at once, a longest datagram
+PACKETS, BYTES, BUCKET = 50.0, 8000.0, 1500.0
+
 
 class LinkQuality:
     """Statistics of the packets that arrive from one sender.
@@ -65,33 +69,26 @@ class LinkQuality:
 
 
 class SendRate:
-    """Most packets and bits a second, as a token bucket of a tenth of a second.
+    """Most packets and bytes a second, as a token bucket.
 
     Attributes:
-        packets: Most packets a second [1/s].
-        bits: Most bits a second, with headers [bit/s].
         sent_packets: Datagrams sent so far [–].
         sent_bytes: Their bytes, with headers.
         overhead: What the link adds to a packet; by default as over UDP [bytes].
     """
 
-    def __init__(self, packets: float = 50.0, bits: float = 64_000.0) -> None:
-        self.packets, self.bits = packets, bits
+    def __init__(self) -> None:
         self.sent_packets = self.sent_bytes = 0
         self.overhead = 28 + 32
-        self._number, self._room = 1.0, self._most
+        self._number, self._room = 1.0, BUCKET
         self._last = -math.inf
-
-    @property
-    def _most(self) -> float:
-        return max(0.1 * self.bits / 8.0, 1500.0)
 
     def tick(self, now: float) -> None:
         """Let time pass."""
         passed = max(0.0, now - self._last)
         # sums of milliseconds fall short of a period by rounding
-        self._number = min(1.0, self._number + passed * self.packets + 1e-9)
-        self._room = min(self._most, self._room + passed * self.bits / 8.0)
+        self._number = min(1.0, self._number + passed * PACKETS + 1e-9)
+        self._room = min(BUCKET, self._room + passed * BYTES)
         self._last = now
 
     @property

@@ -301,8 +301,9 @@ class Operator:
             self._counted = Once(WINDOW)
         if received is None:
             return
+        message, sent = received
         try:
-            match received.body:
+            match message:
                 case SurfaceMessage(content=content):
                     self._take_surface(content)
                 case ModelMessage(content=content):
@@ -311,7 +312,7 @@ class Operator:
                 case Measurement() as body:
                     samples += [
                         sample
-                        for back, sample in enumerate(samples_of(body, received.sent))
+                        for back, sample in enumerate(samples_of(body, sent))
                         if self._counted.add(body.index - back)
                     ]
                 case _:

@@ -51,14 +51,6 @@ class Outgoing:
     reliable: bool = False
 
 
-@dataclass(frozen=True)
-class Received:
-    """A body and when it was sent, by the sender's clock, which never goes back [s]."""
-
-    body: Body
-    sent: float
-
-
 class Peer:
     """This end of a session.
 
@@ -100,8 +92,11 @@ class Peer:
         self.rate.tick(now)
         return passed
 
-    def receive(self, now: float, data: bytes) -> Received | None:
-        """A received packet; None for one that is refused or was seen before."""
+    def receive(self, now: float, data: bytes) -> tuple[Body, float] | None:
+        """A body and when it was sent, by the sender's clock, which never goes back.
+
+        None for a packet that is refused or was seen before.
+        """
         try:
             packet = decode(data, LONGEST)
         except DamagedError:
@@ -121,7 +116,7 @@ class Peer:
         self._judge(now, packet, sent, len(data))
         if isinstance(packet.body, Hello) and not self._agrees(packet.body):
             return None
-        return Received(packet.body, sent)
+        return packet.body, sent
 
     def _agrees(self, hello: Hello) -> bool:
         """Whether the other side has the same version and units; else both stop."""

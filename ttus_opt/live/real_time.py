@@ -186,23 +186,11 @@ class Metronome:
         )
 
 
-def promptly(core: int | None = None, priority: int = BESIDE) -> str:
-    """Ask for prompt scheduling of this process; what was granted, in words.
-
-    Args:
-        core: Processor to pin it to; None for any.
-        priority: Of SCHED_FIFO, such as `HAPTIC` or `BESIDE`.
-    """
-    granted = []
-    if core is not None and hasattr(os, "sched_setaffinity"):
-        with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, {core})
-            granted.append(f"pinned to processor {core}")
+def promptly(priority: int = BESIDE) -> None:
+    """Have this process scheduled by SCHED_FIFO, where the system grants it."""
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-            granted.append("SCHED_FIFO")
-    return ", ".join(granted) or "no priority was granted"
 
 
 @dataclass(frozen=True)
@@ -284,8 +272,7 @@ def run_operator(
         record: Called with every frame, such as `Recorder.operated`.
         tell: Called with every new state, and why it is not NORMAL.
     """
-    beat = Metronome(OPERATOR_RATE, seconds)
-    seen = _Seen(operator.peer, tell)
+    beat, seen = Metronome(OPERATOR_RATE, seconds), _Seen(operator.peer, tell)
     operator.peer.rate.overhead = link.overhead
     pose, shown = start, -math.inf
     for now in beat:
@@ -320,7 +307,6 @@ def run_follower(
     position: Array,
     *,
     seconds: float = math.inf,
-    rate: float = FOLLOWER_RATE,
     tell: Callable[[str, str], None] | None = None,
 ) -> Ended:
     """The follower's loop: link, probe, measurement.
@@ -335,10 +321,9 @@ def run_follower(
         rotation: First target of the probe, (3, 3) [–].
         position: Its position, patient frame, (3,) [m].
         seconds: Length [s].
-        rate: Frames a second [Hz].
         tell: Called with every new state, and why it is not NORMAL.
     """
-    beat, seen = Metronome(rate, seconds), _Seen(follower.peer, tell)
+    beat, seen = Metronome(FOLLOWER_RATE, seconds), _Seen(follower.peer, tell)
     follower.peer.rate.overhead = link.overhead
     try:
         for now in beat:
@@ -351,7 +336,7 @@ def run_follower(
     finally:  # by an interrupt too
         follower.stop("the follower's loop has ended")
         try:
-            for now in Metronome(rate, RETRACTION):
+            for now in Metronome(FOLLOWER_RATE, RETRACTION):
                 sensed = patient.sense(now, rotation, position)
                 step = follower.step(now, (), sensed)
                 rotation, position = step.rotation, step.position

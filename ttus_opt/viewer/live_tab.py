@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ttus_opt.core.errors import TtusError
 from ttus_opt.live.operator import LiveState
 from ttus_opt.viewer.force_plot import add_plot, series
 from ttus_opt.viewer.live_session import LiveSession
@@ -85,21 +84,13 @@ class LiveTab:
         page.by_hand(self.delay, lambda ms: session.worsen(round_trip=1e-3 * ms))
         page.by_hand(self.loss, lambda share: session.worsen(loss=0.01 * share))
         page.by_hand(self.presses, self._release)
+        page.by_click(self.stop, session.stop)
+        page.by_click(self.rearm, session.rearm)
+        page.by_click(self.again, self._restart)
 
-        @self.stop.on_click
-        def _(_: Any) -> None:
-            session.stop()
-
-        @self.rearm.on_click
-        def _(_: Any) -> None:
-            try:
-                session.rearm()
-            except TtusError as error:
-                page.tell(str(error))
-
-        @self.again.on_click
-        def _(_: Any) -> None:
-            session.restart(replace(session.trial, prior=float(self.prior.value)))
+    def _restart(self) -> None:
+        trial = replace(self._session.trial, prior=float(self.prior.value))
+        self._session.restart(trial)
 
     def _release(self, presses: bool) -> None:
         if presses:

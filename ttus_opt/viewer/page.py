@@ -107,6 +107,17 @@ class Page:
 
         handle.on_update(changed)
 
+    def by_click(self, button: Any, act: Callable[[], object]) -> None:
+        """Act when somebody presses a button; what it refuses is told."""
+
+        def pressed(_: Any) -> None:
+            try:
+                act()
+            except TtusError as error:
+                self.tell(str(error))
+
+        button.on_click(pressed)
+
     def move(self) -> None:
         """Draw probe and forces as they are now; 30 times a second or more."""
         with self.server.atomic():
