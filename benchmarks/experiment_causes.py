@@ -26,7 +26,7 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.experiment.fits import FITTED
+from ttus_opt.experiment.fits import FITTED, meets
 from ttus_opt.experiment.patients import (
     PROBE,
     PROBE_SPEC,
@@ -36,7 +36,6 @@ from ttus_opt.experiment.patients import (
     patients,
     skin_file,
 )
-from ttus_opt.experiment.scores import meets
 from ttus_opt.experiment.settings import compared
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import sweep_handling

@@ -8,8 +8,8 @@ from tests.benchmark.tiny import TINY, trapped
 from tests.kit import small_scene
 from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Settings
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem.formulation import load

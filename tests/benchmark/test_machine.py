@@ -1,5 +1,6 @@
 """The machine's description and memory."""
 
+import json
 import os
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from tests.kit import python
 from ttus_opt.benchmark import machine
-from ttus_opt.benchmark.machine import describe
+from ttus_opt.benchmark.machine import KEPT, RESIDUAL, STAGES, Progress, describe
 
 
 def test_machine_names_what_decides_a_figure():
@@ -47,3 +48,31 @@ def test_sizes_grow_with_what_is_held():
     assert machine.current_bytes() - before > 0.9 * held.nbytes
     assert abs(machine.resident_bytes(os.getpid()) - machine.current_bytes()) < 2**24
     assert machine.resident_bytes(2**22 + 1) == 0  # no process has such a number
+
+
+def test_stages_are_told_as_they_begin_and_measured_as_they_end(tmp_path):
+    progress = Progress(tmp_path)
+    for stage in ("scene", "first", "scene"):
+        progress(stage)
+        np.ones(10)
+    assert set(progress.peaks) == {"scene", "first"}  # the last has not ended
+    progress.end()
+    progress.end()  # nothing runs any more
+    lines = (tmp_path / STAGES).read_text().splitlines()
+    told = [json.loads(line) for line in lines]
+    assert [line["stage"] for line in told] == ["scene", "first", "scene"]
+    assert told[0]["time"] <= told[1]["time"] <= told[2]["time"]
+    assert all(peak > 2**20 for peak in progress.peaks.values())
+
+
+def test_the_last_residual_stands(tmp_path):
+    progress = Progress(tmp_path)
+    for residual in (1e-2, 1.0 / 3.0):
+        progress.reached(residual)
+    assert float((tmp_path / RESIDUAL).read_text()) == 1.0 / 3.0
+
+
+def test_what_is_kept_may_lie_in_a_folder_of_its_own(tmp_path):
+    path = Progress(tmp_path).keep("profiles/eq10.txt")
+    path.write_text("a profile")
+    assert (tmp_path / KEPT / "profiles" / "eq10.txt").read_text() == "a profile"

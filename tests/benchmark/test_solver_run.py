@@ -12,7 +12,7 @@ from tests.oracles.dense import minimiser
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark import solver_run
 from ttus_opt.benchmark.cases import reference_cases, with_new_values
-from ttus_opt.benchmark.progress import KEPT, Progress
+from ttus_opt.benchmark.machine import KEPT, Progress
 from ttus_opt.benchmark.row import RunSpec
 from ttus_opt.benchmark.solver_run import active_limits, options_of, solver_of
 from ttus_opt.problem.formulation import load

@@ -9,8 +9,8 @@ import pytest
 
 from ttus_opt.benchmark import machine, worker
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
+from ttus_opt.benchmark.machine import STAGES
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import STAGES
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.core.errors import InputError, MissingPackageError
 

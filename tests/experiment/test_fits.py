@@ -10,14 +10,15 @@ import pytest
 
 from tests.kit import presses, refuses, torso
 from ttus_opt.core.saved_results import write_json
-from ttus_opt.experiment import fits, rivals
+from ttus_opt.experiment import fits
 from ttus_opt.experiment import patients as phantoms
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.fits import FITTED, PatientFits
+from ttus_opt.experiment.fits import FITTED, PatientFits, Row, meets
 from ttus_opt.experiment.patients import patients
-from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import BY_DEFAULT, LAPLACE, REFINED, Setting
-from ttus_opt.report.metrics import Errors
+from ttus_opt.haptic.field_wrench import FieldWrenches
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import Errors, compare
 
 
 class BegunError(Exception):
@@ -65,8 +66,8 @@ def test_boundary_values_and_comparators_of_another_shape_are_made_anew(
     refuses(BegunError, "", boundary_errors, judge, 1.0)
     kept = {"digest": "digest", "rival": "kelvin_voigt", "rows": [{}], "facts": {}}
     write_json(tmp_path / "rival-kelvin_voigt.json", kept)
-    monkeypatch.setattr(rivals, "_judged", begin)
-    refuses(BegunError, "", rivals.rival, judge, "kelvin_voigt")
+    monkeypatch.setattr(judge, "_rival", begin)
+    refuses(BegunError, "", judge.rival, "kelvin_voigt")
 
 
 def test_an_edited_file_of_ones_own_is_fitted_again(tmp_path, judge):
@@ -121,3 +122,53 @@ def test_only_the_fitted_recordings_are_refined(tmp_path, monkeypatch):
     np.testing.assert_array_equal(each.scene(BY_DEFAULT).trajectory.position, reported)
     (scene,) = given
     np.testing.assert_array_equal(scene.trajectory.position, reported)
+
+
+def evaluation(factor, n=100, force=5.0, torque=0.05):
+    """Every frame rendered at a factor of its own."""
+    up = np.tile([0.0, force, 0.0], (n, 1))
+    turn = np.tile([torque, 0.0, 0.0], (n, 1))
+    own = Trajectory(
+        np.arange(n) / 20, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), up, turn
+    )
+    factor = np.broadcast_to(factor, n)[:, None]
+    rendered = FieldWrenches(
+        factor * up, factor * turn, np.ones(n, bool), np.zeros(n, np.int64)
+    )
+    return compare(own, rendered)
+
+
+def row(judged):
+    return Row("lean", "press_test", False, "eq10", "true", judged.errors)
+
+
+def test_medians_shares_and_the_worst_five_per_cent():
+    factor = np.ones(100)
+    factor[:60] = 1.05
+    factor[-6:] = 1.5
+    score = evaluation(factor).errors
+    assert score.force_median_share == pytest.approx(0.05)
+    assert score.force_median_N == pytest.approx(0.25)
+    assert score.force_worst_N == pytest.approx(2.5)
+    assert score.force_magnitude_error_N == pytest.approx(0.6 * 0.25 + 0.06 * 2.5)
+    assert score.torque_share == pytest.approx(0.6 * 0.05 + 0.06 * 0.5)
+    assert score.share_told_apart == pytest.approx(0.06)
+    assert score.mean_force_N == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("factor", "met"), [(1.06, True), (1.08, False), (1.16, False)]
+)
+def test_aims(factor, met):
+    aims = meets(row(evaluation(factor)).score)
+    assert aims["force"] is met
+    assert aims["torque"] is (factor < 1.15)
+    assert aims["angle"] and aims["torque angle"]
+
+
+def test_nothing_is_met_where_nothing_touches_and_rows_survive_json():
+    one = row(evaluation(1.0, force=0.1))
+    assert np.isnan(one.score.force_median_N) and one.score.frames_in_contact == 0
+    assert not any(meets(one.score).values())
+    told = {k: None if v != v else v for k, v in one.as_dict().items()}
+    assert Row.from_dict(told).as_dict() == pytest.approx(one.as_dict(), nan_ok=True)

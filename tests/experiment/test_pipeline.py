@@ -256,6 +256,9 @@ def finished(monkeypatch):
         def fitted(self, setting):
             seen.append((self.folder.name, setting.name))
 
+        def rival(self, name):
+            seen.append((self.folder.name, name))
+
     @contextlib.contextmanager
     def threads(jobs, address):
         yield joblib.Parallel(jobs, "threading", return_as="generator_unordered")
@@ -270,9 +273,6 @@ def finished(monkeypatch):
         pipeline,
         "stated_uncertainty",
         lambda fits, setting, *_: noted(f"uncertainty of {setting.name}")(fits),
-    )
-    monkeypatch.setattr(
-        pipeline.rivals, "rival", lambda fits, name, *_: noted(name)(fits)
     )
     monkeypatch.setattr(
         pipeline, "examine", lambda who, *_: seen.append((who.name, "examined"))

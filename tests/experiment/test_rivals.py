@@ -7,9 +7,8 @@ import pytest
 
 from tests.kit import InputError, TtusError, presses, torso
 from ttus_opt import comparators
-from ttus_opt.experiment.fits import PatientFits
+from ttus_opt.experiment.fits import PREFIX, PatientFits
 from ttus_opt.experiment.result import Plan
-from ttus_opt.experiment.rivals import PREFIX, rival
 from ttus_opt.probe.trajectory import Trajectory
 
 RECORDINGS = ("press_fit", "sweep_fit", "press_test", "sweep_test")
@@ -48,19 +47,14 @@ class Share:
 def patient(tmp_path, monkeypatch):
     """A patient's fits, with recordings and a comparator of no physics."""
     measured, true = recordings(0), recordings(1)
-    fits = SimpleNamespace(
-        shell=None,
-        folder=tmp_path,
-        digest="digest",
-        examination=SimpleNamespace(
-            patient=SimpleNamespace(name="lean"),
-            surface=torso(),
-            measured=measured,
-            true=true,
-        ),
-        made=[],
+    examination = SimpleNamespace(
+        patient=SimpleNamespace(name="lean"),
+        surface=torso(),
+        measured=measured,
+        true=true,
     )
-    fits.row = lambda *given: PatientFits.row(fits, *given)
+    fits = PatientFits(examination, tmp_path, (4, 8, 4), "digest")
+    fits.made = []
 
     def create(name, **_):
         if name == "cannot":
@@ -73,7 +67,7 @@ def patient(tmp_path, monkeypatch):
 
 
 def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient):
-    found = rival(patient, "share")
+    found = patient.rival("share")
     measured, true = patient.examination.measured, patient.examination.true
     (model,) = patient.made
     assert len(model.fitted) == 2
@@ -97,16 +91,16 @@ def test_it_is_fitted_to_what_was_measured_and_judged_on_everything(patient):
 
 def test_what_was_found_is_kept(patient):
     """Until the recordings are others."""
-    first, again = rival(patient, "share"), rival(patient, "share")
+    first, again = patient.rival("share"), patient.rival("share")
     assert len(patient.made) == 1
     assert again.facts == first.facts and repr(again.rows) == repr(first.rows)
     patient.digest = "another"
-    rival(patient, "share")
+    patient.rival("share")
     assert len(patient.made) == 2
 
 
 def test_one_that_cannot_be_fitted_has_its_reason(patient):
     for _ in range(2):  # found, and kept
-        found = rival(patient, "cannot")
+        found = patient.rival("cannot")
         assert found.rows == ()
         assert found.facts == {"failure": "no sliding in these recordings"}

@@ -8,8 +8,8 @@ import pytest
 
 from ttus_opt.experiment import tables
 from ttus_opt.experiment.boundary import BoundaryError
+from ttus_opt.experiment.fits import Row
 from ttus_opt.experiment.report import best_setting
-from ttus_opt.experiment.scores import Row
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Errors
 from ttus_opt.report.tables import FORCE

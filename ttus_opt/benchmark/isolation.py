@@ -12,9 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.benchmark.machine import resident_bytes
+from ttus_opt.benchmark.machine import KEPT, RESIDUAL, STAGES, resident_bytes
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.core.child_process import environment, python_module
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import with_new_values
-from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.row import AUTO, Row, RunSpec
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.core.errors import MissingPackageError, TtusError
 

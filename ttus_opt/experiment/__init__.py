@@ -6,8 +6,8 @@
 Needs scikit-fem (extra ``phantom``) to simulate recordings that are not there yet.
 """
 
+from ttus_opt.experiment.fits import Row
 from ttus_opt.experiment.pipeline import n_stages, run
 from ttus_opt.experiment.result import ExperimentResult, Plan
-from ttus_opt.experiment.scores import Row
 
 __all__ = ["ExperimentResult", "Plan", "Row", "n_stages", "run"]

@@ -10,11 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.errors import NumericalError, TtusWarning, warn
-from ttus_opt.core.saved_results import computed_once
+from ttus_opt.core.errors import NumericalError, TtusError, TtusWarning, warn
+from ttus_opt.core.saved_results import computed_once, restored
 from ttus_opt.experiment.patients import PROBE_SPEC, Examination
-from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.poses.pose_refinement import refine_poses
@@ -22,8 +23,69 @@ from ttus_opt.fitting.weights.weight_choice import choice_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution, Status
-from ttus_opt.report.metrics import Evaluation, evaluate
+from ttus_opt.report.metrics import (
+    NOTICEABLE_FORCE,
+    NOTICEABLE_SHARE,
+    Errors,
+    Evaluation,
+    as_rendered,
+    compare,
+    evaluate,
+)
 from ttus_opt.voxmap.field import PotentialField
+
+#: Largest mean angle of force [°], relative error of torque [–] and its angle [°]
+AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE = 3.0, 0.15, 10.0
+
+
+def meets(errors: Errors) -> dict[str, bool]:
+    """Whether each aim is reached, by name."""
+    return {
+        "force": errors.force_median_share <= NOTICEABLE_SHARE
+        or errors.force_median_N <= NOTICEABLE_FORCE,
+        "angle": errors.force_angle_error_deg <= AIM_ANGLE,
+        "torque": errors.torque_share <= AIM_TORQUE,
+        "torque angle": errors.torque_angle_error_deg <= AIM_TORQUE_ANGLE,
+    }
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting on one recording of one patient.
+
+    Attributes:
+        patient: Name.
+        recording: Name.
+        seen: Whether the setting was fitted to it.
+        setting: Name.
+        against: Reference: ``measured`` (reported poses, noisy wrench) or ``true``
+            (true poses, true wrench).
+        score: Its errors.
+    """
+
+    patient: str
+    recording: str
+    seen: bool
+    setting: str
+    against: str
+    score: Errors
+
+    def as_dict(self) -> dict[str, Any]:
+        """Flat, for JSON."""
+        return {**{k: getattr(self, k) for k in _KEYS}, **self.score.as_dict()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Row:
+        """Inverse of `as_dict`."""
+        score = {k: v for k, v in values.items() if k not in _KEYS}
+        return cls(**{k: values[k] for k in _KEYS}, score=restored(Errors, score))
+
+
+_KEYS = ("patient", "recording", "seen", "setting", "against")
+
+
+#: Begins the setting of a comparator's rows
+PREFIX = "comparator "
 
 #: The recordings to which fields are fitted
 FITTED = ("press_fit", "sweep_fit")
@@ -206,3 +268,40 @@ class PatientFits:
         return Row(
             patient, recording, recording in FITTED, name, against, errors.errors
         )
+
+    def rival(self, name: str) -> Fitted:
+        """Fit and judge one of `ttus_opt.comparators`, or read the saved result."""
+        inputs = {"digest": self.digest, "rival": name}
+        file = self.folder / f"rival-{name}.json"
+        return Fitted.once(name, file, inputs, lambda: self._rival(name))
+
+    def _rival(self, name: str) -> Fitted:
+        from ttus_opt.comparators import create
+        from ttus_opt.comparators.comparison import ripple, timed_wrenches
+
+        examined = self.examination
+        begin = time.process_time()
+        try:
+            model = create(
+                name,
+                surface=examined.surface,
+                shell=self.shell,
+            )
+            model.fit([examined.measured[recording] for recording in FITTED])
+        except TtusError as error:
+            return Fitted(name, (), {"failure": str(error)})
+        spent = time.process_time() - begin
+        rows: list[Row] = []
+        per_frame = []
+        for against in AGAINST:
+            for recording, recorded in getattr(examined, against).items():
+                wrench, frame = timed_wrenches(model, recorded)
+                per_frame.append(frame)
+                errors = compare(recorded, as_rendered(wrench))
+                rows.append(self.row(PREFIX + name, recording, against, errors))
+        facts = {
+            "ms_per_frame": 1e3 * float(np.median(per_frame)),
+            "ripple": ripple(model, examined.true["sweep_test"]),
+            "processor_seconds": round(spent, 2),
+        }
+        return Fitted(name, tuple(rows), facts)

@@ -20,9 +20,8 @@ from ttus_opt.core import io, optional
 from ttus_opt.core.arguments import chosen
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.core.saved_results import write_json
-from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
-from ttus_opt.experiment.fits import PatientFits
+from ttus_opt.experiment.fits import PREFIX, PatientFits, Row
 from ttus_opt.experiment.patients import Patient, examine, names, patients
 from ttus_opt.experiment.result import (
     FIGURES,
@@ -32,7 +31,6 @@ from ttus_opt.experiment.result import (
     PatientResult,
     Plan,
 )
-from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.uncertainties import stated_uncertainty
 from ttus_opt.fitting.path.task_pool import task_pool
 from ttus_opt.report.metrics import as_rendered, compare
@@ -50,7 +48,7 @@ def _tasks(plan: Plan) -> dict[str, Callable[[PatientFits], Any]]:
         tasks[each.name] = partial(PatientFits.fitted, setting=each)
     tasks[BOUNDARY] = lambda fits: boundary_errors(fits, plan.weight)
     for name in plan.rivals:
-        tasks[rivals.PREFIX + name] = partial(rivals.rival, name=name)
+        tasks[PREFIX + name] = partial(PatientFits.rival, name=name)
     for each in plan.with_uncertainty:
         title = f"uncertainty of {each.name}"
         tasks[title] = partial(stated_uncertainty, setting=each)
@@ -204,7 +202,7 @@ def _on_patient(
         fits.examination,
         {each.name: found[each.name] for each in plan.settings},
         found[BOUNDARY],
-        tuple(found[rivals.PREFIX + name] for name in plan.rivals),
+        tuple(found[PREFIX + name] for name in plan.rivals),
         tuple(found[f"uncertainty of {s.name}"] for s in plan.with_uncertainty),
         _itself(fits),
     )

@@ -10,16 +10,16 @@ from matplotlib.figure import Figure
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment import tables
 from ttus_opt.experiment.boundary import UNSEEN
-from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
-from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import (
+from ttus_opt.experiment.fits import (
     AIM_ANGLE,
     AIM_TORQUE,
     AIM_TORQUE_ANGLE,
+    PREFIX,
+    PatientFits,
     Row,
     meets,
 )
+from ttus_opt.experiment.result import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
 from ttus_opt.phantom.recording import FORCE_NOISE, TORQUE_NOISE

@@ -10,9 +10,8 @@ from typing import Any
 from ttus_opt.core.arguments import chosen as named
 from ttus_opt.core.errors import InputError
 from ttus_opt.experiment.boundary import BoundaryError
-from ttus_opt.experiment.fits import Fitted
+from ttus_opt.experiment.fits import Fitted, Row
 from ttus_opt.experiment.patients import Examination, Patient
-from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import (
     FORMULATIONS,
     GIVEN,

@@ -8,10 +8,9 @@ import numpy as np
 
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment.boundary import spread
+from ttus_opt.experiment.fits import PREFIX, Row, meets
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.result import ITSELF, ExperimentResult
-from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.scores import Row, meets
 from ttus_opt.experiment.settings import (
     BY_DEFAULT,
     CHOSEN,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ttus_opt.viewer.colour_map import MEASURED, RENDERED, hexadecimal
-from ttus_opt.viewer.page_script import run_on_pages
+from ttus_opt.viewer.looks import run_on_pages
 
 #: Height of a plot [px]
 HEIGHT = 150

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array
-from ttus_opt.viewer.page_script import COARSE, run_on_pages
 
 if TYPE_CHECKING:
     import viser
+from typing import Any
 
 #: Intensity of the even light; π shows a surface in its own colour
 LIGHT = 2.1
@@ -75,3 +75,49 @@ def lit(colours: NDArray[np.uint8], normals: Array, front: Array) -> Array:
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     sides = np.maximum(normals @ towards.T, 0.0).sum(axis=1, keepdims=True)
     return np.asarray(LIGHT / np.pi * (1.0 + SIDE * sides) * linear)
+
+
+#: While the canvas is dragged, fewer pixels a side until `LEAST` frames a second come,
+#: down to a share `FLOOR`; then all again. A visitor's own ``?fixedDpr=`` stays
+COARSE = """
+(() => {
+  const LEAST = 28, FLOOR = 0.5, FEWER = 0.7, EVERY = 300;
+  if (window.drawsLess) return;
+  window.drawsLess = true;
+  let share = 1, timer = 0, frames = 0;
+  const settings = () => window.__viserTestpoints?.devSettings;
+  const draw = () => settings().set({
+    fixedDpr: timer ? share * Math.min(2, window.devicePixelRatio) : null });
+  const count = () => { frames++; if (timer) requestAnimationFrame(count); };
+  window.addEventListener("pointerdown", (event) => {
+    if (timer || event.target !== window.__viserMutable?.canvas) return;
+    if (settings()?.get().fixedDpr !== null) return;
+    share = Math.min(1, share / FEWER);
+    let time = performance.now();
+    timer = setInterval(() => {
+      const now = performance.now(), rate = 1e3 * frames / (now - time);
+      [frames, time] = [0, now];
+      if (rate > LEAST || share <= FLOOR) return;
+      share = Math.max(FLOOR, FEWER * share);
+      draw();
+    }, EVERY);
+    frames = 0;
+    requestAnimationFrame(count);
+    if (share < 1) draw();
+  }, true);
+  for (const end of ["pointerup", "pointercancel", "blur"])
+    window.addEventListener(end, () => {
+      if (!timer) return;
+      clearInterval(timer);
+      timer = 0;
+      draw();
+    }, true);
+})();
+"""
+
+
+def run_on_pages(server: Any, source: str) -> None:
+    """Run a script on every page, those that come later too."""
+    from viser._messages import RunJavascriptMessage
+
+    server._websock_server.queue_message(RunJavascriptMessage(source=source))

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from tests.benchmark.tiny import TINY as TINIER
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Settings
 
 TINY = replace(TINIER, n_poses=24, n_points=1500)

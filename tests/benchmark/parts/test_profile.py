@@ -6,9 +6,9 @@ import pytest
 
 from tests.benchmark.parts.quick import measured
 from tests.kit import small_scene
+from ttus_opt.benchmark.machine import KEPT
 from ttus_opt.benchmark.parts import profile
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import KEPT
 
 #: What the passes of a V-cycle read and write, a word per colour: right side b, x,
 #: residual r, inverse pivots d, conductances R, T, Z, weights w of the transfers

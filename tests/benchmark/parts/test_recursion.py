@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from tests.benchmark.parts.quick import QUICK, TINY, measured
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts import recursion
 from ttus_opt.benchmark.parts.base import parts
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, Settings
 
 

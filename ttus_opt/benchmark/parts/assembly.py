@@ -11,8 +11,8 @@ from typing import ClassVar, get_args
 
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.summary import mebibytes, seconds
 from ttus_opt.contact.rows import Sampling, contact_rows

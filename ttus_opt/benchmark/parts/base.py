@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.row import MEASURED, Row, RunSpec, Settings
 from ttus_opt.report.document import Block, Heading, Table, Text
 

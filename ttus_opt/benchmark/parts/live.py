@@ -16,8 +16,8 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.core.errors import NumericalError
 from ttus_opt.scan.surface import Surface

@@ -22,8 +22,8 @@ import numpy as np
 
 import ttus_opt
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import MEASURED, WEIGHTS, Row, RunSpec
 from ttus_opt.benchmark.summary import seconds
 from ttus_opt.contact.scene import Scene

@@ -12,8 +12,8 @@ import numpy as np
 
 from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import WEIGHTS, Row, RunSpec
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
 from ttus_opt.contact.scene import Scene

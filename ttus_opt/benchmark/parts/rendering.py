@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.contact_size import patch_factors, patches_of

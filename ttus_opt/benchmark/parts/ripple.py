@@ -16,8 +16,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Column, Part
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.pictures import LEGEND as PROFILE
 from ttus_opt.benchmark.pictures import (
@@ -19,7 +20,6 @@ from ttus_opt.benchmark.pictures import (
     profile_table,
     ranked,
 )
-from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import (
     ALL,
     AUTO,
