@@ -8,14 +8,12 @@ import pytest
 import ttus_opt as tt
 from tests.kit import InputError, refuses
 from tests.session.recordings import changed
-from tests.session.single_steps import SURFACE, streams
-from ttus_opt.sensors.streams import WrenchStream
+from tests.session.single_steps import SURFACE, forces, streams
+from ttus_opt.sensors.streams import WrenchStream, with_wrenches
 from ttus_opt.session.description import Part, read_description
 from ttus_opt.session.readings import (
     contact_wrenches,
     cut,
-    joined_streams,
-    read_forces,
     synchronise,
 )
 from ttus_opt.session.registration import probe_poses, register
@@ -25,7 +23,7 @@ from ttus_opt.session.synthetic import Truth, perfect
 def offset(session, later):
     """Of raw readings whose clock shows so much more [s]."""
     frames = register(session.tracker, SURFACE)
-    poses, wrenches = probe_poses(session.tracker, frames), read_forces(session)
+    poses, wrenches = probe_poses(session.tracker, frames), forces(session)
     wrenches = replace(wrenches, time=wrenches.time + later)
     return synchronise(session, poses, wrenches, SURFACE, frames).offset
 
@@ -68,7 +66,7 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(recording, frame)
     timing = synchronise(session, poses, wrenches, SURFACE, frames)
     assert timing.offset == pytest.approx(0.35, abs=0.02)
     assert set(timing.second.values) == {0.0, 1.0}
-    joined = joined_streams(session, poses, wrenches, replace(timing, offset=0.35))
+    joined = with_wrenches(poses, wrenches, 0.35, largest_gap=0.1)
     shell = tt.PointShell.from_spec(session.probe, n_points=120)
     found, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None and found.force is not None and found.torque is not None
@@ -84,7 +82,7 @@ def test_poses_clock_and_load(recording):
     frames, poses, wrenches = streams(session)
     timing = synchronise(session, poses, wrenches, SURFACE, frames)
     assert timing.offset == pytest.approx(truth.offset, abs=0.002)
-    joined = joined_streams(session, poses, wrenches, timing)
+    joined = with_wrenches(poses, wrenches, timing.offset, largest_gap=0.1)
     shell = tt.PointShell.from_spec(session.probe)
     begin = float(poses.time[0])
     contact, load = contact_wrenches(session, joined, shell, frames, begin)
@@ -115,8 +113,9 @@ def test_contact_wrenches_of_another_frame(recording):
     changed(recording, "clock", {"offset": 22.0})
     changed(recording, "tracker.columns", {"position": ["px", "py", "pz"]})
     session = read_description(recording)
-    timing = synchronise(session, poses, read_forces(session), SURFACE, frames)
-    joined = joined_streams(session, poses, read_forces(session), timing)
+    wrenches = forces(session)
+    timing = synchronise(session, poses, wrenches, SURFACE, frames)
+    joined = with_wrenches(poses, wrenches, timing.offset, largest_gap=0.1)
     shell = tt.PointShell.from_spec(session.probe, n_points=120)
     contact, load = contact_wrenches(session, joined, shell, frames, 0.0)
     assert load is None

@@ -29,13 +29,8 @@ def peak_bytes() -> int:
     return largest * (1 if sys.platform == "darwin" else 1024)
 
 
-def current_bytes() -> int:
-    """Resident size now [byte]."""
-    return int(psutil.Process().memory_info().rss)
-
-
-def resident_bytes(pid: int) -> int:
-    """Resident size of a process; 0 when it is gone or not reported [byte]."""
+def resident_bytes(pid: int | None = None) -> int:
+    """Resident size of a process, of this one by default; 0 when it is gone [byte]."""
     try:
         return int(psutil.Process(pid).memory_info().rss)
     except psutil.Error:

@@ -157,7 +157,7 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     if solver == AUTO:  # it may have chosen another solver on the small case
         begin("warm-up")
         _warm_up(spec, _first_choice(both[0]), request)
-    base = machine.current_bytes()
+    base = machine.resident_bytes()
     solves = _solved(spec, solver, request, both, begin)
     begin.end()
     assert solves.solution is not None

@@ -7,7 +7,6 @@ for each value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -61,11 +60,6 @@ def boundary_errors(fits: PatientFits, weight: float) -> tuple[BoundaryError, ..
             restored(BoundaryError, row) for row in content["rows"]
         ),
     )
-
-
-def spread(values: Sequence[float]) -> float:
-    """Largest minus smallest."""
-    return max(values) - min(values)
 
 
 def _at(fits: PatientFits, weight: float, factor: float) -> BoundaryError:

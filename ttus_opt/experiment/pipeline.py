@@ -1,7 +1,7 @@
 """The paper's experiment on three phantom patients, from recordings to a report.
 
 Patients and settings may run in parallel, by joblib or on dask. All results are cached
-in files (`fits`, `boundary`, `rivals`, `uncertainties`), so that a task returns only
+in files (`fits`, `boundary`, `uncertainties`), so that a task returns only
 its name; the experiment then reads the files in order. The next call repeats
 interrupted tasks only.
 """

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ttus_opt.experiment import paper_averages as paper
-from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.fits import PREFIX, Row, meets
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.result import ITSELF, ExperimentResult
@@ -181,7 +180,7 @@ def boundary_table(result: ExperimentResult) -> Table:
             ("after", [row.after_N for row in of_patient]),
         ):
             cells = [number(value) for value in values]
-            lines.append([f"{patient}, {name}", *cells, f"**{spread(values):.2f}**"])
+            lines.append([f"{patient}, {name}", *cells, f"**{np.ptp(values):.2f}**"])
     header = ["p_in / fitted p_in", *(f"{f:.2f}" for f in factors), "spread"]
     return Table(header, lines)
 

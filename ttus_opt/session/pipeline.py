@@ -13,6 +13,8 @@ from ttus_opt.laplace.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.tables import Comparison
+from ttus_opt.sensors.stream_files import read_wrenches
+from ttus_opt.sensors.streams import with_wrenches
 from ttus_opt.sensors.tool_load import ToolLoad
 from ttus_opt.session.description import Description, read_description
 from ttus_opt.session.model import Model, fit_model, judge
@@ -20,8 +22,6 @@ from ttus_opt.session.readings import (
     Timing,
     contact_wrenches,
     cut,
-    joined_streams,
-    read_forces,
     synchronise,
 )
 from ttus_opt.session.registration import Registration, probe_poses, register
@@ -110,9 +110,10 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
         warn_of_jumps(poses)
         results.tell("registration", frames.facts())
     with results.step("clock"):
-        wrenches = read_forces(session)
+        stream, gap = session.force.stream, session.clock.largest_gap
+        wrenches = read_wrenches(stream.file, stream.name, stream.columns)
         timing = synchronise(session, poses, wrenches, skin.surface, frames)
-        joined = joined_streams(session, poses, wrenches, timing)
+        joined = with_wrenches(poses, wrenches, timing.offset, largest_gap=gap)
         results.tell("clock", _clock_facts(session, timing, len(poses), len(joined)))
     begin = float(poses.time[0])
     with results.step("load"):

@@ -18,8 +18,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors import clock
-from ttus_opt.sensors.stream_files import read_wrenches
-from ttus_opt.sensors.streams import WrenchStream, with_wrenches
+from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.sensors.tool_load import ToolLoad, identify_load
 from ttus_opt.sensors.wrench_compensation import compensated
 from ttus_opt.session.description import Description, Part
@@ -44,12 +43,6 @@ class Timing:
     first: clock.Signal | None = field(default=None, repr=False)
     second: clock.Signal | None = field(default=None, repr=False)
     correlation: float | None = None
-
-
-def read_forces(session: Description) -> WrenchStream:
-    """The stream of wrenches; errors as `read_wrenches`."""
-    stream = session.force.stream
-    return read_wrenches(stream.file, stream.name, stream.columns)
 
 
 def synchronise(
@@ -139,15 +132,6 @@ def _turned(joined: Trajectory, frame: str, registration: Registration) -> Traje
         for v in (joined.force, joined.torque)
     )
     return replace(joined, force=force, torque=torque)
-
-
-def joined_streams(
-    session: Description, poses: Trajectory, wrenches: WrenchStream, timing: Timing
-) -> Trajectory:
-    """Poses with the readings at their times; errors as `with_wrenches`."""
-    return with_wrenches(
-        poses, wrenches, timing.offset, largest_gap=session.clock.largest_gap
-    )
 
 
 #: Fewest frames of a stretch

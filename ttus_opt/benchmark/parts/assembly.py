@@ -86,7 +86,7 @@ def _timed(make: Callable[[], object], repeats: int) -> Row:
     """Median seconds, and peak and growth of memory of the first call."""
     gc.collect()
     machine.trim()
-    before = machine.current_bytes()
+    before = machine.resident_bytes()
     machine.reset_peak()
     taken, peak = [], 0
     for _ in range(repeats):
