@@ -183,12 +183,21 @@ def test_a_wild_measurement_counts_less(patient, shell):
         (np.nan, np.zeros(6), "go back"),
         (1.0, np.full(6, np.nan), "finite"),
         (1.0, np.zeros(3), "6 finite"),
+        (1.0, np.full(6, 1e200), "6 finite"),  # its square is infinite
     ],
 )
 def test_refuses_unusable_measurements(patient, shell, time, wrench, said):
     model = RecursiveDepthMap(patient, shell, PRIOR)
     model.update(0.0, np.eye(3), np.array([10.0, 0, 0]), np.zeros(6))
     refuses(InputError, said, model.update, time, np.eye(3), np.zeros(3), wrench)
+
+
+@pytest.mark.parametrize("twist", [np.zeros(5), np.full(6, np.nan)])
+def test_refuses_unusable_twists_before_any_time_has_passed(patient, shell, twist):
+    model = RecursiveDepthMap(patient, shell, PRIOR)
+    pose = np.eye(3), np.zeros(3), np.ones(6)
+    refuses(InputError, "twist must be 6", model.update, 1.0, *pose, twist=twist)
+    model.update(0.5, *pose)
 
 
 def test_refuses_a_law_of_several_powers(patient, shell):

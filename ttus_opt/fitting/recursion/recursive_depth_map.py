@@ -68,6 +68,9 @@ DISAGREES = 4.0
 #: Speed below which the drag of a point fades [m/s]
 LEAST_SPEED = 3e-3
 
+#: Wrenches and twists at and beyond this are none [N, N·m, m/s, rad/s]
+LARGEST = 1e9
+
 #: Smallest share of the mean law that a field keeps [–]: p is never negative inside
 LEAST_STIFFNESS = 0.02
 
@@ -240,11 +243,10 @@ class RecursiveDepthMap:
                 (6,) [m/s, rad/s]; at rest when not given.
 
         Raises:
-            InputError: Values that are not finite, or not a pose.
+            InputError: Values that are not finite, or not a pose; nothing is learnt.
         """
-        wrench = np.asarray(wrench, dtype=np.float64)
-        if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise InputError("a wrench must be 6 finite numbers [N, N m]")
+        wrench = _six(wrench, "a wrench", "N, N m")
+        twist = None if twist is None else _six(twist, "a twist", "m/s, rad/s")
         R, at = checked_poses(np.asarray(rotation)[None], np.asarray(position)[None])
         pause = self._pass(time)
         rows = contact_rows(self.lattice.voxmap, self.shell, R, at, sampling=SAMPLING)
@@ -417,9 +419,17 @@ class RecursiveDepthMap:
             R,
             at,
             sampling=SAMPLING,
-            slip=Slip.of(self.shell, R, np.asarray(twist)[None], LEAST_SPEED),
+            slip=Slip.of(self.shell, R, twist[None], LEAST_SPEED),
         )
         return [-rows.N, sp.csr_array(rows.W / -self.shell.rms_radius)]
+
+
+def _six(values: Array, name: str, units: str) -> Array:
+    """Six numbers; `InputError` where they are none, or beyond any hand's."""
+    six = np.asarray(values, dtype=np.float64)
+    if six.shape != (6,) or not (np.abs(six) < LARGEST).all():
+        raise InputError(f"{name} must be 6 finite numbers [{units}], got {values}")
+    return six
 
 
 def _noise(normal: Array, pressed: float, crowded: float) -> Array:
