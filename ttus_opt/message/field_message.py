@@ -196,7 +196,7 @@ def decode_field(
         raise InputError("the message has an unknown boundary: update ttus_opt")
     sampling = SAMPLINGS[kind]
     if sampling.endswith(":"):
-        sampling += f"{reader.number('d'):.3g}"
+        sampling += f"{reader.number('d')!r}"
     check_sampling(sampling)
     if not all(abs(value) <= LARGEST_BOUNDARY for value in (inner, outer)):
         raise InputError(
