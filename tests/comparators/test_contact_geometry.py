@@ -4,6 +4,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+import ttus_opt as tt
 from tests.comparators.recordings import facing
 from tests.comparators.walls import BLOCK, block, pressed, wall
 from tests.kit import ellipsoid, torso
@@ -35,6 +36,18 @@ def test_depth_is_the_distance_to_the_triangles_of_a_fine_mesh(depth):
     found, normals = SmoothSurface(torso()).depth(points)
     np.testing.assert_allclose(np.sign(depth) * found, distance, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+
+
+def test_a_rough_surface_has_no_seam():
+    """Turned by some nodes, it is the same to rounding, at the seam too."""
+    rough = 0.1 + 0.003 * np.random.default_rng(0).normal(size=(20, 5))
+    points = np.random.default_rng(1).normal(size=(200, 3)) * 0.1 + [0, 0, 0.1]
+    z, turn = np.linspace(0.0, 0.2, 5), Rotation.from_rotvec([0, 0, 0.6 * np.pi])
+    depth, normals = SmoothSurface(tt.Surface.from_radius(rough, z)).depth(points)
+    turned = SmoothSurface(tt.Surface.from_radius(np.roll(rough, 6, 0), z))
+    found = turned.depth(turn.apply(points))
+    np.testing.assert_allclose(found[0], depth, atol=1e-10)
+    np.testing.assert_allclose(found[1], turn.apply(normals), atol=1e-8)
 
 
 def test_touch_finds_the_points_within_the_radius():

@@ -1,5 +1,7 @@
 """Sparse Matérn fields against the covariances they stand for."""
 
+import pickle
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -157,6 +159,16 @@ def test_the_rows_make_white_noise_of_a_drawn_field():
     drawn = covariance.draw(np.random.default_rng(3))
     white = np.random.default_rng(3).standard_normal(len(drawn))
     np.testing.assert_allclose(covariance.rows @ drawn, white, atol=1e-9)
+
+
+def test_a_covariance_in_use_can_be_pickled():
+    """With it a depth map's solution: what `fit` gives by default."""
+    voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
+    given = SeparableCovariance.over(voxmap, np.ones(672), 0.05, 0.02)
+    one = np.eye(1, 672, 100)[0]
+    expected = given.times(one)
+    again = pickle.loads(pickle.dumps(given))
+    np.testing.assert_array_equal(again.times(one), expected)
 
 
 def uneven_tube():

@@ -27,7 +27,9 @@ from ttus_opt.message.field_message import sampled
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
 
-@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean", "contact-size:0.01834"])
+@pytest.mark.parametrize(
+    "sampling", ["trilinear", "voxel-mean", "contact-size:0.01834"]
+)
 def test_there_and_back(sampling):
     field = fitted(sampling)
     surface, message = sent(sampling)

@@ -29,8 +29,9 @@ from ttus_opt.scan.surface import Surface
 #: Iterations for the foot point; the distance is then exact to 0.01 mm on a torso
 STEPS = 4
 
-#: Angles repeated on both sides of the seam, for a periodic spline
-WRAP = 4
+#: Angles repeated on both sides of the seam, for a periodic spline: what its ends
+#: assume decreases by 3.7 per node
+WRAP = 24
 
 #: Nodes of the spline's table per node of the surface, in each direction [–]
 FINER = 4

@@ -132,6 +132,10 @@ class MaternFactor:
     def _solved(self) -> scipy.sparse.linalg.SuperLU:
         return scipy.sparse.linalg.splu(self.operator, permc_spec="MMD_AT_PLUS_A")
 
+    def __reduce__(self) -> tuple[type[MaternFactor], tuple[object, ...]]:
+        """Pickle without the factorisation, which has no other form."""
+        return MaternFactor, (self.volumes, self.stiffness, self.kappa, self.tau)
+
     def covariance(self, nodes: IntArray) -> Array:
         """Columns of (RᵀR)⁻¹, shape (n, k)."""
         unit = np.zeros((len(self.volumes), len(nodes)))
