@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -86,6 +87,29 @@ def test_a_second_interrupt_ends_a_path_at_once(files, tmp_path):
     assert process.returncode == 130
     assert process.communicate()[1].strip().endswith("nothing further was written")
     assert empty(tmp_path / "output")
+
+
+def children(number):
+    """Process numbers of a process's children."""
+    listed = Path(f"/proc/{number}/task/{number}/children")
+    return listed.read_text().split() if listed.exists() else []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not children(os.getppid()), reason="needs Linux's list of children")
+def test_processes_that_are_loading_show_no_traceback(tmp_path):
+    """A terminal interrupts the demo's workers too; the demo ends them."""
+    process = started("-m", "ttus_opt", "live", "demo", "-o", "out", cwd=tmp_path)
+    loading = False  # a worker that has numpy, and not yet all
+    while not loading:
+        assert process.poll() is None, process.communicate()
+        workers = [w for own in children(process.pid) for w in children(own)]
+        maps = [Path(f"/proc/{worker}/maps").read_text() for worker in workers]
+        loading = any("numpy" in loaded for loaded in maps)
+    interrupted(process, terminal=True)
+    _, told = process.communicate()
+    assert process.returncode == 130 and "Traceback" not in told, told
+    assert empty(tmp_path / "out")
 
 
 #: Those that once did not listen

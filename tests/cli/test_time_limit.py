@@ -1,7 +1,9 @@
 """Time limits: a command ends with one line, and nothing is half-written."""
 
+import ctypes
 import signal
 import subprocess
+import time
 
 import pytest
 import typer
@@ -43,6 +45,19 @@ def test_a_command_ends_in_time(run, files, output):
         refused(run(f"{words} --time-limit 0.05"), told)
     assert empty(output)
     refused(run(f"{fit} --time-limit 0"), "--time-limit must be positive")
+
+
+def test_an_interrupt_in_a_callback_is_not_lost():
+    """Of a compiler, for instance: there no error can be raised."""
+
+    @ctypes.CFUNCTYPE(None)
+    def struck():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), interrupts_unwrapped():
+        struck()
+        for _ in range(100):
+            time.sleep(0.05)
 
 
 @pytest.mark.parametrize("kind", [SystemError, RuntimeError])

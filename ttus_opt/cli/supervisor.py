@@ -69,8 +69,9 @@ def run_supervised(command: str) -> None:
     _end_with_parent()
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         # a terminal interrupts parent and child alike: only the parent's word counts,
-        # or the second interrupt would strike while the first is cleaned up after
-        signal.signal(signal.SIGINT, lambda *_: None)
+        # or the second interrupt would strike while the first is cleaned up after;
+        # the child's own children, which ignore it too, are ended by the child
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if signal.getsignal(INTERRUPT) == signal.SIG_DFL:
             signal.signal(INTERRUPT, raise_interrupt)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
+import sys
 import threading
+from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from typing import NoReturn
 
@@ -13,6 +15,7 @@ import typer
 
 from ttus_opt.cli.supervisor import end_within
 from ttus_opt.core.errors import InputError, TtusError
+from ttus_opt.core.interrupts import INTERRUPT, raise_interrupt
 
 
 @contextlib.contextmanager
@@ -51,20 +54,33 @@ def time_limited(seconds: float | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def interrupts_unwrapped() -> Iterator[None]:
-    """Raise an interrupt as such where Python has made it another error.
+    """Raise an interrupt as such where Python has made it another error, or lost it.
 
     That is a SystemError where compiled code returned with an exception set, and before
-    Python 3.12 a RuntimeError of ``__set_name__`` where a class was being made.
+    Python 3.12 a RuntimeError of ``__set_name__`` where a class was being made. One in
+    a library's callback, as a compiler's, is lost: it strikes again a moment later.
 
     Raises:
         KeyboardInterrupt: It came at such a moment.
     """
+    before, sys.unraisablehook = sys.unraisablehook, _strike_again
     try:
         yield
     except (SystemError, RuntimeError) as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from None
         raise
+    finally:
+        sys.unraisablehook = before
+
+
+def _strike_again(lost: sys.UnraisableHookArgs) -> None:
+    if not issubclass(lost.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    own = signal.getsignal(INTERRUPT) is raise_interrupt
+    number = INTERRUPT if own else signal.SIGINT
+    threading.Timer(0.05, interrupt_main, [number]).start()
 
 
 @contextlib.contextmanager

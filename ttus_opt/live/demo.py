@@ -11,11 +11,16 @@ import contextlib
 import math
 import multiprocessing
 import os
+import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import active_children
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -147,10 +152,11 @@ def _all(
     with contextlib.ExitStack() as pool:
         each: Iterable[TrialResult] = (_one(*task) for task in tasks)
         if processes > 1:
-            spawn = multiprocessing.get_context("spawn")
+            spawn, others = multiprocessing.get_context("spawn"), active_children()
             workers = ProcessPoolExecutor(processes, spawn, _end_with_parent)
             each = pool.enter_context(workers).map(_one, *zip(*tasks, strict=True))
             pool.callback(workers.shutdown, cancel_futures=True)
+            pool.push(partial(_stop, [p for p in active_children() if p not in others]))
         waiting = iter(each)
         for trial in trials:
             say(f"{trial.comparator}, round trip {1e3 * trial.round_trip:.0f} ms")
@@ -158,8 +164,19 @@ def _all(
     return results
 
 
+def _stop(workers: list[BaseProcess], failed: object, *_: object) -> None:
+    """After an interrupt or another error no trial is waited for."""
+    for worker in workers if failed else []:
+        worker.terminate()
+
+
 def _end_with_parent() -> None:
-    """End this process with its parent, whatever ends that: it would wait for ever."""
+    """End this process with its parent, whatever ends that, or when that says so.
+
+    An interrupt of the terminal is the parent's; a recording is cleaned up.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     parent = multiprocessing.parent_process()
     assert parent is not None
 
