@@ -230,6 +230,24 @@ class Scene:
         vars(scene).update(known)
         return scene
 
+    def raised(self, height: float) -> Scene:
+        """The same poses on a patient whose skin is higher [m]; assembled again.
+
+        Raises:
+            GeometryError: That skin does not lie within the grid.
+        """
+        scene = Scene.assemble(
+            self.voxmap.raised(height),
+            self.shell,
+            self.trajectory,
+            inner=self.inner,
+            outer=self.outer,
+            sampling=self.sampling,
+        )
+        if BOUNDARY_SCALE in self.parameters:
+            scene = scene._with_fitted_boundary(self.outer / self.inner, True)
+        return scene
+
     def _sizes(self, sampling: str) -> Array:
         """Factors on trilinear rows, shape (T,) [–]."""
         least = least_length(sampling)

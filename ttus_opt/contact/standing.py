@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 
@@ -97,8 +97,20 @@ def depth_of(
     Returns:
         Shape (k,) [m].
     """
-    turned = np.einsum("tij,mj->tmi", rotation, shell.points)
-    return np.asarray(surface.depth_of(position[:, None] + turned).max(axis=1))
+    return deepest(surface, shell, rotation, position)[0]
+
+
+def deepest(
+    surface: Surface, shell: PointShell, rotation: Array, position: Array
+) -> tuple[Array, IntArray]:
+    """Depth of the probe's deepest point, as `depth_of`, and its number, (k,)."""
+    depth, point = np.empty(len(position)), np.empty(len(position), np.int64)
+    for first in range(0, len(position), TOGETHER):
+        part = slice(first, first + TOGETHER)
+        turned = np.einsum("tij,mj->tmi", rotation[part], shell.points)
+        every = surface.depth_of(position[part, None] + turned)
+        depth[part], point[part] = every.max(axis=1), every.argmax(axis=1)
+    return depth, point
 
 
 def usual_hold(
@@ -151,8 +163,7 @@ def standing(
         shift, last = np.zeros(len(turned)), np.zeros(len(turned))
         rate = np.ones(len(turned))
         for _ in range(STEPS):
-            deepest = surface.depth_of(position[part, None] + turned).max(axis=1)
-            excess = deepest - depth
+            excess = surface.depth_of(position[part, None] + turned).max(axis=1) - depth
             # a shift along the normal changes the depth by about as much: secants
             far = np.abs(shift) > TOLERANCE
             rate[far] = np.clip((last - excess)[far] / shift[far], *RATES)

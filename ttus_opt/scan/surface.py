@@ -8,7 +8,7 @@ first and last slice it is constant in z (`ttus_opt.scan.radius_lookup`).
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,10 @@ class Surface:
             np.ones(radius.shape, dtype=bool),
             axis or Axis.identity(),
         )
+
+    def raised(self, height: float) -> Surface:
+        """The surface farther from the axis by a height everywhere [m]."""
+        return replace(self, radius=self.radius + height)
 
     @property
     def kernel_layout(self) -> RadiusLayout:

@@ -131,11 +131,23 @@ class Voxmap:
             sector,
         )
         check_memory(grid, memory_limit)
+        return cls._over(surface, grid, boundary)
+
+    @classmethod
+    def _over(cls, surface: Surface, grid: CylindricalGrid, boundary: str) -> Voxmap:
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = surface.radius_at(theta, z)
         _check_radius(radius[: grid.wall], grid)
         classify = _thickened if boundary == "staircase" else _enclosed
         return cls(grid, surface, classify(grid, radius), boundary)
+
+    def raised(self, height: float) -> Voxmap:
+        """The same grid over a surface farther from the axis by a height [m].
+
+        Raises:
+            GeometryError: That surface does not lie between the two layers.
+        """
+        return self._over(self.surface.raised(height), self.grid, self.boundary)
 
     @property
     def inside(self) -> NDArray[np.bool_]:

@@ -9,11 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.kit import MistakeWarning, presses, torso
-from ttus_opt import example
-from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.fitting.checks.frame_check import (
     jumps,
-    scene_in_contact,
     share_near_skin,
     warn_of_another_frame,
 )
@@ -112,20 +109,3 @@ def test_what_is_no_jump():
     position, time = path(100)
     position[50] += [0.0, 0.0, 0.02]  # there and back: two steps, each unlike its own
     assert np.flatnonzero(jumps(position, time)[0]).tolist() == [50, 51]
-
-
-def test_a_sensor_that_was_not_zeroed_is_told():
-    """A bias turns with the probe; noise alone has none."""
-    surface = tt.Surface.load(example.path("surface.nc"))
-    shell = tt.PointShell.from_spec(example.PROBE, n_points=150)
-    read = tt.read_trajectory(example.path("press_fit.csv"))
-    noise = np.random.default_rng(0).normal(0.0, 0.1, read.force.shape)
-    noisy = replace(read, force=read.force + noise)
-    plan = ScenePlan((12, 32, 16), 0.03)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        scene_in_contact(plan, surface, shell, noisy)
-    biased = replace(read, force=noisy.force + read.rotation @ [0.0, -0.2, 0.4])
-    said = r"shows \(-?0.0\d, -0.[12]\d, 0.[34]\d\) N .* that touch nothing"
-    with pytest.warns(MistakeWarning, match=said):
-        scene_in_contact(plan, surface, shell, biased)

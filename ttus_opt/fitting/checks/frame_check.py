@@ -1,8 +1,7 @@
-"""Are recordings in the stated frame, and was the sensor zeroed?
+"""Are recordings in the stated frame?
 
 A measuring probe is near the skin: recordings that were written in the scan's frame but
-read as the patient's usually lie away from it, and near it once they are transformed. A
-sensor that touches nothing shows no force.
+read as the patient's usually lie away from it, and near it once they are transformed.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
+from ttus_opt.fitting.checks.zero_check import warn_of_bias
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.recording_faults import jumps
@@ -29,10 +29,6 @@ NEAR = 0.1
 #: Shares of frames near the skin: below the first there is a warning, above the second
 #: another frame is suggested [–]
 FEW, MANY = 0.2, 0.6
-
-#: Mean force of a sensor that touches nothing, and that over its standard error, above
-#: which it was not zeroed [N], [–]: a skin that is 3 mm too low gave 0.3 N and 8
-BIAS, CERTAIN = 0.1, 10.0
 
 
 def share_near_skin(
@@ -145,27 +141,8 @@ def scene_in_contact(
             f"{untouched} of {len(scene.trajectory)} poses: there is nothing to fit; "
             "check the poses' frame, unit and registration"
         )
-    if scene.trajectory.force is not None:
-        _warn_of_bias(scene, scene.trajectory.force)
+    warn_of_bias(scene)
     return scene
-
-
-def _warn_of_bias(scene: Scene, force: Array) -> None:
-    """Warn of a force that stays the same in the probe's axes while nothing touches."""
-    air = ~scene.touching
-    own = np.einsum("tij,ti->tj", scene.trajectory.rotation[air], force[air])
-    if len(own) < 2:
-        return
-    mean, error = own.mean(axis=0), own.std(axis=0) / np.sqrt(len(own))
-    if np.linalg.norm(mean) > max(BIAS, CERTAIN * float(np.linalg.norm(error))):
-        x, y, z = mean
-        warn(
-            f"the sensor shows ({x:z.2f}, {y:z.2f}, {z:z.2f}) N in the probe's axes in "
-            f"{len(own)} frames that touch nothing: was it zeroed? take its bias off "
-            "with ttus-opt compensate",
-            2,
-            MistakeWarning,
-        )
 
 
 def _others(conventions: Conventions) -> Iterator[tuple[Conventions, str, str]]:

@@ -20,6 +20,7 @@ import numpy as np
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.errors import InputError, warn
 from ttus_opt.core.threads import one_blas_thread
+from ttus_opt.fitting.checks.zero_check import skin_offset, warn_of_offset
 from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights.tuning import tune
@@ -222,11 +223,15 @@ def choice_of(
     """
     options = options or {}
     word_for(word, formulation, options)
+    if word == AUTO and formulation is None:
+        return default_model(scene, options, sampling, progress=progress)
+    offset = skin_offset(scene)
+    if offset is not None:
+        warn_of_offset(offset, "A fit without a formulation moves the skin there")
     if word == OWN:
         usual = DEFAULT if formulation is None else formulation
         return WeightChoice(scene, load(usual, scene, **options))
-    if formulation is None:
-        return default_model(scene, options, sampling, progress=progress)
+    assert formulation is not None
     declared = load(formulation, scene, **options)
     if any(isinstance(term, DepthMapTerm) for term in declared.terms):
         return WeightChoice(scene, declared, reasons=described(declared))
@@ -251,9 +256,10 @@ def default_model(
 ) -> WeightChoice:
     """The model of a fit with no choice of the user's: a depth map.
 
-    With drag where the recordings show it, in the most likely sampling. Where no depth
-    map explains the forces, the default formulation with its own weights, and a warning
-    with the reason.
+    With drag where the recordings show it, in the most likely sampling, on a skin that
+    is moved to where forces begin if that is elsewhere (`skin_offset`), with a warning.
+    Where no depth map explains the forces, the default formulation with its own
+    weights, and a warning with the reason.
 
     Args:
         scene: Patient, probe and measurements.
@@ -265,6 +271,11 @@ def default_model(
         InputError: Options that the depth map does not have.
     """
     given, told = dict(options or {}), progress or (lambda step: None)
+    offset = skin_offset(scene)
+    if offset is not None:
+        told("skin")
+        scene = scene.raised(offset)
+        warn_of_offset(offset, "The skin is moved there for this fit")
     try:
         with one_blas_thread():  # for matrices of a few hundred rows
             if sampling is None:
