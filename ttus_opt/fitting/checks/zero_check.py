@@ -155,7 +155,7 @@ def _noise(force: Array, segment: IntArray) -> float:
     rough = (force[2:] - 2.0 * force[1:-1] + force[:-2])[joined]
     if not len(rough):
         return LEAST_NOISE
-    return max(LEAST_NOISE, 1.4826 * float(np.median(np.abs(rough))) / 6.0**0.5)
+    return max(LEAST_NOISE, 1.4826 * float(np.median(np.abs(rough)) / np.sqrt(6.0)))
 
 
 def _onset(depth: Array, force: Array, noise: float) -> float | None:
