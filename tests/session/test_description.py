@@ -47,7 +47,7 @@ def test_the_example_is_understood(recording):
         ("force.frame", "probe", "is for contact wrenches"),
         ("force.down_frame", "moon", "must be tracker or scan or patient"),
         ("force.down", [0, 1], "must be a list of 3 numbers"),
-        ("force.sensor.sign", "both", "sign must be on-probe or by-probe"),
+        ("force.sensor.sign", "both", "sign must be one of on-probe, by-probe"),
         ("force.sensor.axes", [0, 0, 0, 2], "force.sensor cannot be used"),
         ("force.sensor", None, "frame is missing"),
         ("free", None, "both the stretch in free air"),
