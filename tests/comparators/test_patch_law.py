@@ -27,19 +27,6 @@ from ttus_opt.comparators.patch_law import (
 from ttus_opt.comparators.patch_model import Contact
 
 
-def test_each_patch_learns_its_own_stiffness():
-    rng = np.random.default_rng(5)
-    found = contacts(1500, rng, rate=0.0)
-    stiff = np.array([4.0 if c.place[0] > 0.0 else 8.0 for c in found])
-    law = made(KelvinVoigt, forgetting=1.0)
-    law._fit_law(samples(found, stiff * [c.depth for c in found]))
-    for angle, expected in ((0.7, 4.0), (2.3, 8.0)):
-        place = np.array([0.1 * math.cos(angle), 0.1 * math.sin(angle), 0.1])
-        force = law._normal_force(Contact(1.0, 0.0, place, STILL, NO_PATCH))
-        # the prior, the mean over all patches, is worth ten of its samples
-        assert force == pytest.approx(expected, rel=0.08)
-
-
 @pytest.mark.parametrize("kind", [KelvinVoigt, HuntCrossleyLog, HuntCrossleyTwoStage])
 def test_a_probe_that_leaves_fast_is_not_pulled(kind):
     rng = np.random.default_rng(6)

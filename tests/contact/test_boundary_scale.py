@@ -24,24 +24,6 @@ SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
 
-def test_inner_fit_is_the_least_squares_scale():
-    """The fitted scale equals a brute-force search over p_in."""
-    scene = tt.Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner="fit", outer=0.5)
-    scale = scene.parameters["boundary_scale"]
-    assert scene.inner == scale
-    assert scene.outer == 0.5 * scale
-
-    def misfit(s):
-        trial = scene.with_boundary(s, 0.5 * s)
-        r = trial.N @ trial.laplace.solve(trial.b) - trial.f
-        return float(r @ r)
-
-    around = scale * np.array([0.99, 1.0, 1.01])
-    values = [misfit(s) for s in around]
-    assert values[1] < values[0]
-    assert values[1] < values[2]
-
-
 def test_the_scale_comes_with_its_standard_error():
     """Against the covariance of a linear fit by numpy, poses off the skin left out."""
     far = TRAJECTORY.position.copy()

@@ -158,19 +158,6 @@ def test_a_write_that_fails_is_one_line_and_keeps_the_old_file(tmp_path, monkeyp
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_an_interrupt_waits_for_the_file(tmp_path):
-    file = tmp_path / "a.txt"
-    # a process in the background may have been started with interrupts ignored
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt), io.signals_deferred():
-            signal.raise_signal(signal.SIGINT)
-            file.write_text("whole")
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert file.read_text() == "whole"
-
-
 def test_an_interrupt_while_a_file_is_read_is_not_lost(tmp_path, monkeypatch):
     """The netCDF library catches all that is raised where it looks for fillings."""
     file, read = tmp_path / "a.nc", netcdf_file.contents

@@ -84,14 +84,6 @@ def test_a_soup_without_shared_vertices_is_decided_face_by_face(shape):
     np.testing.assert_array_equal(found.flip, turned)
 
 
-def test_one_large_opening():
-    mesh = as_mesh(capsule)
-    kept = mesh.corners.mean(axis=1)[:, 2] > 0.0  # an open cup
-    found = orient_faces(mesh.subset(kept), np.random.default_rng(0))
-    assert kept.mean() < 0.8
-    assert not found.flip.any()
-
-
 def test_walls_of_a_housing_point_into_the_wall_and_the_inner_ones_are_hidden():
     outer, inner = box(), trimesh.creation.box((0.046, 0.016, 0.006))
     vertices = np.vstack([outer.vertices, inner.vertices])

@@ -84,19 +84,6 @@ def test_box_spans_full_edges_with_exact_normals():
         assert shell.areas[axis == d].sum() == pytest.approx(2 * face, rel=0.02)
 
 
-def test_rms_radius():
-    assert PointShell.sphere(0.02, 200).rms_radius == pytest.approx(0.02)
-    a, b, c = np.array([0.05, 0.02, 0.01]) / 2
-    # ∫ x² over the faces of a box, face by face
-    square = sum(
-        8 * q * r * (p**2 + q**2 / 3 + r**2 / 3)
-        for p, q, r in [(a, b, c), (b, c, a), (c, a, b)]
-    )
-    truth = np.sqrt(square / (8 * (a * b + b * c + c * a)))
-    shell = PRIMITIVES["box"]()
-    assert shell.rms_radius == pytest.approx(truth, rel=2e-3)
-
-
 def test_rms_radius_weighs_points_by_their_area():
     points = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 3, 0], [0, -3, 0]])
     areas = np.array([3.0, 3.0, 1.0, 1.0])

@@ -117,14 +117,6 @@ def test_saving_and_reading_gives_it_back(
     assert [f.name for f in file.parent.iterdir()] == ["t.csv"]
 
 
-def test_quaternions_are_w_first():
-    turned = Trajectory(
-        np.zeros(1), np.zeros((1, 3)), np.array([[[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]])
-    )
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(turned.quat_wxyz, [[half, 0, 0, half]], atol=1e-15)
-
-
 @pytest.mark.skipif(not FILES, reason="shared recordings are not here")
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f"{f.parent.name}-{f.stem}")
 def test_real_files(file):

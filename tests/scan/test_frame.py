@@ -21,15 +21,6 @@ def test_there_and_back():
     )
 
 
-def test_attributes_round_trip_exactly():
-    rng = np.random.default_rng(1)
-    axis = tt.Axis(rng.standard_normal(3), rotation(rng))
-    again = tt.Axis.from_attributes(axis.attributes())
-    np.testing.assert_array_equal(again.origin, axis.origin)
-    np.testing.assert_array_equal(again.rotation, axis.rotation)
-    np.testing.assert_array_equal(tt.Axis.from_attributes({}).rotation, np.eye(3))
-
-
 @pytest.mark.parametrize(
     "matrix",
     [

@@ -272,15 +272,6 @@ def test_it_is_the_root_of_what_both_leave():
     assert (alone.disagreement, alone.torque_ratio) == pytest.approx((of_forces, 0.0))
 
 
-def test_wrenches_of_the_field_agree_and_their_opposites_not_at_all():
-    force, torque = ((M @ PRIOR).reshape(-1, 3) for M in (SCENE.N, SCENE.W))
-    for sign, disagreement in ((2.0, 0.0), (-1.0, 1.0)):
-        frames = replace(SCENE.trajectory, force=sign * force, torque=sign * torque)
-        found = agreement(SCENE, PRIOR, frames)
-        assert found.disagreement == pytest.approx(disagreement, abs=1e-12)
-        assert found.torque_ratio == pytest.approx(max(sign, 0.0) / 2.0)
-
-
 def test_where_nothing_is_expected_all_disagrees_that_is_measured():
     none = 0.0 * PRIOR
     frames = SCENE.trajectory

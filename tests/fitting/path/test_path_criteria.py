@@ -57,17 +57,6 @@ def test_one_press_cannot_be_left_out():
     assert np.isfinite(path["log_evidence"]).all()
 
 
-@pytest.mark.parametrize("name", ["eq10_sign", "viscous_drag"])
-def test_criteria_are_refused_where_there_are_none(name):
-    with pytest.raises(InputError, match="a problem without limits"):
-        tt.solution_path(
-            name,
-            small_scene("trilinear"),
-            weights={"force": [1.0]},
-            extras=["criteria"],
-        )
-
-
 def test_an_unknown_extra_is_one_line():
     with pytest.raises(InputError, match="potential or criteria"):
         tt.solution_path(

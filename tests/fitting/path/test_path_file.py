@@ -120,17 +120,6 @@ def test_a_stopped_path_ends_like_one_that_was_not(name, tmp_path, monkeypatch, 
     same(found, again, 0.0)
 
 
-def test_a_crash_keeps_what_was_done(tmp_path, monkeypatch, solved):
-    file = tmp_path / "path.nc"
-    with monkeypatch.context() as patch:
-        stopped(patch, 3, MemoryError)
-        with pytest.raises(MemoryError):
-            solve(file)
-    assert int((tt.read_solution_path(file)["status"] == 0).sum()) == 3
-    solve(file)
-    assert len(solved) == 4
-
-
 def test_points_are_kept_while_the_path_goes_on(tmp_path, monkeypatch):
     """What a call that is killed leaves: no ``finally`` helps it."""
     file, seen = tmp_path / "path.nc", []

@@ -61,29 +61,6 @@ def close(a, b, tolerance=1e-8):
     return bool(np.linalg.norm(a - b) <= tolerance * np.linalg.norm(b))
 
 
-@pytest.mark.parametrize("weight", [1e-4, 1.0, 1e4])
-def test_field_is_that_of_the_explicit_closed_form(coarse, weight):
-    problem = Problem(coarse, 8, 0, weight)
-    system = problem.start()
-    assert close(system.field(), coarse.laplace.solve(coarse.b), 1e-12)
-    for s in range(8):
-        problem.fold(system, [s])
-        _, p = problem.dense(list(range(s + 1)))
-        assert close(system.field(), p)
-
-
-def test_forecast_is_the_dense_posterior(coarse):
-    problem = Problem(coarse, 7, 1, 1.0)
-    system = problem.start()
-    problem.fold(system, list(range(6)))
-    forecast = system.forecast(problem.blocks[6])
-    Q, p = problem.dense(list(range(6)))
-    h = problem.D[6]
-    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
-    assert np.allclose(forecast.schur, covariance, rtol=1e-6, atol=1e-8)
-    assert np.allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
-
-
 def test_forecast_after_a_removal_is_the_dense_posterior(coarse):
     """The blocks that were there first go; the same ones once more take their part."""
     problem = Problem(coarse, 4, 10, 1.0)
@@ -214,16 +191,6 @@ def test_weights_beyond_rounding_are_refused(coarse):
     with pytest.raises(NumericalError, match="weights are too large"):
         problem.fold(system, [*range(12), *range(12)])
         system.field()
-
-
-def test_a_field_that_does_not_converge_is_an_error(coarse, monkeypatch):
-    problem = Problem(coarse, 2, 7, 1.0)
-    system = problem.start()
-    problem.fold(system, [0, 1])
-    monkeypatch.setattr(dual_recursion, "FIELD_RTOL", 0.0)
-    refuses(NumericalError, "dual residual stays", system.field)
-    monkeypatch.undo()
-    assert close(system.field(), problem.dense([0, 1])[1])
 
 
 def test_refusals(coarse):

@@ -33,18 +33,6 @@ def test_six_rows_of_a_frame_stand_together():
     assert abs(rows).sum() > 0.0
 
 
-def test_they_render_what_the_renderer_does():
-    poses = presses(torso(), 6, np.random.default_rng(6))
-    own = field(SCENE)
-    found = rendered(own, wrench_rows(own, SCENE.shell, poses))
-    renderer = tt.Renderer(own, SCENE.shell)
-    for t in range(6):
-        wrench = renderer.render(poses.rotation[t], poses.position[t])
-        expected = np.concatenate([wrench.force, wrench.torque])
-        np.testing.assert_allclose(found[t], expected, atol=1e-9)
-    assert np.abs(found).max() > 0.0
-
-
 def test_drag_is_among_them():
     """A field fitted with friction: the same as its own rows, at the poses' motion."""
     scene = dragged_scene("contact")

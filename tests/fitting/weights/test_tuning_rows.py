@@ -119,16 +119,6 @@ def test_the_basis_has_covariance_and_mean_of_the_rows():
     assert found.at(0.5) is found
 
 
-def test_a_coefficient_moves_the_rows_of_the_basis():
-    """To the covariance and mean of those at its value."""
-    found = rows_of("coulomb_global").over_basis(1e3).at(MU)
-    given = TuningRows.of(rows_search().build(MU)).over_basis(1e3)
-    scale = np.abs(given.base).max()
-    np.testing.assert_allclose(found.base, given.base, atol=1e-5 * scale)
-    covariance = [one.images.T @ one.images for one in (found, given)]
-    np.testing.assert_allclose(*covariance, atol=2e-3 * np.abs(covariance[1]).max())
-
-
 @pytest.mark.slow
 def test_any_squares_are_a_prior():
     """Of a Laplace and a Tikhonov term, whose Hessian is factorised."""

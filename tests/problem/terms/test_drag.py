@@ -295,6 +295,40 @@ def test_a_coefficient_that_is_none_is_refused(coefficient):
         GlobalCoulomb(scene(), coefficient=coefficient)
 
 
+def test_a_straight_press_slides_along_its_flanks():
+    """A symmetric probe pressed straight in: its patch slides nowhere."""
+    one = tt.PointShell.sphere(0.02, n_points=60)
+    signs = np.array([[1, b, c] for b in (1, -1) for c in (1, -1)])
+    points, normals = (
+        (signs[:, None] * values).reshape(-1, 3) for values in (one.points, one.normals)
+    )
+    shell = tt.PointShell(points, normals, np.tile(one.areas / 4, 4), np.zeros(3))
+    surface = tt.Surface.from_radius(np.full((24, 9), 0.1), np.linspace(-0.06, 0.06, 9))
+    voxmap = tt.Voxmap.from_surface(surface, shape=(10, 24, 13))
+    x = 0.13 - 0.025 * np.sin(np.linspace(0.0, np.pi, 30))
+    position = np.stack([x, 0 * x, 0 * x], axis=1)
+    rotation = np.tile(np.eye(3), (30, 1, 1))
+    zero = np.zeros((30, 3))
+    straight = tt.Trajectory(0.05 * np.arange(30), position, rotation, zero, zero)
+    scene = tt.Scene.assemble(voxmap, shell, straight, inner=3.0)
+    touching = GlobalCoulomb(scene, "points").touching
+    assert 5 < touching.sum() < 25
+    for place in ("contact", "reference"):
+        model = GlobalCoulomb(scene, place)
+        assert np.abs(model.sliding.velocity).max() < 1e-12
+        assert not model.moving.any()
+    everywhere = GlobalCoulomb(scene, "points")
+    np.testing.assert_array_equal(everywhere.moving, touching)
+    assert everywhere.not_identifiable() == {}
+    still = replace(straight, position=np.tile(position[15], (30, 1)))
+    resting = GlobalCoulomb(
+        tt.Scene.assemble(voxmap, shell, still, inner=3.0), "points"
+    )
+    assert resting.touching.all()
+    assert not resting.moving.any()
+    assert resting.not_identifiable() == {"friction_coefficient": "no sliding"}
+
+
 def test_the_residual_is_contact_and_drag_less_what_was_measured():
     """Drag acts at the contact: its moment is arm × drag; torque is over a length."""
     model, length = GlobalCoulomb(scene(), "contact", DEADBAND, MU), 0.05

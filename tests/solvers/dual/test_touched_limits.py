@@ -1,6 +1,7 @@
 """The model of the limits that can bind, against dense algebra and all active sets."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,29 @@ def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper):
             if not wrong_signs(turned, constant, np.array(active)).any()
         ]
         assert found.tolist() in [[active[0]] for active in right]
+
+
+def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open():
+    rows = pair(1.0, 1.0, 0.3, False).rows
+    V = len(rows.laplace.free)
+    touched = np.asarray(abs(rows.rows).sum(axis=0) > 0.0).reshape(-1)
+    touched = touched[:V] | touched[V:]
+    held, limited = np.flatnonzero(~rows.laplace.free), np.ones(V, dtype=bool)
+    limited[np.flatnonzero(touched)[::3]] = False
+    assert not touched[held].any()
+    # an entry of zero beside them touches nothing, one on the boundary moves nothing
+    more = np.zeros((2, 2 * V))
+    more[0, np.flatnonzero(rows.laplace.free & ~touched)[0]] = 1.0
+    more[1, held[:5]] = 1.0
+    added = sp.csr_array(more)
+    added.data[0] = 0.0
+    stacked = sp.csr_array(sp.vstack([rows.rows, added]))
+    assert stacked.nnz == rows.rows.nnz + 6
+    weights = np.append(rows.root_weights, [1.0, 1.0])
+    column = np.append(rows.measured_column, [0.0, 0.0])
+    longer = replace(rows, rows=stacked, root_weights=weights, measured_column=column)
+    made = TouchedLimits.of(longer, limited)
+    np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
 
 
 def test_a_factor_that_fails_makes_no_model(monkeypatch):

@@ -73,18 +73,6 @@ def test_both_equations_hold_at_the_minimiser_and_nowhere_else():
     assert change / (2.0 * step) == pytest.approx(-2.0 * slope @ along, rel=1e-6)
 
 
-def test_an_image_is_by_how_much_residuals_fall():
-    _, split, function = made()
-    rng = np.random.default_rng(2)
-    at = np.r_[random_field(3), rng.normal(size=len(split.few.t))]
-    along = np.r_[random_field(4), rng.normal(size=len(split.few.t))]
-    before = function.residual(at)
-    after = function.residual(at + along)
-    np.testing.assert_allclose(before - after, function.image(along), atol=1e-9)
-    expected = function.gradient(before) @ function.field(along)
-    assert function.pairing(before, along) == pytest.approx(expected, rel=1e-9)
-
-
 def test_the_gap_is_bounded():
     program, _, function = made()
     best = minimiser(program)

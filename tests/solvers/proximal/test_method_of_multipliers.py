@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.solvers.problems import program, term
+from tests.solvers.problems import program, rows, term
 from ttus_opt.problem.terms.penalties import Absolute
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
@@ -126,6 +126,29 @@ def test_steps_that_go_too_far_are_cut():
     method, _ = method_of(what, size=5.0)
     x = verified(what, method.solve(np.ones(5)))
     np.testing.assert_allclose(x, enumerated(what), atol=1e-7)
+
+
+def test_given_values_stay_and_their_multipliers_balance():
+    """With x₀ = ½ given the rest is a lasso of the other columns."""
+    rng = np.random.default_rng(5)
+    A, b = rng.normal(size=(9, 4)), rng.normal(size=9)
+    what = program(
+        [term(A, b), term(np.eye(4)[1:], np.zeros(3), WEIGHT, Absolute(), name="bent")],
+        [rows("given", np.eye(4)[:1], [0.5], [0.5])],
+    )
+    left = program(
+        [
+            term(A[:, 1:], b - 0.5 * A[:, 0]),
+            term(np.eye(3), np.zeros(3), WEIGHT, Absolute(), name="bent"),
+        ]
+    )
+    method, _ = method_of(what)
+    found = method.solve(np.array([0.5, 0.0, 0.0, 0.0]))
+    x = verified(what, found)
+    assert x[0] == 0.5
+    np.testing.assert_allclose(x[1:], enumerated(left), atol=1e-7)
+    balance = -2.0 * A[:, 0] @ (A @ x - b)
+    np.testing.assert_allclose(found.duals.rows["given"], [balance], rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["bent", "proximal term"])
