@@ -1,7 +1,7 @@
 """Questions: they survive the way to another process, and tell themselves apart."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -17,7 +17,7 @@ SPEC = RunSpec(
 
 def test_a_question_survives_json():
     for spec in (SPEC, RunSpec("ripple", None, {"voxel": 0.001})):
-        again = RunSpec.from_dict(json.loads(json.dumps(spec.as_dict())))
+        again = RunSpec.from_dict(json.loads(json.dumps(asdict(spec))))
         assert again == spec
         assert again.key == spec.key
 

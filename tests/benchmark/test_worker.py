@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def asked(tmp_path, monkeypatch):
 
     def run(failure=None):
         monkeypatch.setattr(worker, "parts", lambda: {"mine": Mine(failure)})
-        (tmp_path / QUESTION).write_text(json.dumps(SPEC.as_dict()))
+        (tmp_path / QUESTION).write_text(json.dumps(asdict(SPEC)))
         worker.main(tmp_path)
         rows: list[Row] = json.loads((tmp_path / ANSWER).read_text())
         return rows

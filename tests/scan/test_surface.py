@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 import ttus_opt as tt
-from tests.kit import FileError, GeometryError, InputError, refuses, shared_data
+from tests.kit import FileError, GeometryError, InputError, refuses, shared_data, torso
 from ttus_opt.core import io
 
 
@@ -193,3 +193,10 @@ def test_shared_surface_file():
     s = tt.Surface.load(path)
     assert 0.05 < s.radius.min() < s.radius.max() < 0.3
     assert s.radius_at(0.5, float(s.z.mean())) > 0.05
+
+
+def test_the_front_is_what_was_seen():
+    assert torso().front.tolist() == [0.0, 1.0, 0.0]
+    right = np.abs(np.angle(np.exp(1j * torso().theta))) < 1.0
+    one_side = replace(torso(), observed=np.repeat(right[:, None], 31, axis=1))
+    np.testing.assert_allclose(one_side.front, [1.0, 0.0, 0.0], atol=1e-6)

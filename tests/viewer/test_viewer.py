@@ -21,7 +21,7 @@ from ttus_opt.viewer import colouring
 from ttus_opt.viewer.arrow import STEP, TIP
 from ttus_opt.viewer.colour_map import UNKNOWN, node_colours
 from ttus_opt.viewer.colouring import Colouring
-from ttus_opt.viewer.first_camera import FirstCamera, front_of
+from ttus_opt.viewer.first_camera import FirstCamera
 from ttus_opt.viewer.guarded_server import guarded_server
 from ttus_opt.viewer.looks import lit
 from ttus_opt.viewer.page import along_line
@@ -69,7 +69,7 @@ def test_the_colour_of_a_node_is_that_of_its_value(viewer):
     ):
         mesh = trimesh.load_mesh(io.BytesIO(nodes._mesh.glb_data), "glb", process=False)
         white = np.full((len(mesh.vertices), 3), 255, np.uint8)
-        light = lit(white, viewer.page.nodes[0].skin.normals, front_of(torso()))
+        light = lit(white, viewer.page.nodes[0].skin.normals, torso().front)
         sent = vertex_colours(nodes._mesh.glb_data) / 65_535 / light
         shown = np.where(
             sent < 0.0031308, 12.92 * sent, 1.055 * sent ** (1 / 2.4) - 0.055

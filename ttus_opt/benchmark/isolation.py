@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def run_isolated(
         prefix="ttus-benchmark-", ignore_cleanup_errors=True
     ) as name:
         folder = Path(name)
-        (folder / QUESTION).write_text(json.dumps(spec.as_dict()), "utf-8")
+        (folder / QUESTION).write_text(json.dumps(asdict(spec)), "utf-8")
         failure, detail, peak = _run(spec.time_limit, folder, memory_limit, watching)
         if failure:
             row = parts()[spec.part].row(spec, failure, detail)

@@ -198,8 +198,6 @@ def profile_table(by_solver: Mapping[str, Sequence[float]]) -> Table:
 
 def profile_picture(by_solver: Mapping[str, Sequence[float]]) -> Figure:
     """ρ_s(τ) as steps over a logarithmic τ; from `ranked`."""
-    from ttus_opt.report.plots.canvas import look, new_figure
-
     finite = [r for of_solver in by_solver.values() for r in of_solver if r < math.inf]
     end = 1.5 * max(finite)
     with look():

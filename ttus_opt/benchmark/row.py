@@ -57,17 +57,13 @@ class RunSpec:
     @property
     def key(self) -> str:
         """Identifies the run, to resume by."""
-        text = json.dumps(self.as_dict(), sort_keys=True)
+        text = json.dumps(asdict(self), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:12]
         return f"{self.part}-{self.case.name if self.case else 'any'}-{digest}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """The run, for JSON."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RunSpec:
-        """Inverse of `as_dict`."""
+        """Inverse of `dataclasses.asdict`."""
         case = values["case"] and CaseSpec.from_dict(values["case"])
         return cls(**{**values, "case": case})
 

@@ -27,6 +27,9 @@ KIND, VERSION = "surface", 1
 #: Radii and heights beyond this are in another unit [m]
 LARGEST = 10.0
 
+#: Off-centre of what was seen, of a single spoke's, up to which all was seen [–]
+SEEN_AROUND = 0.02
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -174,6 +177,15 @@ class Surface:
         i = np.rint((theta - self.theta[0]) / step).astype(np.int64) % len(self.theta)
         j = np.abs(self.z - np.asarray(z)[:, None]).argmin(axis=1)
         return np.asarray(self.observed[i, j])
+
+    @property
+    def front(self) -> Array:
+        """Direction from the axis to the middle of what was seen, or +y, shape (3,)."""
+        share = self.observed.mean(axis=1)
+        x, y = share @ np.cos(self.theta), share @ np.sin(self.theta)
+        size = float(np.hypot(x, y))
+        around = size <= SEEN_AROUND * len(share)
+        return np.array([0.0, 1.0, 0.0] if around else [x / size, y / size, 0.0])
 
     def points(self) -> Array:
         """Nodes in the patient frame, shape (n_theta, n_z, 3) [m]."""

@@ -58,7 +58,7 @@ class FirstCamera:
             surface: Of the patients.
             length: From the first slice of the first to the last of the last [m].
         """
-        front, along = front_of(surface), np.array([0.0, 0.0, 1.0])
+        front, along = surface.front, np.array([0.0, 0.0, 1.0])
         middle = (float(surface.z[0]) + 0.5 * length) * along
         size = max(length, 2.0 * float(surface.radius.max()))
         away = 0.8 * front + 0.4 * np.cross(along, front) + 0.45 * along
@@ -96,13 +96,3 @@ class FirstCamera:
             if k != own and np.allclose(camera.position, position, 0.0, SAME):
                 camera.position, camera.look_at = self.cameras[own]
                 return
-
-
-def front_of(surface: Surface) -> Array:
-    """Direction from the axis to the middle of what the scan saw; +y if all was."""
-    weight = surface.observed.mean(axis=1)
-    towards = np.array(
-        [weight @ np.cos(surface.theta), weight @ np.sin(surface.theta), 0.0]
-    )
-    size = float(np.linalg.norm(towards)) / len(weight)
-    return towards / np.linalg.norm(towards) if size > 0.02 else np.array([0, 1.0, 0])

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -29,7 +29,7 @@ def test_figures_are_complete_and_told(part, tmp_path):
 @every_part
 def test_plan_survives_json(part):
     plan = part.plan([TINY], SETTINGS)
-    told = [json.loads(json.dumps(spec.as_dict())) for spec in plan]
+    told = [json.loads(json.dumps(asdict(spec))) for spec in plan]
     again = [RunSpec.from_dict(each) for each in told]
     assert [spec.key for spec in again] == [spec.key for spec in plan]
     assert len({spec.key for spec in plan}) == len(plan)

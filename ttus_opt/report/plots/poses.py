@@ -117,12 +117,9 @@ def _largest_force(trajectory: Trajectory) -> float:
 
 def _views(surface: Surface) -> tuple[_View, _View, _View]:
     """Projections with the axis nearest to the scanned side pointing up."""
-    share = surface.observed.mean(axis=1)
-    seen = np.array([share @ np.cos(surface.theta), share @ np.sin(surface.theta)])
-    # scanned all around: y is up
-    nearest = int(np.argmax(np.abs(seen))) if np.abs(seen).max() > 1e-6 else 1
+    nearest = int(np.argmax(np.abs(surface.front)))
     up, along = np.zeros(3), np.array([0.0, 0.0, 1.0])
-    up[nearest] = 1.0 if seen[nearest] > -1e-6 else -1.0
+    up[nearest] = np.sign(surface.front[nearest])
     across = np.cross(up, along)
     return (
         _View("seen from above", along, across),

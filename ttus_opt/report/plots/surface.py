@@ -143,9 +143,5 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
 
 def _view_frame(surface: Surface) -> Array:
     """Directions along, across and towards the seen side as rows, (3, 3) [–]."""
-    share = surface.observed.mean(axis=1)
-    x, y = share @ np.cos(surface.theta), share @ np.sin(surface.theta)
-    size = float(np.hypot(x, y))
-    up = np.array([x / size, y / size, 0.0]) if size > 1e-6 else np.array([0, 1.0, 0])
-    along = np.array([0.0, 0.0, 1.0])
+    along, up = np.array([0.0, 0.0, 1.0]), surface.front
     return np.stack([along, np.cross(up, along), up])
