@@ -21,8 +21,8 @@ def test_loss_is_the_share_of_missing_numbers():
     assert quality.loss == 0.0
     for k in range(1, 101):
         if k % 4:
-            quality.arrived(0.02 * k, k, 100)
-            quality.arrived(0.02 * k, k, 100)  # a duplicate changes nothing
+            quality.arrived(0.02 * k, k)
+            quality.arrived(0.02 * k, k)  # a duplicate changes nothing
     assert quality.loss == pytest.approx(0.25, abs=0.02)
 
 

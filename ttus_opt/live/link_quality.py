@@ -29,11 +29,11 @@ class LinkQuality:
     def __init__(self) -> None:
         self.round_trip = math.nan
         self._trips: deque[tuple[float, float, float]] = deque()  # time, trip, offset
-        self._arrived: deque[tuple[float, int, int]] = deque()  # time, sequence, bytes
+        self._arrived: deque[tuple[float, int]] = deque()  # time, sequence
 
-    def arrived(self, now: float, sequence: int, size: int) -> None:
+    def arrived(self, now: float, sequence: int) -> None:
         """A packet arrived."""
-        self._arrived.append((now, sequence, size))
+        self._arrived.append((now, sequence))
         while now - self._arrived[0][0] > WINDOW:
             self._arrived.popleft()
 
@@ -64,7 +64,7 @@ class LinkQuality:
         """Share of the packets that did not arrive in the last `WINDOW` [–]."""
         if len(self._arrived) < 2:
             return 0.0
-        numbers = {sequence for _, sequence, _ in self._arrived}
+        numbers = {sequence for _, sequence in self._arrived}
         return 1.0 - len(numbers) / (max(numbers) - min(numbers) + 1)
 
 

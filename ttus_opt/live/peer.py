@@ -113,7 +113,7 @@ class Peer:
         if not self._is_new(packet):
             return None
         sent = self._continued(packet) / TICKS
-        self._judge(now, packet, sent, len(data))
+        self._judge(now, packet, sent)
         if isinstance(packet.body, Hello) and not self._agrees(packet.body):
             return None
         return packet.body, sent
@@ -149,13 +149,13 @@ class Peer:
         before = packet.sent if self._sent is None else self._sent
         return before + later(packet.sent, before, MOST_TICKS)
 
-    def _judge(self, now: float, packet: Packet, sent: float, size: int) -> None:
+    def _judge(self, now: float, packet: Packet, sent: float) -> None:
         if packet.sequence == self._heard.newest:
             self._echo, self._echo_at = packet.sent, now
             self._sent = round(sent * TICKS)
             cause = packet.body.cause if isinstance(packet.body, Stop) else ""
             self.safety.heard(now, State(packet.state), packet.stops, cause)
-        self.quality.arrived(now, packet.sequence, size)
+        self.quality.arrived(now, packet.sequence)
         if packet.echo:
             away = (round(now * TICKS) - packet.echo) % MOST_TICKS / TICKS
             self.quality.echoed(now, now - away, packet.held / TICKS, sent)
