@@ -53,11 +53,12 @@ class Section:
         """Whether a key has a value."""
         return self.values.get(key) is not None
 
-    def get(self, key: str) -> Any:
-        """A required value; `FileError` where it is missing."""
-        if key not in self:
+    def get(self, key: str, default: Any = None) -> Any:
+        """A value, or its default; `FileError` where neither is there."""
+        value = self.values[key] if key in self else default
+        if value is None:
             raise self.fail(key, "is missing: add it")
-        return self.values[key]
+        return value
 
     def section(self, key: str) -> Section:
         """A subsection; an empty one where it is missing.
@@ -65,7 +66,7 @@ class Section:
         Raises:
             FileError: It is not a mapping of names.
         """
-        value = self.values[key] if key in self else {}
+        value = self.get(key, {})
         if not isinstance(value, Mapping):
             raise self.fail(key, f"must map names to values, got {value!r}")
         odd = [name for name in value if not isinstance(name, str)]
@@ -76,9 +77,7 @@ class Section:
 
     def text(self, key: str, default: str | None = None) -> str:
         """A non-empty text; `FileError` where it is not, or missing without default."""
-        if key not in self and default is not None:
-            return default
-        value = self.get(key)
+        value = self.get(key, default)
         if not isinstance(value, str) or not value:
             raise self.fail(key, f"must be a text, got {value!r}")
         return value
@@ -99,17 +98,13 @@ class Section:
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number; `FileError` where it is not, or missing without default."""
-        if key not in self and default is not None:
-            return default
-        return self._number(key, self.get(key))
+        return self._number(key, self.get(key, default))
 
     def numbers(
         self, key: str, count: int, default: Sequence[float] | None = None
     ) -> tuple[float, ...]:
         """``count`` finite numbers; `FileError` for any other value, or none at all."""
-        if key not in self and default is not None:
-            return tuple(default)
-        value = self.get(key)
+        value = self.get(key, default and list(default))
         if not isinstance(value, list) or len(value) != count:
             raise self.fail(key, f"must be a list of {count} numbers, got {value!r}")
         return tuple(self._number(key, each) for each in value)
