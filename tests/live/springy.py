@@ -6,12 +6,12 @@ import numpy as np
 
 import ttus_opt as tt
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.model import LiveModel, ModelPlan, encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.simulation import Simulation
+from ttus_opt.live.subject import Hand
 from ttus_opt.message import decode, encode
 
 RADIUS, BALL = 0.10, 0.02

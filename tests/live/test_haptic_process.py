@@ -11,7 +11,6 @@ import pytest
 
 from tests.live.springy import BALL, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.haptic_process import (
     SHOWN,
     TAKEN,
@@ -28,6 +27,7 @@ from ttus_opt.live.real_time import run_operator
 from ttus_opt.live.recording import Description, Recorder
 from ttus_opt.live.replay import replay
 from ttus_opt.live.safety import Gate, SafetyLimits, State
+from ttus_opt.live.subject import Hand
 from ttus_opt.message import decode, encode
 
 

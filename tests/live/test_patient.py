@@ -9,13 +9,12 @@ import ttus_opt as tt
 from tests.kit import InputError, refuses
 from ttus_opt import example
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.model import USUAL_LAW
 from ttus_opt.live.patient import AHEAD, RecordedPatient, SkinMotion
 from ttus_opt.live.safety import State
 from ttus_opt.live.simulation import CLOCKS_APART, Simulation
-from ttus_opt.live.subject import MEETING, example_subject
+from ttus_opt.live.subject import MEETING, Hand, example_subject
 from ttus_opt.live.trial import made_operator, prepared
 
 

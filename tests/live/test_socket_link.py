@@ -11,13 +11,13 @@ import pytest
 from tests.kit import InputError, refuses
 from tests.live.springy import Spring, parts, path, session
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.peer import Outgoing
 from ttus_opt.live.safety import State
 from ttus_opt.live.sealing import SealedChannel
 from ttus_opt.live.session_stream import PROOF, STRANGERS, UNPROVED
 from ttus_opt.live.socket_link import SocketLink
+from ttus_opt.live.subject import Hand
 
 KEY = bytes(range(32))
 

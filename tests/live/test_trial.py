@@ -9,9 +9,8 @@ import pytest
 from tests.kit import InputError, refuses
 from tests.live import springy
 from ttus_opt.live import demo
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.recording import frames_of
-from ttus_opt.live.subject import MEETING, ROUND, example_subject
+from ttus_opt.live.subject import MEETING, ROUND, Hand, example_subject
 from ttus_opt.live.trial import COMPARATORS, Trial, run
 
 

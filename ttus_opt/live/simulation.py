@@ -13,12 +13,12 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import ImpairedLink, Impairment
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
 from ttus_opt.live.safety import State
+from ttus_opt.live.subject import Hand
 
 #: Steps of the operator's and the follower's loops [s]
 HAPTIC, FOLLOW = 1e-3, 1e-2

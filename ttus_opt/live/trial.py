@@ -20,7 +20,6 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
 from ttus_opt.live.follower import Follower
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.impairment import LONGEST_DELAY, Impairment
 from ttus_opt.live.model import LiveModel, ModelPlan, encode_model
 from ttus_opt.live.operator import Operator
@@ -28,6 +27,7 @@ from ttus_opt.live.patient import Breathing, SimulatedPatient, SkinMotion
 from ttus_opt.live.simulation import HAPTIC, Moment, Simulation
 from ttus_opt.live.subject import (
     MEETING,
+    Hand,
     Subject,
     example_subject,
     patient_surface,

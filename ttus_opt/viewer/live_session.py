@@ -16,10 +16,9 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.live.hand import Hand
 from ttus_opt.live.operator import LiveState
 from ttus_opt.live.safety import State
-from ttus_opt.live.subject import MEETING, Subject, example_subject
+from ttus_opt.live.subject import MEETING, Hand, Subject, example_subject
 from ttus_opt.live.trial import Trial, simulation
 from ttus_opt.voxmap.field import PotentialField
 

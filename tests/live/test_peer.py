@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.live.link_quality import LinkQuality, SendRate
+from ttus_opt.live.peer import LinkQuality, SendRate
 
 
 def test_offset_is_within_half_of_the_shortest_round_trip():
