@@ -15,7 +15,6 @@ import typer
 from ttus_opt.cli.console import bars_shown, fitted, tell
 from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
-from ttus_opt.core.arguments import chosen, expect_positive
 from ttus_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -140,6 +139,7 @@ def benchmark(
     from ttus_opt.benchmark import Settings, Suite
     from ttus_opt.benchmark.machine import describe
     from ttus_opt.benchmark.parts.base import parts as every
+    from ttus_opt.core.arguments import chosen, expect_positive
 
     machine = describe()  # its load is that at the start
     names = chosen(listed(parts) or [parts], every(), "part")
