@@ -68,6 +68,7 @@ def path(
         --trajectory press_fit.csv --held-out press_test.csv --weight
         force,torque=1e-4:1e2:25 -o path.nc --picture path.png
     """
+    from ttus_opt.fitting.checks.zero_check import warn_of_zero
     from ttus_opt.fitting.path.path_dataset import best_weights, write_solution_path
     from ttus_opt.fitting.path.solution_path import PathRun, solution_path
 
@@ -82,6 +83,7 @@ def path(
     run = PathRun(output, jobs, dask, bars_shown())
     with Stages(2) as begin:
         known = measured(surface, probe, recordings, plan, begin)
+        warn_of_zero(known.scene)
         unseen = {}
         for file in others:
             one = replace(recordings, trajectory=[file])

@@ -43,6 +43,7 @@ def refine_poses(
         ttus-opt refine-poses --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press.csv --trajectory sweep.csv -o refined.csv
     """
+    from ttus_opt.fitting.checks.zero_check import warn_of_zero
     from ttus_opt.fitting.poses import pose_refinement
     from ttus_opt.probe.tracker_noise import TrackerNoise
 
@@ -50,6 +51,7 @@ def refine_poses(
     noise, plan = TrackerNoise(*size, correlation), grid.plan
     with Stages(2 + pose_refinement.MOST_STEPS) as begin:
         scene = measured(surface, probe, recordings, plan, begin).scene
+        warn_of_zero(scene)
         found = pose_refinement.refine_poses(
             scene, noise, progress=lambda: begin("refining")
         )

@@ -46,6 +46,7 @@ def tune(
         ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv --trajectory sweep_fit.csv
     """
+    from ttus_opt.fitting.checks.zero_check import warn_of_zero
     from ttus_opt.fitting.weights.tuning import CANDIDATES
     from ttus_opt.fitting.weights.tuning import tune as tune_scene
     from ttus_opt.fitting.weights.weight_choice import too_little
@@ -54,6 +55,7 @@ def tune(
     candidates = list(formulation or CANDIDATES)
     with Stages(2 + len(candidates)) as begin:
         scene = measured(surface, probe, recordings, plan, begin).scene
+        warn_of_zero(scene)
         found = tune_scene(scene, candidates, progress=begin, **options)
     tell(_summary(found), *_lines(found))
     reason = too_little(scene)

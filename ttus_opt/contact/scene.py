@@ -224,11 +224,13 @@ class Scene:
             rows = self.rows.scaled(factor)
             if "point_drag" in vars(self):
                 known["point_drag"] = self.point_drag.scaled(factor)
-        scene = replace(scene, rows=rows)
-        if BOUNDARY_SCALE in self.parameters:
-            scene = scene._with_fitted_boundary(self.outer / self.inner, False)
+        scene = replace(scene, rows=rows)._refitted(self)
         vars(scene).update(known)
         return scene
+
+    def measuring(self, trajectory: Trajectory) -> Scene:
+        """The same poses with other wrenches; a fitted scale is fitted again."""
+        return replace(self, trajectory=trajectory)._refitted(self)
 
     def raised(self, height: float) -> Scene:
         """The same poses on a patient whose skin is higher [m]; assembled again.
@@ -244,9 +246,13 @@ class Scene:
             outer=self.outer,
             sampling=self.sampling,
         )
-        if BOUNDARY_SCALE in self.parameters:
-            scene = scene._with_fitted_boundary(self.outer / self.inner, True)
-        return scene
+        return scene._refitted(self)
+
+    def _refitted(self, like: Scene) -> Scene:
+        """With a boundary scale that is fitted, if that of another scene was."""
+        if BOUNDARY_SCALE not in like.parameters:
+            return self
+        return self._with_fitted_boundary(like.outer / like.inner, False)
 
     def _sizes(self, sampling: str) -> Array:
         """Factors on trilinear rows, shape (T,) [–]."""

@@ -10,8 +10,12 @@ import ttus_opt as tt
 from tests.kit import MistakeWarning
 from ttus_opt import example
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.fitting.checks.frame_check import scene_in_contact
-from ttus_opt.fitting.checks.zero_check import _onset, skin_offset
+from ttus_opt.fitting.checks.zero_check import (
+    _onset,
+    on_zero,
+    sensor_bias,
+    skin_offset,
+)
 from ttus_opt.fitting.weights.weight_choice import choice_of, default_model
 
 PLAN = ScenePlan((16, 48, 24), 0.03)
@@ -30,23 +34,30 @@ def scene_on(height, recordings=(PRESS, SWEEP)):
     return PLAN.build(SURFACE.raised(height), SHELL, recordings)
 
 
-def test_a_sensor_that_was_not_zeroed_is_told():
-    """A bias turns with the probe; noise alone has none."""
+def test_the_bias_of_a_sensor_is_told_and_taken_off():
+    """It turns with the probe; noise alone has none."""
+    scene = PLAN.build(SURFACE, SHELL, NOISY)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene_in_contact(PLAN, SURFACE, SHELL, NOISY)
-    bias = PRESS.rotation @ [0.0, -0.2, 0.4]
+        assert on_zero(scene) is scene
+    bias = np.array([0.0, -0.2, 0.4]), np.array([0.01, 0.0, -0.02])
+    shown = [NOISY.rotation @ part for part in bias]
+    biased = replace(
+        NOISY, force=NOISY.force + shown[0], torque=NOISY.torque + shown[1]
+    )
     said = r"shows \(-?0.0\d, -0.[12]\d, 0.[34]\d\) N .* that touch nothing"
-    biased = replace(NOISY, force=NOISY.force + bias)
-    with pytest.warns(MistakeWarning, match=said):
-        scene = scene_in_contact(PLAN, SURFACE, SHELL, biased)
-    assert skin_offset(scene) is None  # where forces begin is not to be told then
+    with pytest.warns(MistakeWarning, match=said) as told:
+        mended = on_zero(PLAN.build(SURFACE, SHELL, biased))
+    assert len(told) == 1  # where forces begin is not to be told before
+    np.testing.assert_allclose(mended.f, scene.f, atol=0.06)  # of 46 frames of 0.1 N
+    np.testing.assert_allclose(mended.tau, scene.tau, atol=2e-3)
+    assert mended.inner == pytest.approx(scene.inner, rel=0.02)
+    with pytest.warns(MistakeWarning, match="Take its bias off with ttus-opt comp"):
+        choice_of("own", PLAN.build(SURFACE, SHELL, biased), "eq10")
 
 
 def test_a_low_skin_is_no_bias():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        scene_in_contact(PLAN, SURFACE.raised(-3e-3), SHELL, PRESS)
+    assert sensor_bias(PLAN.build(SURFACE.raised(-3e-3), SHELL, PRESS)) is None
 
 
 @pytest.mark.parametrize("moved", [-5e-3, -3e-3, 3e-3, 5e-3])

@@ -15,7 +15,6 @@ import numpy as np
 from ttus_opt.contact.scene import Scene, ScenePlan
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, MistakeWarning, TtusWarning, warn
-from ttus_opt.fitting.checks.zero_check import warn_of_bias
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.recording_faults import jumps
@@ -141,7 +140,6 @@ def scene_in_contact(
             f"{untouched} of {len(scene.trajectory)} poses: there is nothing to fit; "
             "check the poses' frame, unit and registration"
         )
-    warn_of_bias(scene)
     return scene
 
 

@@ -13,6 +13,9 @@ the sensor, of stiffness that varies, and of depth; h is the mode of its posteri
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import expit
 
@@ -67,42 +70,78 @@ TINY = 1e-9
 CALLS = 400
 
 
-def sensor_bias(scene: Scene) -> tuple[Array, int] | None:
-    """The force of a sensor that touches nothing, in the probe's axes.
+class SensorBias(NamedTuple):
+    """What a sensor shows that touches nothing, in the probe's axes.
 
-    Args:
-        scene: A scene, with forces or without.
-
-    Returns:
-        Force, shape (3,) [N], and the number of frames; None where it is none.
+    Attributes:
+        force: Shape (3,) [N].
+        torque: Shape (3,) [N·m]; zero where none was measured.
+        frames: Number of frames that tell it.
     """
-    if scene.trajectory.force is None or scene.touching.all():
-        return None
-    air = np.flatnonzero(~scene.touching)
-    depth, _ = _deepest(scene, air)
-    air = air[depth <= np.quantile(depth, FAR)]
-    rotation, force = scene.trajectory.rotation[air], scene.trajectory.force[air]
-    own = np.einsum("tij,ti->tj", rotation, force)
-    if len(own) < 2:
-        return None
-    mean, error = own.mean(axis=0), own.std(axis=0) / np.sqrt(len(own))
-    if np.linalg.norm(mean) <= max(BIAS, CERTAIN_BIAS * float(np.linalg.norm(error))):
-        return None
-    return mean, len(own)
+
+    force: Array
+    torque: Array
+    frames: int
 
 
-def warn_of_bias(scene: Scene) -> None:
-    """Warn of a sensor that was not zeroed."""
+def on_zero(scene: Scene) -> Scene:
+    """The scene without the sensor's bias, its skin where forces begin.
+
+    A `MistakeWarning` tells of both.
+    """
     bias = sensor_bias(scene)
     if bias is not None:
-        (x, y, z), frames = bias
-        warn(
-            f"the sensor shows ({x:z.2f}, {y:z.2f}, {z:z.2f}) N in the probe's axes in "
-            f"{frames} frames that touch nothing: was it zeroed? take its bias off "
-            "with ttus-opt compensate",
-            2,
-            MistakeWarning,
+        _tell_bias(bias, "It is taken off for this fit")
+        turn, measured = scene.trajectory.rotation, scene.trajectory
+        force, torque = measured.force, measured.torque
+        zeroed = replace(
+            measured,
+            force=None if force is None else force - turn @ bias.force,
+            torque=None if torque is None else torque - turn @ bias.torque,
         )
+        scene = scene.measuring(zeroed)
+    height = skin_offset(scene)
+    if height is not None:
+        _tell_offset(height, "The skin is moved there for this fit")
+        scene = scene.raised(height)
+    return scene
+
+
+def warn_of_zero(scene: Scene) -> None:
+    """Warn of a sensor that was not zeroed, or a skin that is not where forces begin.
+
+    A fit without a formulation corrects them (`on_zero`).
+    """
+    bias, height = sensor_bias(scene), skin_offset(scene)
+    if bias is not None:
+        _tell_bias(bias, "Take its bias off with ttus-opt compensate")
+    if height is not None:
+        _tell_offset(height, "A fit without a formulation moves the skin there")
+
+
+def sensor_bias(scene: Scene) -> SensorBias | None:
+    """The bias of a sensor; None where it has none, or where nothing tells."""
+    measured, air = scene.trajectory, np.flatnonzero(~scene.touching)
+    if measured.force is None or not len(air):
+        return None
+    air = air[:: -(-len(air) // MOST_FRAMES)]
+    depth, _ = _deepest(scene, air)
+    air = air[depth <= np.quantile(depth, FAR)]
+    if len(air) < 2:
+        return None
+
+    def own(vectors: Array) -> Array:
+        turn = measured.rotation[air]
+        return np.asarray(np.einsum("tij,ti->tj", turn, vectors[air]))
+
+    shown = own(measured.force)
+    force, error = shown.mean(axis=0), shown.std(axis=0) / np.sqrt(len(air))
+    if np.linalg.norm(force) <= max(BIAS, CERTAIN_BIAS * float(np.linalg.norm(error))):
+        return None
+    torque = np.zeros(3)
+    if measured.torque is not None:
+        torque = own(measured.torque).mean(axis=0)
+    return SensorBias(force, torque, len(air))
 
 
 def skin_offset(scene: Scene) -> float | None:
@@ -130,13 +169,22 @@ def skin_offset(scene: Scene) -> float | None:
     return found if min(sides) >= SEEN else None
 
 
-def warn_of_offset(height: float, remedy: str) -> None:
-    """Warn of a skin that is not where forces begin; the height [m], and what to do."""
+def _tell_bias(bias: SensorBias, remedy: str) -> None:
+    x, y, z = bias.force
+    warn(
+        f"the sensor shows ({x:z.2f}, {y:z.2f}, {z:z.2f}) N in the probe's axes in "
+        f"{bias.frames} frames that touch nothing: was it zeroed? {remedy}",
+        3,
+        MistakeWarning,
+    )
+
+
+def _tell_offset(height: float, remedy: str) -> None:
     side = "above" if height > 0 else "below"
     warn(
         f"forces begin {1e3 * abs(height):.1f} mm {side} the skin: are the recordings "
         f"registered with the scan, and the probe's shape right? {remedy}",
-        2,
+        3,
         MistakeWarning,
     )
 

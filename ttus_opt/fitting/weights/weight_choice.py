@@ -20,7 +20,7 @@ import numpy as np
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.errors import InputError, warn
 from ttus_opt.core.threads import one_blas_thread
-from ttus_opt.fitting.checks.zero_check import skin_offset, warn_of_offset
+from ttus_opt.fitting.checks.zero_check import on_zero, warn_of_zero
 from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.uncertainty.presses import pressed_places
 from ttus_opt.fitting.weights.tuning import tune
@@ -225,9 +225,7 @@ def choice_of(
     word_for(word, formulation, options)
     if word == AUTO and formulation is None:
         return default_model(scene, options, sampling, progress=progress)
-    offset = skin_offset(scene)
-    if offset is not None:
-        warn_of_offset(offset, "A fit without a formulation moves the skin there")
+    warn_of_zero(scene)
     if word == OWN:
         usual = DEFAULT if formulation is None else formulation
         return WeightChoice(scene, load(usual, scene, **options))
@@ -256,8 +254,8 @@ def default_model(
 ) -> WeightChoice:
     """The model of a fit with no choice of the user's: a depth map.
 
-    With drag where the recordings show it, in the most likely sampling, on a skin that
-    is moved to where forces begin if that is elsewhere (`skin_offset`), with a warning.
+    With drag where the recordings show it, in the most likely sampling, without the
+    bias of a sensor that was not zeroed, on a skin where forces begin (`on_zero`).
     Where no depth map explains the forces, the default formulation with its own
     weights, and a warning with the reason.
 
@@ -271,11 +269,7 @@ def default_model(
         InputError: Options that the depth map does not have.
     """
     given, told = dict(options or {}), progress or (lambda step: None)
-    offset = skin_offset(scene)
-    if offset is not None:
-        told("skin")
-        scene = scene.raised(offset)
-        warn_of_offset(offset, "The skin is moved there for this fit")
+    scene = on_zero(scene)
     try:
         with one_blas_thread():  # for matrices of a few hundred rows
             if sampling is None:
