@@ -25,8 +25,6 @@ from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField
 
-Pose = tuple[np.ndarray, np.ndarray, np.ndarray]
-
 
 def random_pose(rng, highest=0.02):
     """Any rotation, the reference from ``highest`` above the skin to 2 cm below."""
@@ -169,18 +167,3 @@ def test_a_neutral_coefficient_is_no_drag():
     renderer = Renderer(pushing("trilinear", neutral), SHELL)
     R, at, _ = random_pose(np.random.default_rng(1), highest=0.0)
     assert renderer.render(R, at).drag == "none"
-
-
-def test_points_weigh_by_their_area():
-    """In voxel means too, whose contact forces know no areas."""
-    rng = np.random.default_rng(9)
-    uneven = replace(SHELL, areas=SHELL.areas * rng.uniform(0.2, 5.0, len(SHELL)))
-    field, bare = (pushing("voxel-mean", p) for p in (LAWS["coulomb"], {}))
-    renderer, contact = Renderer(field, uneven), Renderer(bare, uneven)
-    for _ in range(10):
-        R, at, twist = random_pose(rng)
-        force = contact.render(R, at).force
-        expected = force + drag_by_hand(field, uneven, R, at, twist, force)[:3]
-        np.testing.assert_allclose(
-            renderer.render(R, at, twist).force, expected, rtol=1e-9, atol=1e-11
-        )

@@ -23,19 +23,6 @@ FIELD = tt.PotentialField(
 )
 
 
-def test_a_perfect_field_has_no_error():
-    seen = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
-    perfect = replace(
-        SCENE.trajectory, force=seen.rendered_force, torque=seen.rendered_torque
-    )
-    errors = evaluate(FIELD, SCENE.shell, perfect, force_threshold=0.01).errors
-    assert errors.force_magnitude_error_N < 1e-14
-    assert errors.force_angle_error_deg < 1e-6
-    assert errors.torque_magnitude_error_Nm < 1e-14
-    assert errors.frames == 20
-    assert 0 < errors.frames_in_contact <= 20
-
-
 def turned(vectors, degrees):
     """Each turned by an angle about an axis of its own across it."""
     across = np.cross(vectors, [0.3, -0.5, 0.8])

@@ -451,26 +451,6 @@ def test_slope_adds_to_a_points_own_deviation():
     assert level(0.03) == pytest.approx(expected, abs=1e-4)
 
 
-def test_good_points_among_bad_ones_decide():
-    """A scan of two cameras, one six times noisier: the answer is nearer the truth."""
-    rng = np.random.default_rng(0)
-    cloud = cylinder(rng, noise=0.0)[::2]
-    std = np.where(rng.random(len(cloud)) < 0.7, 0.006, 0.001)
-    outward = cloud * [1, 1, 0] / np.hypot(cloud[:, 0], cloud[:, 1])[:, None]
-    truth = float(np.hypot(cloud[:, 0], cloud[:, 1]).mean())
-    noisy = cloud + (std * rng.standard_normal(len(cloud)))[:, None] * outward
-    size = {"axis": Axis.identity(), "support": None, "n_theta": 60, "n_z": 20}
-    errors, uncertainties = [], []
-    for deviations in (None, std):
-        found = extract_surface(noisy, point_std=deviations, **size)
-        errors.append(np.sqrt(np.mean((found.radius - truth) ** 2)))
-        uncertainties.append(found.radius_std.mean())
-    assert errors[1] < 0.7 * errors[0]
-    assert (
-        0.3 < errors[1] / uncertainties[1] < 1.2
-    )  # a circle has less slope than assumed
-
-
 @pytest.mark.parametrize(
     ("std", "words"),
     [

@@ -164,15 +164,6 @@ def test_the_other_header_is_read():
     np.testing.assert_allclose(pose.time, [50.3, 50.4], atol=1e-8)
 
 
-def test_messages_in_pieces():
-    sent = [m for i in range(4) for m in (transform(i), sensor(i))]
-    content = b"".join(message.pack() for message in sent)
-    reader, found = MessageReader(), []
-    for at in range(0, len(content), 7):
-        found += list(reader.feed(content[at : at + 7]))
-    assert len(found) == 8 and not reader.within_message
-
-
 SHIFTED = transform(0)
 SHIFTED.matrix[0, 3] = 2e6
 

@@ -24,16 +24,6 @@ def test_nodes_lie_on_the_skin_and_faces_look_outwards():
     assert np.linalg.norm(b - a, axis=1).max() < 0.03
 
 
-def test_the_area_is_that_of_a_cylinder():
-    cylinder = Surface.from_radius(np.full((360, 5), 0.1), np.linspace(0.0, 0.3, 5))
-    skin = SkinMesh.of(cylinder, 0.005)
-    a, b, c = (skin.vertices[skin.faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    assert area == pytest.approx(2.0 * np.pi * 0.1 * 0.3, rel=1e-3)
-    outward = skin.vertices * [10.0, 10.0, 0.0]
-    assert np.linalg.norm(skin.normals - outward, axis=1).max() < 0.03
-
-
 def test_the_file_of_the_skin_is_read_by_another_program():
     skin = SkinMesh.of(torso())
     drawn = skin.cut(np.array([0.0, 0.0, 1.0]), 0.1)

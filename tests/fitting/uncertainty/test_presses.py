@@ -59,3 +59,19 @@ def test_few_presses_are_divided_by_the_probe_s_size():
     for number in np.unique(place):
         away = np.linalg.norm(at[place == number] - at[place == number][0], axis=1)
         assert away.max() <= scene.shell.rms_radius
+
+
+def test_presses_after_a_line_are_places_too():
+    """The same frames, the line first."""
+    n = len(pressed().trajectory)
+    order = np.roll(np.arange(n), 10)
+    own = pressed().trajectory
+    moved = replace(own, position=own.position[order], rotation=own.rotation[order])
+    scene = replace(pressed(), trajectory=moved)
+    count = pressed().rows.contact_points[order]
+    scene = replace(scene, rows=replace(scene.rows, contact_points=count))
+    touching = count > 0
+    place, press = pressed_places(scene)[touching], scene.presses[touching]
+    line, first, second, again, last = (place[press == k][0] for k in np.unique(press))
+    assert first == again
+    assert len({line, first, second, last}) == 4

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 from scipy.stats import multivariate_normal
 
@@ -220,6 +221,20 @@ def test_it_finds_the_length_of_contacts_that_forces_have():
         assert same.least_length == 0.0
     assert 0.002 < found[0].least_length < 0.008
     assert 0.025 < found[1].least_length < 0.06
+
+
+def test_a_field_of_another_unit_has_the_profile_of_another_unit():
+    """Rows twice as large are those of a field half as large; all else stays."""
+    scene = drawn(3, 40)
+    one = estimate_depth_map(scene, depth_length=0.015)
+    rows = sp.csr_array(2.0 * scene.N)
+    two = estimate_depth_map(scene, rows, depth_length=0.015)
+    assert one.profile.coefficients == pytest.approx(
+        [2.0 * c for c in two.profile.coefficients]
+    )
+    for name in ("deviation", "surface_length", "noise"):
+        assert getattr(one, name) == pytest.approx(getattr(two, name))
+    assert two.depth_length == 0.015
 
 
 def lifted(scene, frame):

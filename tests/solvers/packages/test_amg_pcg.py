@@ -12,9 +12,10 @@ pytest.importorskip("pyamg", reason="needs ttus-opt[reference]")
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 
 
-def test_out_of_time_there_is_no_answer():
+def test_an_answer_is_claimed_and_out_of_time_there_is_none():
     program = load("eq10", SCENE).compile()
     prepared = AmgPcg().prepare(program, Request(1e-10))
     assert isinstance(prepared, _Loaded)
+    assert prepared.solve().claim is Claim.DONE
     found = prepared._attempt(1e-10, 0.0)
     assert found.claim is Claim.TIME_LIMIT and found.x is None
