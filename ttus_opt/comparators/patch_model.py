@@ -71,10 +71,11 @@ class PatchModel(Comparator):
         patch = touch.patch
         velocity = patch.velocity(twist, touch.reference, at)
         approach = -float(velocity @ patch.direction)
+        x, y, z = patch.centre
         return Contact(
             patch.depth / DEPTH_UNIT,
             approach / DEPTH_UNIT,
-            self._foot(patch.centre),
+            skin_points(self.surface, np.arctan2(y, x), z),
             velocity + approach * patch.direction,
             patch,
         )
@@ -104,9 +105,6 @@ class PatchModel(Comparator):
                 "contact, and give the force ON the probe in patient axes"
             )
         return found
-
-    def _foot(self, centre: Array) -> Array:
-        return skin_points(self.surface, np.arctan2(centre[1], centre[0]), centre[2])
 
     def _fit(self, recording: Trajectory, force: Array) -> None:
         self._fit_law(self.samples(recording, force))

@@ -54,11 +54,17 @@ class VoxmapPointShell(OneStiffness):
     turns = False  # voxels lie along the patient's axes
 
     def __init__(self, *, edge: float = EDGE, **given: Unpack[Given]) -> None:
+        from scipy.ndimage import distance_transform_edt
+
         super().__init__(**given)
         expect_positive(edge, "the edge of a voxel", "m")
         self.edge = edge
         self.corner, self.voxels = _voxelised(self.surface, edge)
-        self._plane = _nearest_surface_voxel(self.voxels)
+        # indices of the nearest surface voxel of every voxel, (3, n_x, n_y, n_z)
+        nearest = distance_transform_edt(
+            self.voxels != SURFACE, return_distances=False, return_indices=True
+        )
+        self._plane = np.asarray(nearest, dtype=np.int16)
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
         reference = R @ self.shell.reference + at
@@ -100,13 +106,3 @@ def _voxelised(surface: Surface, edge: float) -> tuple[Array, NDArray[np.uint8]]
     deep = binary_erosion(layers)[:, :, 1:-1]
     voxels = np.where(inside, np.where(deep, INTERIOR, SURFACE), FREE).astype(np.uint8)
     return np.array([-half * edge, -half * edge, surface.z[0]]), voxels
-
-
-def _nearest_surface_voxel(voxels: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """Indices of the nearest surface voxel of every voxel, (3, n_x, n_y, n_z)."""
-    from scipy.ndimage import distance_transform_edt
-
-    distance = distance_transform_edt(
-        voxels != SURFACE, return_distances=False, return_indices=True
-    )
-    return np.asarray(distance, dtype=np.int16)

@@ -16,6 +16,7 @@ import numpy as np
 from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.rigid_motion import Rows, as_rows, composed, inverse, rigid_motion
 from ttus_opt.probe.trajectory import Trajectory, interpolated
 
@@ -145,7 +146,8 @@ class Conventions:
             )
         out = recorded
         if self.quaternion == "xyzw":
-            out = replace(out, rotation=_reordered(out))
+            # they were read as w, x, y, z
+            out = replace(out, rotation=from_quaternions(out.quat_wxyz, "xyzw"))
         force, torque = out.force, out.torque
         poses = replace(out, force=None, torque=None)
         poses = poses.transformed(*self._to_patient(self.frame, scan_to_patient))
@@ -208,15 +210,6 @@ class Conventions:
             out = replace(out, torque=out.torque + np.cross(arm, out.force))
         motions = self._to_patient(self.frame, scan_to_patient)
         return out.transformed(*(inverse(motion) for motion in reversed(motions)))
-
-
-def _reordered(recorded: Trajectory) -> Array:
-    """Rotations from quaternions x, y, z, w that were read as w, x, y, z."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(
-        Rotation.from_quat(recorded.quat_wxyz, scalar_first=False).as_matrix()
-    )
 
 
 def _advanced(recorded: Trajectory, values: Array, delay: float) -> Array:

@@ -214,15 +214,6 @@ def _vote(
     return even, free
 
 
-@dataclass(frozen=True)
-class _SharedEdges:
-    """Edges that exactly two faces share: the faces, and whether windings agree."""
-
-    first: IntArray
-    second: IntArray
-    agree: NDArray[np.bool_]
-
-
 def _edges(mesh: TriangleMesh, faces: int) -> tuple[IntArray, IntArray, IntArray]:
     """First and second vertex of every face's edges, and edges of so many faces.
 
@@ -236,13 +227,6 @@ def _edges(mesh: TriangleMesh, faces: int) -> tuple[IntArray, IntArray, IntArray
     return start, end, order[begin[count == faces][:, None] + np.arange(faces)]
 
 
-def _shared_edges(mesh: TriangleMesh) -> _SharedEdges:
-    start, _, shared = _edges(mesh, 2)
-    a, b = shared.T
-    # faces of equal winding traverse their common edge in opposite directions
-    return _SharedEdges(a // 3, b // 3, start[a] != start[b])
-
-
 def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]:
     """Join faces across edges of exactly two faces into consistently wound patches.
 
@@ -252,13 +236,15 @@ def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]
         consistently (a Möbius strip) are patches of their own.
     """
     k = len(mesh.faces)
-    shared = _shared_edges(mesh)
+    start, _, edges = _edges(mesh, 2)
+    a, b = edges.T
+    first, second = a // 3, b // 3
     # Each face has two copies, original (f) and reversed (f + k); an edge joins the
     # copies that agree. A patch is consistent when its two copies are not connected.
-    other = np.where(shared.agree, shared.second, shared.second + k)
-    other_turned = np.where(shared.agree, shared.second + k, shared.second)
-    rows = np.concatenate([shared.first, shared.first + k])
-    columns = np.concatenate([other, other_turned])
+    # Faces of equal winding traverse their common edge in opposite directions.
+    turned = np.where(start[a] != start[b], 0, k)
+    rows = np.concatenate([first, first + k])
+    columns = np.concatenate([second + turned, second + k - turned])
     graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), (2 * k, 2 * k))
     _, label = connected_components(graph, directed=False)
     straight, turned = label[:k].astype(np.int64), label[k:].astype(np.int64)

@@ -75,6 +75,9 @@ class Search:
         nearest = min(max(0.0, self.low), self.high)
         return nearest if self.neutral is None else self.neutral
 
+    def __str__(self) -> str:
+        return f"searching {self.parameter} in [{self.low:g}, {self.high:g}]"
+
     def then(self, change: Callable[[Formulation], Formulation]) -> Search:
         """The same search over changed formulations."""
         build = self.build
@@ -287,36 +290,25 @@ class Formulation:
 
     def __repr__(self) -> str:
         """Its members in one line; `str` gives the mathematics."""
-        members = [f"{weight} {name}" for name, weight, *_ in self._term_lines()]
-        limits = ", ".join(name for name, *_ in self._constraint_lines())
-        sums = " + ".join(members) + (f" subject to {limits}" if limits else "")
+        sums = " + ".join(f"{term.weight:g} {term.name}" for term in self.terms)
+        limits = ", ".join(constraint.name for constraint in self.constraints)
+        sums += f" subject to {limits}" if limits else ""
         return f"<Formulation {self.name} over {self._over()}: {sums}>"
 
     def __str__(self) -> str:
         """The mathematics with sizes and weights, a line for each member."""
         lines = [
-            f"  + {weight} · {formula}    [{name}: {size}]"
-            for name, weight, formula, size in self._term_lines()
-        ]
-        lines += [
-            f"  subject to {formula}    [{name}: {size}]"
-            for name, formula, size in self._constraint_lines()
+            f"  {how} {formula}    [{name}: {size}]"
+            for how, formula, name, size in self._members()
         ]
         if self.search is not None:
-            lines.append(f"  {self._search_line()}")
+            lines.append(f"  {self.search}")
         return "\n".join([f"{self.name}: minimise over {self._over()}", *lines])
 
     def _repr_html_(self) -> str:
         """The same as a table, for notebooks."""
-        rows = [
-            [weight, formula, name, size]
-            for name, weight, formula, size in self._term_lines()
-        ]
-        rows += [
-            ["subject to", formula, name, size]
-            for name, formula, size in self._constraint_lines()
-        ]
-        notes = [] if self.search is None else [self._search_line()]
+        rows = [[how.strip("+ ·"), *rest] for how, *rest in self._members()]
+        notes = [] if self.search is None else [str(self.search)]
         heads = ["weight", "", "name", "size"]
         return page(
             self.name, [f"minimise over {self._over()}", *notes], table(heads, rows)
@@ -330,21 +322,20 @@ class Formulation:
             sizes |= {name: M.shape[1] for name, M in blocks}
         return in_words(sizes)
 
-    def _term_lines(self) -> list[tuple[str, str, str, str]]:
-        """Name, weight, mathematics and size of every term."""
-        return [
-            (t.name, f"{t.weight:g}", t.formula, f"{len(t.assembled.target):,} rows")
+    def _members(self) -> list[tuple[str, str, str, str]]:
+        """Weight or role, mathematics, name and size of every term and constraint."""
+        terms = [
+            (
+                f"+ {t.weight:g} ·",
+                t.formula,
+                t.name,
+                f"{len(t.assembled.target):,} rows",
+            )
             for t in self.terms
         ]
-
-    def _constraint_lines(self) -> list[tuple[str, str, str]]:
-        """Name, mathematics and size of every constraint."""
-        return [(c.name, c.formula, _size(c)) for c in self.constraints]
-
-    def _search_line(self) -> str:
-        search = self.search
-        assert search is not None
-        return f"searching {search.parameter} in [{search.low:g}, {search.high:g}]"
+        return terms + [
+            ("subject to", c.formula, c.name, _size(c)) for c in self.constraints
+        ]
 
 
 def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:

@@ -78,9 +78,12 @@ def read_pcd(path: Path) -> Array:
     header = _read_header(path)
     if header.encoding == "ascii":
         return _ascii(header, path)
-    if header.encoding == "binary":
-        return _binary(header, path)
-    return _compressed(header, path)
+    if header.encoding == "binary_compressed":
+        return _compressed(header, path)
+    available = len(header.body) // sum(header.sizes)
+    if available < header.n_points:
+        raise truncated(path, header.n_points, available)
+    return header.points(header.body, by_field=False)
 
 
 def _entries(path: Path, raw: bytes) -> tuple[dict[str, list[str]], int]:
@@ -167,13 +170,6 @@ def _ascii(header: _Header, path: Path) -> Array:
                 f"{path}: point {row + 1} is not a number ({error}): export it again"
             ) from error
     return points
-
-
-def _binary(header: _Header, path: Path) -> Array:
-    available = len(header.body) // sum(header.sizes)
-    if available < header.n_points:
-        raise truncated(path, header.n_points, available)
-    return header.points(header.body, by_field=False)
 
 
 def _compressed(header: _Header, path: Path) -> Array:
