@@ -227,7 +227,9 @@ class ContactGeometry:
         arm = (self.shell.points - self.shell.reference) @ R.T
         points = reference + arm
         # exact distances are only needed near and below the surface
-        near = np.flatnonzero(self._may_touch(points))
+        near = np.zeros(0, np.int64)
+        if np.hypot(points[:, 0], points[:, 1]).min() <= self._reach:
+            near = np.flatnonzero(self.surface.surface.depth_of(points) > -0.005)
         depth, _ = self.surface.depth(points[near])
         inside = depth > 0.0
         index = near[inside]
@@ -239,13 +241,6 @@ class ContactGeometry:
             self.shell.areas[index],
             reference,
         )
-
-    def _may_touch(self, points: Array) -> Array:
-        """False for points that are certainly outside."""
-        r = np.hypot(points[:, 0], points[:, 1])
-        if r.min() > self._reach:
-            return np.zeros(len(points), dtype=bool)
-        return np.asarray(self.surface.surface.depth_of(points) > -0.005)
 
 
 def wrench_of(forces: Array, arms: Array) -> Array:

@@ -35,7 +35,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.contact.contact_size import Patches, patches_of
-from ttus_opt.contact.rows import ContactRows, by_pose, checked_poses
+from ttus_opt.contact.rows import (
+    ContactRows,
+    checked_poses,
+    diagonal_blocks,
+    scaled_rows,
+)
 from ttus_opt.core.arguments import expect_one_of, expect_positive
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
@@ -207,7 +212,8 @@ class DragRows:
 
     def scaled(self, factor: Array) -> DragRows:
         """The rows of every pose times a factor, shape (T,)."""
-        return DragRows(by_pose(self.force, factor), by_pose(self.torque, factor))
+        rows = np.repeat(factor, 3)
+        return DragRows(scaled_rows(self.force, rows), scaled_rows(self.torque, rows))
 
 
 def coulomb_rows(
@@ -225,10 +231,10 @@ def coulomb_rows(
     """
     direction = sliding.direction(deadband)
     turning = np.cross(sliding.arm, direction)
-    normal_force = _blocks(sliding.normal[:, None, :]) @ rows.N  # (T, V)
+    normal_force = diagonal_blocks(sliding.normal[:, None, :]) @ rows.N  # (T, V)
     return DragRows(
-        sp.csr_array(_blocks(direction[:, :, None]) @ normal_force),
-        sp.csr_array(_blocks(turning[:, :, None]) @ normal_force),
+        sp.csr_array(diagonal_blocks(direction[:, :, None]) @ normal_force),
+        sp.csr_array(diagonal_blocks(turning[:, :, None]) @ normal_force),
     )
 
 
@@ -267,12 +273,3 @@ SECTORS, BANDS = "viscous_sectors", "viscous_bands"
 
 #: Most regions of the torso with a viscous coefficient each [–]
 MOST_REGIONS = 10_000
-
-
-def _blocks(blocks: Array) -> sp.csr_array:
-    """Block-diagonal matrix of T blocks, shape (T, a, b)."""
-    n, a, b = blocks.shape
-    matrix = sp.bsr_array(
-        (blocks, np.arange(n), np.arange(n + 1)), shape=(a * n, b * n)
-    )
-    return sp.csr_array(matrix)

@@ -75,7 +75,7 @@ class ContactRows:
 
     def scaled(self, factor: Array) -> ContactRows:
         """The rows of every pose times a factor, shape (T,)."""
-        N, W = by_pose(self.N, factor), by_pose(self.W, factor)
+        N, W = (scaled_rows(rows, np.repeat(factor, 3)) for rows in (self.N, self.W))
         return replace(self, N=N, W=W)
 
     def __repr__(self) -> str:
@@ -85,17 +85,19 @@ class ContactRows:
         )
 
 
-def by_pose(matrix: sp.csr_array, factor: Array) -> sp.csr_array:
-    """Three rows per pose, times a factor per pose.
-
-    Args:
-        matrix: Shape (3T, n).
-        factor: Shape (T,).
-    """
-    data = matrix.data * np.repeat(np.repeat(factor, 3), np.diff(matrix.indptr))
+def scaled_rows(matrix: sp.csr_array, factor: Array) -> sp.csr_array:
+    """A matrix (m, n) with every row times a factor, shape (m,)."""
+    data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     out = sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
     out.has_sorted_indices = matrix.has_sorted_indices
     return out
+
+
+def diagonal_blocks(blocks: Array) -> sp.csr_array:
+    """The matrix (n a, n b) with blocks of shape (n, a, b) on its diagonal."""
+    n, a, b = blocks.shape
+    starts = np.arange(n + 1)
+    return sp.csr_array(sp.bsr_array((blocks, starts[:-1], starts), (a * n, b * n)))
 
 
 def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:

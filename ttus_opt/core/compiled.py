@@ -85,8 +85,8 @@ class Function(CPUDispatcher):
             or not Path(self.py_func.__code__.co_filename).is_file()
         ):
             return None
-        if changed_since(self.since, self.py_func):
-            return None
+        if any(_changed(names) > self.since for names in files(self.py_func)):
+            return None  # edited since it was loaded: its code is another's
         with _CHOOSING:
             before = numba.config.CACHE_LOCATOR_CLASSES
             numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.FunctionFolder"
@@ -254,16 +254,6 @@ def _named_tuples(kind: Any) -> Iterator[type]:
     if isinstance(kind, numba.types.BaseTuple):
         for part in kind.types:
             yield from _named_tuples(part)
-
-
-def changed_since(moment: int, function: Any) -> bool:
-    """Whether a file has been edited since it was loaded: its code is another's.
-
-    Args:
-        moment: When the function was loaded [ns].
-        function: The function whose `files` are asked.
-    """
-    return any(_changed(names) > moment for names in files(function))
 
 
 def _changed(names: dict[str, Any]) -> int:

@@ -99,11 +99,6 @@ class TextTable:
         """Names of the columns, and of those that are sums of several."""
         return [*self.header.names, *self.header.sums]
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was taken for granted of the columns."""
-        return self.header.notes
-
     def readable(self, wanted: Sequence[str]) -> tuple[Array, dict[int, str]]:
         """Some columns in SI units, (T, len(wanted)), NaN for what is not a number.
 

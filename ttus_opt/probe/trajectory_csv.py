@@ -84,7 +84,7 @@ def recording_of(table: TextTable, what: str, required: Sequence[str]) -> RawRec
         table.line,
         unread,
         notes=(f"{units}, {table.header.frame}",),
-        cautions=table.notes,
+        cautions=table.header.notes,
         units_stated=not unstated,
     )
 

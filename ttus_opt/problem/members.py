@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.contact.rows import scaled_rows
 from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.problem.terms.penalties import Penalty, Squares
 from ttus_opt.problem.terms.structure import (
@@ -129,9 +130,7 @@ class StackedTerms:
     @property
     def weighted(self) -> sp.csr_array:
         """Rows times their roots, shape (m, n)."""
-        M = self.matrix
-        data = M.data * np.repeat(self.root, np.diff(M.indptr))
-        return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+        return scaled_rows(self.matrix, self.root)
 
 
 def nonempty_columns(matrix: sp.csr_array) -> IntArray:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +29,8 @@ SAME = {"points:0": "x", "points:1": "y", "points:2": "z"}
 WIDTHS = (3, 4, 6, 7, 9, 10)
 
 
-@dataclass(frozen=True)
-class _Line:
-    """A non-empty line and its number in the file."""
-
-    number: int
-    text: str
+#: Number of a line that is not empty, and its text
+_Line = tuple[int, str]
 
 
 def read_xyz(file: Path) -> Array:
@@ -51,22 +46,18 @@ def read_xyz(file: Path) -> Array:
         FileError: Not text, no points, ambiguous columns, or another number of points
             than the file announces.
     """
-    lines = [
-        _Line(n, line.strip())
-        for n, line in enumerate(io.read_text(file).splitlines(), start=1)
-        if line.strip()
-    ]
-    names, announced, rows = _preamble(lines)
+    lines = enumerate(map(str.strip, io.read_text(file).splitlines()), start=1)
+    names, announced, rows = _preamble([line for line in lines if line[1]])
     if not rows:
         raise FileError(f"{file} holds no points: record or export it again")
-    mark = _separator(rows[0].text)
-    width = len(rows[0].text.split(mark))
+    mark = _separator(rows[0][1])
+    width = len(rows[0][1].split(mark))
     columns = _columns(file, names, width)
-    for row in rows:
-        found = len(row.text.split(mark))
+    for number, row in rows:
+        found = len(row.split(mark))
         if found != width:
             raise FileError(
-                f"{file}, line {row.number}: {found} columns, expected {width}: "
+                f"{file}, line {number}: {found} columns, expected {width}: "
                 "truncated or damaged, export it again"
             )
     if announced is not None and announced != len(rows):
@@ -76,7 +67,7 @@ def read_xyz(file: Path) -> Array:
         )
     try:
         values = np.loadtxt(
-            [row.text for row in rows], delimiter=mark, usecols=columns, ndmin=2
+            [row for _, row in rows], delimiter=mark, usecols=columns, ndmin=2
         )
     except ValueError as error:
         reason = str(error).splitlines()[0]
@@ -95,14 +86,14 @@ def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line
     announced: int | None = None
     rows: list[_Line] = []
     for line in lines:
-        comment = COMMENT.match(line.text)
-        words = _words(COMMENT.sub("", line.text))
+        comment = COMMENT.match(line[1])
+        words = _words(COMMENT.sub("", line[1]))
         if not rows and not names and {"x", "y", "z"} <= set(words):
             names = words
         elif comment:
             continue
-        elif not rows and announced is None and re.fullmatch(r"\d{1,15}", line.text):
-            announced = int(line.text)
+        elif not rows and announced is None and re.fullmatch(r"\d{1,15}", line[1]):
+            announced = int(line[1])
         elif not rows and not names and not _is_number(words[0]):
             names = words  # refused where they are looked up
         else:

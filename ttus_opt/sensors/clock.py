@@ -319,7 +319,9 @@ def _std(a: Array, b: Array, lag: int) -> float:
     squares δ of every part but one scatter as the lag does, whatever the correlation of
     the noise within a part.
     """
-    x, y = _overlapping(a, b, lag)
+    first, second = max(lag, 0), max(-lag, 0)
+    n = max(min(len(a) - first, len(b) - second), 0)  # a[lag + k] belongs to b[k]
+    x, y = a[first : first + n], b[second : second + n]
     slope = 0.5 * (x[2:] - x[:-2])
     x, y = x[1:-1], y[1:-1]
     known = np.isfinite(slope) & np.isfinite(x) & np.isfinite(y)
@@ -332,13 +334,6 @@ def _std(a: Array, b: Array, lag: int) -> float:
     left = (up.sum() - up) / np.maximum(down.sum() - down, 1e-300)
     spread = float(np.sqrt((PARTS - 1) / PARTS * ((left - left.mean()) ** 2).sum()))
     return float(np.hypot(spread, ROUNDED))
-
-
-def _overlapping(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
-    """A and b where both are, b delayed by ``lag`` steps."""
-    first, second = max(lag, 0), max(-lag, 0)
-    n = max(min(len(a) - first, len(b) - second), 0)  # a[lag + k] belongs to b[k]
-    return a[first : first + n], b[second : second + n]
 
 
 def _rival(found: Array, best: int) -> float:

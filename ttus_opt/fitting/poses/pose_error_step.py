@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.contact.rows import PoseRows
+from ttus_opt.contact.rows import PoseRows, diagonal_blocks
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByCovariance
@@ -37,7 +37,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     neighbours,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
-from ttus_opt.problem.terms.part_noise import contact_directions, normal_rows
+from ttus_opt.problem.terms.part_noise import contact_directions
 
 #: Relative standard deviation of the whole profile φ [–]
 PROFILE_SPREAD = 0.5
@@ -137,7 +137,7 @@ class PoseErrorProblem:
         if drag.is_shown:
             rubbed = drag.friction_coefficient * drag.drag.rows.force
             reported = sp.csr_array(reported - rubbed)
-        normal = normal_rows(contact_directions(scene))
+        normal = diagonal_blocks(contact_directions(scene)[:, None])
         return cls(scene, noise, rows, frames, place, alike, reported, normal)
 
     def start(self) -> State:

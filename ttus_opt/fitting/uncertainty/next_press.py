@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.contact.rows import diagonal_blocks
 from ttus_opt.contact.standing import skin_frames, skin_points
 from ttus_opt.core.arguments import expect_positive
 from ttus_opt.core.arrays import Array, IntArray, Mask
@@ -43,7 +44,6 @@ from ttus_opt.fitting.uncertainty.wrench_uncertainty import (
 )
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.terms.depth_profile import voxel_depths
-from ttus_opt.problem.terms.part_noise import normal_rows
 from ttus_opt.scan.cloud import inside
 from ttus_opt.voxmap.grid import Sector, checked_sector, holds
 
@@ -247,7 +247,7 @@ def normal_forces(
     u = (forces @ np.maximum(voxel_depths(scene.voxmap), 0.0)).reshape(k, 3)
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
     noise = uncertainty.noise.covariance(rendered(potential, rows))[:, :3, :3]
-    along = sp.csr_array(normal_rows(u) @ forces)
+    along = sp.csr_array(diagonal_blocks(u[:, None]) @ forces)
     sized = slopes_along(potential, scene.shell, presses) * (
         along @ potential.values.ravel()
     )

@@ -11,10 +11,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect_between
+from ttus_opt.core.arrays import Mask
 from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.problem.terms.rows import unit_rows
+
+
+def _regions(scene: Scene) -> NDArray[np.int8]:
+    """The region of every voxel, above 0 inside, shape (V,)."""
+    return np.asarray(scene.voxmap.grid.flatten(scene.voxmap.region))
+
+
+def _zero_bounds(variable: str, from_below: Mask, from_above: Mask) -> Bounds:
+    """Bounds at zero where a value may not be below, and above."""
+    lower = np.where(from_below, 0.0, -np.inf)
+    return Bounds(variable, lower, np.where(from_above, 0.0, np.inf))
 
 
 @dataclass(frozen=True)
@@ -26,10 +40,8 @@ class Sign(Constraint):
 
     def rows(self) -> Bounds:
         """Bounds on p; the surface layer is left to its Dirichlet rows."""
-        region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
-        lower = np.where(region > 0, 0.0, -np.inf)
-        upper = np.where(region < 0, 0.0, np.inf)
-        return Bounds("p", lower, upper)
+        region = _regions(self.scene)
+        return _zero_bounds("p", region > 0, region < 0)
 
 
 @dataclass(frozen=True)
@@ -41,9 +53,8 @@ class NonNegative(Constraint):
 
     def rows(self) -> Bounds:
         """Bounds on p."""
-        region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
-        lower = np.where(region >= 0, 0.0, -np.inf)
-        return Bounds("p", lower, np.full(len(region), np.inf))
+        region = _regions(self.scene)
+        return _zero_bounds("p", region >= 0, np.zeros(len(region), bool))
 
 
 @dataclass(frozen=True)
@@ -58,10 +69,8 @@ class DragSign(Constraint):
 
     def rows(self) -> Bounds:
         """Bounds on q."""
-        region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
-        lower = np.where(region >= 0, 0.0, -np.inf)
-        upper = np.where(region <= 0, 0.0, np.inf)
-        return Bounds("q", lower, upper)
+        region = _regions(self.scene)
+        return _zero_bounds("q", region >= 0, region <= 0)
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,7 @@ class DragLimit(Constraint):
 
     def rows(self) -> LinearRows:
         """μ_max p − q, at least 0 inside and at most 0 outside."""
-        region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
+        region = _regions(self.scene)
         at = np.flatnonzero(region != 0)
         rows = unit_rows(at, self.scene.n_voxels)
         blocks = {"p": self.largest * rows, "q": -rows}

@@ -34,6 +34,7 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
 from ttus_opt.contact.contact_size import patch_factors
+from ttus_opt.contact.rows import diagonal_blocks
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
@@ -56,7 +57,6 @@ from ttus_opt.problem.terms.part_noise import (
     PartNoise,
     contact_directions,
     lasting,
-    normal_rows,
 )
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.sampling import least_length
@@ -150,7 +150,7 @@ class DepthMapEstimate:
     def part_noise(self, scene: Scene, turn: float = TURN) -> PartNoise:
         """Relative errors of the parts of a scene's wrenches, by the direction's."""
         depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
-        normal = normal_rows(contact_directions(scene)) @ scene.N
+        normal = diagonal_blocks(contact_directions(scene)[:, None]) @ scene.N
         force = normal @ self.profile(depth)
         slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
         alone = np.hypot(self.sensor_noise, self.relative_noise * force)
@@ -348,7 +348,7 @@ class _Problem:
         force = scene.f if force is None else force
         frames = _frames(scene, force)
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
-        normal = normal_rows(contact_directions(scene)[frames])
+        normal = diagonal_blocks(contact_directions(scene)[frames, None])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
         pressed = sp.csr_array(normal @ rows[chosen])
         touched = np.unique(pressed.indices).astype(np.int64)

@@ -164,19 +164,12 @@ class VolumeWeightedTerm(Term):
     name = "volume_weighted"
     formula = "∫ (ℓ²∇²p)² dV/ℓ³"
 
-    @property
-    def _scale(self) -> Array:
-        """√(volume/ℓ³)·(ℓ/Δr)² of every voxel, shape (V,) [–]."""
-        grid = self.scene.laplace.grid
-        step = grid.r_step * grid.theta_step * grid.z_step
-        volume = self.scene.laplace.radii * step
-        return np.asarray(np.sqrt(volume / LENGTH**3) * (LENGTH / grid.r_step) ** 2)
-
     def rows(self) -> AffineRows:
         """Free rows of L, each times √(volume/ℓ³)·(ℓ/Δr)²."""
         laplace = self.scene.laplace
-        free = np.flatnonzero(laplace.free)
-        of_voxels = self._scale
+        grid, free = laplace.grid, np.flatnonzero(laplace.free)
+        volume = laplace.radii * grid.r_step * grid.theta_step * grid.z_step
+        of_voxels = np.sqrt(volume / LENGTH**3) * (LENGTH / grid.r_step) ** 2
         scale = of_voxels[free]
         rows = sp.csr_array(sp.diags_array(scale) @ laplace.L[free])
         tags = frozenset({LaplaceRows("p", of_voxels)})

@@ -32,6 +32,7 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.contact.rows import diagonal_blocks
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect_not_negative
 from ttus_opt.core.arrays import Array, IntArray
@@ -92,7 +93,9 @@ class PartNoise:
         if turn is None:
             return None
         expect_not_negative(turn, "direction_error", "rad")
-        force = np.maximum(normal_rows(contact_directions(scene)) @ scene.f, 0.0)
+        force = np.maximum(
+            diagonal_blocks(contact_directions(scene)[:, None]) @ scene.f, 0.0
+        )
         own = np.hypot(SENSOR, RELATIVE * force)
         return cls.of(scene, own, force, np.zeros(len(force)), turn)
 
@@ -121,16 +124,16 @@ class PartNoise:
     def force(self) -> sp.csr_array:
         """The matrix of independent residuals of forces, shape (3T, 3T) [–]."""
         u = self.direction
-        along = normal_rows(u)
+        along = diagonal_blocks(u[:, None])
         beside = (np.eye(3) - u[:, :, None] * u[:, None, :]) / self.across[
             :, None, None
         ]
-        return sp.csr_array(along.T @ self.normal @ along + by_frame(beside))
+        return sp.csr_array(along.T @ self.normal @ along + diagonal_blocks(beside))
 
     @property
     def torque(self) -> sp.csr_array:
         """The same of torques over ℓ."""
-        return by_frame(np.eye(3) / self.across[:, None, None])
+        return diagonal_blocks(np.eye(3) / self.across[:, None, None])
 
 
 def contact_directions(scene: Scene) -> Array:
@@ -194,21 +197,6 @@ def independent(scene: Scene, own: Array, drift: Array) -> sp.csr_array:
         np.concatenate([np.arange(T), at[used]]),
     )
     return sp.csr_array(sp.coo_array((data, place), shape=(T, T)))
-
-
-def normal_rows(direction: Array) -> sp.csr_array:
-    """Scalar products with a direction for every frame, shape (m, 3m)."""
-    m = len(direction)
-    starts = 3 * np.arange(m + 1)
-    return sp.csr_array((direction.ravel(), np.arange(3 * m), starts), shape=(m, 3 * m))
-
-
-def by_frame(blocks: Array) -> sp.csr_array:
-    """Square matrices of the frames on a diagonal, from shape (T, 3, 3)."""
-    T = len(blocks)
-    columns = np.repeat(np.arange(3 * T).reshape(T, 1, 3), 3, axis=1)
-    starts = 3 * np.arange(3 * T + 1)
-    return sp.csr_array((blocks.ravel(), columns.ravel(), starts), shape=(3 * T, 3 * T))
 
 
 def whitened(

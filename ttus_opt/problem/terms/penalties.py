@@ -212,7 +212,20 @@ class Linear(Penalty):
 
 
 @dataclass(frozen=True)
-class Absolute(Penalty):
+class _Norm(Penalty):
+    """A sum of norms."""
+
+    def conjugate(self, g: Array) -> float:
+        """0 in the unit balls of the dual norms."""
+        return 0.0
+
+    def farthest(self, value: float) -> float:
+        """Its own value, in one residual or group."""
+        return value
+
+
+@dataclass(frozen=True)
+class Absolute(_Norm):
     """Σ |r|: few residuals differ from zero.
 
     Source: R. Tibshirani, Regression Shrinkage and Selection via the Lasso (1996).
@@ -237,17 +250,9 @@ class Absolute(Penalty):
         """Between −1 and 1."""
         return np.clip(g, -1.0, 1.0)
 
-    def conjugate(self, g: Array) -> float:
-        """0 between −1 and 1."""
-        return 0.0
-
     def gauge(self, g: Array) -> float:
         """The largest |g|."""
         return float(np.abs(g).max(initial=0.0))
-
-    def farthest(self, value: float) -> float:
-        """Its own value, in one residual."""
-        return value
 
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ |r|."""
@@ -259,7 +264,7 @@ class Absolute(Penalty):
 
 
 @dataclass(frozen=True)
-class Groups(Penalty):
+class Groups(_Norm):
     """Σ ‖r_g‖ over groups of consecutive residuals: few groups differ from zero.
 
     Source: M. Yuan, Y. Lin, Model Selection and Estimation in Regression with Grouped
@@ -292,17 +297,9 @@ class Groups(Penalty):
         lengths = np.repeat(self._lengths(g), self.size)
         return np.asarray(g / np.maximum(lengths, 1.0))
 
-    def conjugate(self, g: Array) -> float:
-        """0 where no group is longer than 1."""
-        return 0.0
-
     def gauge(self, g: Array) -> float:
         """The longest group."""
         return float(self._lengths(g).max(initial=0.0))
-
-    def farthest(self, value: float) -> float:
-        """Its own value, in one group."""
-        return value
 
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ ‖r_g‖."""
