@@ -24,7 +24,7 @@ def members():
         for kind in vars(penalties).values()
         if inspect.isclass(kind)
         and issubclass(kind, penalties.Penalty)
-        and kind is not penalties.Penalty
+        and not inspect.isabstract(kind)
     ]
 
 
