@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from tests.cli.conftest import refused
 from tests.sensors.test_stream_hand_eye import CAMERA, LATE, streams
 from ttus_opt.probe.rigid_motion import read_rigid_motion
 
@@ -26,3 +27,13 @@ def test_two_files(run, tmp_path):
     assert (off < 5 * np.array(told["position_std_m"])).all()
     text = run(f"{words} --offset {LATE} --force").out
     assert "camera to base: (1." in text and "mm, ±" in text
+
+
+def test_the_hands_file_is_told_by_its_own_options(run, tmp_path):
+    seen, carried = streams()
+    seen.save(tmp_path / "tracker.csv")
+    carried.save(tmp_path / "robot.csv")
+    text = (tmp_path / "robot.csv").read_text()
+    (tmp_path / "robot.csv").write_text(text.replace("px", "left", 1))
+    files = f"{tmp_path / 'tracker.csv'} {tmp_path / 'robot.csv'}"
+    refused(run(f"hand-eye {files} --camera fixed"), "by --hand-columns px=")

@@ -30,8 +30,15 @@ LOG = logging.getLogger(__name__)
 #: The logger of the whole package
 PACKAGE = logging.getLogger("ttus_opt")
 
-#: Keywords of the library that options name otherwise
-OPTIONS = {"surface": "--probe-surface", "name": "--stream", "n_points": "--points"}
+#: Options that the library's keywords name otherwise
+RENAMED = {
+    "--probe-surface": "surface",
+    "--probe-unit": "unit",
+    "--torso-unit": "unit",
+    "--points": "n_points",
+    "--stream": "name",
+    "--largest-offset": "largest",
+}
 
 #: A stage bar is shown on a terminal when the work has taken this long [s].
 PATIENCE = 1.0
@@ -66,7 +73,7 @@ def as_options(message: str, **options: str) -> str:
     'map them by --columns px=x'
     """
     own = _words.options
-    renamed = {k: v for k, v in OPTIONS.items() if v in own.values()}
+    renamed = {RENAMED[v]: v for v in own.values() if v in RENAMED}
     table = {**own, **renamed, **options}
 
     def written(match: re.Match[str]) -> str:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.cli.console import Stages, as_options, fitted, tell, to_machine
+from ttus_opt.cli.console import Stages, fitted, tell, to_machine
 from ttus_opt.cli.options import listed, voxel_counts
-from ttus_opt.core.errors import InputError
 
 
 def experiment(
@@ -72,10 +71,7 @@ def experiment(
         refine,
     )
     with Stages(n_stages(plan)) as begin:
-        try:
-            result = run(output, plan, progress=begin)
-        except InputError as error:
-            raise InputError(as_options(str(error), unit="--torso-unit")) from error
+        result = run(output, plan, progress=begin)
     facts = {**result.as_dict(), "report": str(output / "report.md")}
     said = "" if to_machine() else fitted(*summary(result))
     where = f"\nreport.md, report.html, results.json and figures in {output}/"

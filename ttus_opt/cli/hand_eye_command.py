@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, tell
-from ttus_opt.cli.options import compared_clocks
+from ttus_opt.cli.options import compared_clocks, told_by
 
 
 def hand_eye(
@@ -63,14 +63,13 @@ def hand_eye(
     with Stages(2) as begin:
         begin("reading")
         first = read_poses(seen, stream, read_column_map(columns), repair=repair)
-        second = read_poses(
-            carried, hand_stream, read_column_map(hand_columns), repair=repair
-        )
+        with told_by(name="--hand-stream", columns="--hand-columns"):
+            named = read_column_map(hand_columns)
+            second = read_poses(carried, hand_stream, named, repair=repair)
         begin("clocks, pairs and fit")
         around = float(first.time[0] - second.time[0]) if together else 0.0
         begun, search = (first.time[0], second.time[0]), (around, largest_offset)
-        named = {"camera": "--camera", "inverted": "--inverted"}
-        with compared_clocks(begun, search, **named):
+        with compared_clocks(begun, search):
             found = stream_hand_eye(
                 first,
                 second,

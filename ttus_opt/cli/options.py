@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 
 from ttus_opt.cli.console import as_options
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import InputError, TtusError
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
@@ -64,7 +64,6 @@ def compared_clocks(
     begun: tuple[float, float],
     search: tuple[float, float],
     advice: str = "",
-    **options: str,
 ) -> Iterator[None]:
     """Tell by options what to try where the clocks of two recordings were not found.
 
@@ -72,7 +71,6 @@ def compared_clocks(
         begun: Times of their first frames [s].
         search: The offset around which was searched, and how far [s].
         advice: What else to try where the signals are unlike.
-        options: Options by the names that the library's messages give.
     """
     from ttus_opt.sensors.clock import UnlikeSignalsError
 
@@ -82,6 +80,12 @@ def compared_clocks(
         if abs(begun[0] - begun[1] - search[0]) > search[1]:
             advice = f"; give --together if both began at about the same time{advice}"
         raise InputError(f"{error}{advice}") from error
-    except InputError as error:
-        told = as_options(str(error), largest="--largest-offset", **options)
-        raise InputError(told) from error
+
+
+@contextlib.contextmanager
+def told_by(**options: str) -> Iterator[None]:
+    """Tell errors by these options, by the names that the library's messages give."""
+    try:
+        yield
+    except TtusError as error:
+        raise InputError(as_options(str(error), **options)) from error

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import as_options
 from ttus_opt.cli.options import numbers
 from ttus_opt.core.errors import InputError, TtusError
 
@@ -46,19 +45,16 @@ class ProbeOptions:
         """The point shell.
 
         Raises:
-            InputError: Whatever is wrong with it, in the words of the command line.
+            TtusError: Whatever is wrong with it.
         """
         from ttus_opt.probe.point_shell import PointShell
 
-        try:
-            return PointShell.from_spec(
-                self.probe,
-                n_points=self.points,
-                unit=self.probe_unit,
-                surface=self.probe_surface,  # type: ignore[arg-type]  # checked there
-            )
-        except TtusError as error:
-            raise InputError(as_options(str(error), unit="--probe-unit")) from error
+        return PointShell.from_spec(
+            self.probe,
+            n_points=self.points,
+            unit=self.probe_unit,
+            surface=self.probe_surface,  # type: ignore[arg-type]  # checked there
+        )
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ttus_opt.cli.console import as_options, tell
-from ttus_opt.cli.options import compared_clocks
-from ttus_opt.core.errors import InputError, TtusError, counted
+from ttus_opt.cli.console import tell
+from ttus_opt.cli.options import compared_clocks, told_by
+from ttus_opt.core.errors import InputError, counted
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
@@ -84,11 +84,8 @@ def synchronise(
     place = _Place(surface or Path(), frame, base_to_scan)
     named = read_column_map(wrench_columns)
     track = read_poses(poses, stream, read_column_map(columns), repair=repair)
-    try:
+    with told_by(name="--wrench-stream", columns="--wrench-columns"):
         forces = read_wrenches(wrenches, wrench_stream, named, repair=repair)
-    except TtusError as error:
-        options = {"name": "--wrench-stream", "columns": "--wrench-columns"}
-        raise InputError(as_options(str(error), **options)) from error
     found = None
     if by is not None:
         around = float(track.time[0] - forces.time[0]) if together else 0.0
