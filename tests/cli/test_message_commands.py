@@ -54,7 +54,7 @@ def test_what_changed(run, files, output, message):
 def test_what_is_refused(run, files, field, tmp_path, output):
     surface, to = files / "surface.nc", f"-o {output / 'x'}"
     refused(run(f"encode {field} {to}"), "base", "surface's message")
-    refused(run(f"encode {surface} --max-error 0 {to}"), "max_error")
+    refused(run(f"encode {surface} --max-error 0 {to}"), "--max-error")
     refused(run(f"encode {files / 'press.csv'} {to}"), "netCDF", "press.csv")
     refused(run(f"encode {tmp_path / 'no.nc'} {to}"), "not found")
     refused(run(f"encode {surface} -o {surface}"), "--force")
