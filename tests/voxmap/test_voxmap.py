@@ -86,6 +86,17 @@ def test_refusals(options, error, word):
     refuses(error, word, Voxmap.from_surface, cylinder(0.09), **options)
 
 
+def test_a_crest_between_spokes_must_not_leave_the_grid():
+    """Contact there lay beyond the outer layer, and pressed with 0 N."""
+    radius = np.full((48, 3), 0.1)
+    radius[2::4] = 0.118
+    ridged = Surface.from_radius(radius, np.linspace(0.0, 0.2, 3))
+    given = {"shape": (9, 12, 9), "r_outer": 0.11}
+    refuses(GeometryError, r"reaches 0.118 m", Voxmap.from_surface, ridged, **given)
+    usual = Voxmap.from_surface(ridged, shape=(9, 12, 9)).grid
+    assert usual.r_outer == pytest.approx(0.138)
+
+
 def test_the_memory_estimate_is_told_before_anything_is_allocated():
     words = r"1,080,000 voxels takes about 0\.5 GiB"
     large = {"shape": (100, 180, 60), "memory_limit": 0.25 * 2**30}

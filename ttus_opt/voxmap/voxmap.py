@@ -137,7 +137,8 @@ class Voxmap:
     def _over(cls, surface: Surface, grid: CylindricalGrid, boundary: str) -> Voxmap:
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = surface.radius_at(theta, z)
-        _check_radius(radius[: grid.wall], grid)
+        crest = largest_radius(surface, grid.sector)  # perhaps between two spokes
+        _check_radius(float(radius[: grid.wall].min()), crest, grid)
         classify = _thickened if boundary == "staircase" else _enclosed
         return cls(grid, surface, classify(grid, radius), boundary)
 
@@ -219,8 +220,7 @@ def check_memory(grid: CylindricalGrid, limit: float | None = None) -> None:
         )
 
 
-def _check_radius(radius: Array, grid: CylindricalGrid) -> None:
-    low, high = float(radius.min()), float(radius.max())
+def _check_radius(low: float, high: float, grid: CylindricalGrid) -> None:
     if low <= grid.r_inner + grid.r_step / 2:
         raise GeometryError(
             f"the surface comes within {low:.4g} m of the axis, r_inner is "
