@@ -56,11 +56,20 @@ def test_the_bias_of_a_sensor_is_told_and_taken_off():
         choice_of("own", PLAN.build(SURFACE, SHELL, biased), "eq10")
 
 
-def test_a_low_skin_is_no_bias():
-    assert sensor_bias(PLAN.build(SURFACE.raised(-3e-3), SHELL, PRESS)) is None
+@pytest.mark.parametrize("moved", [-3e-3, -12e-3])
+@pytest.mark.parametrize("recordings", [(PRESS,), (PRESS, SWEEP)])
+def test_a_low_skin_is_no_bias(moved, recordings):
+    assert sensor_bias(scene_on(moved, recordings)) is None
 
 
-@pytest.mark.parametrize("moved", [-5e-3, -3e-3, 3e-3, 5e-3])
+def test_forces_in_no_unit_tell_nothing():
+    beyond = replace(PRESS, force=1e160 * PRESS.force)
+    scene = replace(PLAN, inner=1.0).build(SURFACE, SHELL, beyond)
+    with np.errstate(over="raise"):
+        assert on_zero(scene) is scene
+
+
+@pytest.mark.parametrize("moved", [-12e-3, -3e-3, 3e-3, 12e-3])
 def test_forces_tell_by_how_much_the_skin_is_wrong(moved):
     found = skin_offset(scene_on(moved))
     assert found == pytest.approx(-moved, abs=4e-4)

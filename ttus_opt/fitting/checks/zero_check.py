@@ -32,9 +32,12 @@ FAR = 1 / 3
 #: which it was not zeroed [N], [–]
 BIAS, CERTAIN_BIAS = 0.1, 10.0
 
+#: Least mean force in the farther half of these frames over that in all [–]
+EVEN = 0.7
+
 #: Least and largest height that is taken for an error of registration [m], and by how
 #: much its log posterior must exceed that of the least
-LEAST_OFFSET, LARGEST_OFFSET, CERTAIN_OFFSET = 1e-3, 10e-3, 4.5
+LEAST_OFFSET, LARGEST_OFFSET, CERTAIN_OFFSET = 1e-3, 15e-3, 4.5
 
 #: So many frames must lie within this below and above the onset [–], [m]
 SEEN, NEAR = 10, 2e-3
@@ -52,10 +55,13 @@ MOST_FRAMES = 1000
 MEDIANS, DEVIATIONS = np.log([1.0, 1.6, 0.3]), np.array([3.0, 0.2, 1.0])
 
 #: Standard deviation of the height, and heights where the search starts [mm]
-SPREAD, STARTS = 4.0, np.arange(-8.0, 9.0, 2.0)
+SPREAD, STARTS = 4.0, np.arange(-14.0, 15.0, 2.0)
 
 #: Relative error of a force, by stiffness that varies [–], and least noise [N]
 VARIED, LEAST_NOISE = 0.3, 0.02
+
+#: Forces beyond this are in no unit of force [N]
+LARGEST_FORCE = 1e6
 
 #: Degrees of freedom of the errors, heavy tails [–]
 FREEDOM = 4.0
@@ -122,21 +128,24 @@ def warn_of_zero(scene: Scene) -> None:
 def sensor_bias(scene: Scene) -> SensorBias | None:
     """The bias of a sensor; None where it has none, or where nothing tells."""
     measured, air = scene.trajectory, np.flatnonzero(~scene.touching)
-    if measured.force is None or not len(air):
+    if _force(scene) is None or not len(air):
         return None
     air = air[:: -(-len(air) // MOST_FRAMES)]
     depth, _ = _deepest(scene, air)
-    air = air[depth <= np.quantile(depth, FAR)]
-    if len(air) < 2:
+    air = air[np.argsort(depth)][: int(np.ceil(FAR * len(air)))]
+    if len(air) < 4:
         return None
 
     def own(vectors: Array) -> Array:
         turn = measured.rotation[air]
         return np.asarray(np.einsum("tij,ti->tj", turn, vectors[air]))
 
-    shown = own(measured.force)
+    shown = own(scene.f.reshape(-1, 3))
     force, error = shown.mean(axis=0), shown.std(axis=0) / np.sqrt(len(air))
     if np.linalg.norm(force) <= max(BIAS, CERTAIN_BIAS * float(np.linalg.norm(error))):
+        return None
+    half = len(air) // 2  # a low skin's forces are none in the farther half
+    if np.linalg.norm(shown[:half].mean(axis=0)) < EVEN * np.linalg.norm(force):
         return None
     torque = np.zeros(3)
     if measured.torque is not None:
@@ -154,7 +163,7 @@ def skin_offset(scene: Scene) -> float | None:
         The height; None where it is not surely more than `LEAST_OFFSET`, the
         recordings do not show where forces begin, or the sensor was not zeroed.
     """
-    measured = scene.trajectory.force
+    measured = _force(scene)
     if measured is None or sensor_bias(scene) is not None:
         return None
     count = len(scene.trajectory)
@@ -187,6 +196,12 @@ def _tell_offset(height: float, remedy: str) -> None:
         3,
         MistakeWarning,
     )
+
+
+def _force(scene: Scene) -> Array | None:
+    """Measured forces, shape (T, 3) [N]; None where there are none, or in no unit."""
+    force = scene.trajectory.force
+    return None if force is None or np.abs(force).max() > LARGEST_FORCE else force
 
 
 def _deepest(scene: Scene, frames: IntArray) -> tuple[Array, Array]:
