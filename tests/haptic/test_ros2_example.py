@@ -241,7 +241,7 @@ def test_the_follower_node(node, files, tmp_path, monkeypatch):
     message.header.frame_id = "map"
     pose(message)
     assert "map" in started.sent[-1]
-    started.patient.silence = -1.0  # as if long ago
+    monkeypatch.setattr("ttus_opt.live.driven_patient.SILENCE", -1.0)  # as if long ago
     tick()
     assert started.side.peer.safety.state is State.STOP
     started.link.close()
