@@ -105,6 +105,13 @@ def test_the_first_code_cell_only_imports(path):
 
 
 @every_notebook
+def test_every_name_imported_from_the_package_exists(path):
+    for node in python(cells(path, "code")[0]).body:
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("ttus_opt"):
+            exec(ast.unparse(node), {})  # an ImportError names what went
+
+
+@every_notebook
 def test_nothing_is_imported_later(path):
     for cell in cells(path, "code")[1:]:
         nodes = ast.walk(python(cell))
