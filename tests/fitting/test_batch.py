@@ -1,6 +1,7 @@
 """Fits as a whole: what is handed out, and what is not."""
 
 import functools
+import pickle
 import time
 from dataclasses import dataclass, replace
 
@@ -277,3 +278,10 @@ def test_the_choice_of_weights_counts_as_search(name, seconds, monkeypatch):
     found = fit(scene, name, weights="auto")
     assert bool(found.standard_errors) == (name == "viscous_drag")
     assert found.timings.search == seconds
+
+
+@pytest.mark.parametrize("name", ["eq10", "total_variation"])
+def test_a_fitter_goes_to_another_process(name):
+    fitter = Fitter(load(name, TINY))
+    copied = pickle.loads(pickle.dumps(fitter)).solve()
+    assert copied.objective == fitter.solve().objective

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.kit import python
 from tests.live.springy import BALL, RADIUS, Spring, parts, path
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.haptic_process import (
@@ -119,6 +120,19 @@ def test_whatever_ends_the_loop_no_force_is_shown_last(how, tmp_path):
     assert shown[-1] == 0.0
     if how == "end":  # not at once
         assert any(0.0 < force < 0.9 * max(shown) for force in shown[-60:])
+
+
+def test_a_process_that_dies_at_once_is_said_though_the_probe_is_large(tmp_path):
+    """Without a guard; the plan is more than a pipe holds."""
+    file = tmp_path / "unguarded.py"
+    file.write_text(
+        "import ttus_opt as tt\n"
+        "from ttus_opt.live.haptic_process import HapticProcess, LoopPlan\n"
+        "shell = tt.PointShell.ellipsoid((0.02, 0.01, 0.01), n_points=5000)\n"
+        "HapticProcess(LoopPlan(shell, int))\n"
+    )
+    told = python(file, status=1, timeout=120.0)
+    assert "NumericalError: the haptic loop's process did not start" in told.stderr
 
 
 def until(condition, loop, state=State.NORMAL, seconds=60.0):

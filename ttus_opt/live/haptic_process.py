@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
 
@@ -85,6 +86,7 @@ class HapticProcess(Feedback, Closing):
             NumericalError: It died at once, for instance because its main module starts
                 processes without ``if __name__ == "__main__"``.
         """
+        given = ForkingPickler.dumps(plan)  # what cannot be sent starts nothing
         self._hand = SharedArray(HAND, depth=BEHIND)
         self._control, self._known = SharedArray(CONTROL), 0
         self._values: SharedArray | None = None
@@ -93,12 +95,12 @@ class HapticProcess(Feedback, Closing):
         context = multiprocessing.get_context("spawn")
         self._end, theirs = context.Pipe()
         names = self._hand.name, self._control.name
-        self._process = context.Process(
-            target=_run, args=(plan, names, theirs), daemon=True
-        )
+        self._process = context.Process(target=_run, args=(names, theirs), daemon=True)
         self._process.start()
         theirs.close()
         try:
+            # not as an argument: `start` would wait for ever for a process that is dead
+            self._end.send_bytes(given)
             self._end.recv()
         except (EOFError, OSError) as error:
             self.close()
@@ -192,13 +194,14 @@ class HapticProcess(Feedback, Closing):
             self._end.send(message)
 
 
-def _run(plan: LoopPlan, names: tuple[str, str], end: Connection) -> None:
+def _run(names: tuple[str, str], end: Connection) -> None:
     """The loop, in its process.
 
     Ctrl-C reaches this process as well; the operator's ends it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    plan: LoopPlan = end.recv()
     hand = SharedArray(HAND, names[0], depth=BEHIND)
     control = SharedArray(CONTROL, names[1])
     _warm_up(plan.shell)

@@ -1,6 +1,7 @@
 """Covariance of errors against dense algebra, draws, and fits of perturbed data."""
 
 import functools
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -245,6 +246,15 @@ def test_one_press_is_enough():
     found = uncertainty(tt.fit(scene, "eq10"), scene)
     assert found.variance > 0.0 and found.noise.force > 0.0
     assert (found.std(scene.trajectory).force_noise > 0.0).all()
+
+
+def test_a_solution_is_pickled_with_its_scene():
+    copied = pickle.loads(pickle.dumps((three_presses(), fitted())))
+    with pytest.warns(TtusWarning, match="errors of whole places"):
+        found = uncertainty(copied[1], copied[0]).std(unseen()).force
+    np.testing.assert_array_equal(found, exact().std(unseen()).force)
+    alone = pickle.loads(pickle.dumps(fitted()))
+    refuses(InputError, "pickle both as one", uncertainty, alone, three_presses())
 
 
 def test_what_has_no_such_posterior_is_refused():

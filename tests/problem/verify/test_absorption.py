@@ -6,6 +6,7 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.kit import small_scene
 from tests.solvers.problems import program as bare
@@ -129,6 +130,16 @@ def test_networks_live_as_long_as_their_rows():
         assert len(absorption._networks) == before + 1
     del program
     assert len(absorption._networks) == before
+
+
+def test_the_network_of_one_field_is_not_taken_for_another():
+    program = load("total_variation", SCENE).compile()
+    own = next(t for t in program.terms if not t.is_squares)
+    V = SCENE.n_voxels
+    both = replace(own, matrix=sp.csr_array(sp.hstack([own.matrix, 0.0 * own.matrix])))
+    given = ~SCENE.laplace.free
+    assert absorption._network(both, program, slice(0, V), given) is not None
+    assert absorption._network(both, program, slice(V, 2 * V), given) is None
 
 
 def test_two_points_of_the_same_objective_are_no_further_apart():

@@ -198,7 +198,10 @@ def uncertainty(
     program = solution.program
     prior = _prior_of(solution)
     if program.laplace is not scene.laplace:
-        raise InputError("the solution belongs to another scene: pass its own scene")
+        raise InputError(
+            "the solution belongs to another scene, or to one that it was pickled "
+            "without: pass its own scene, and pickle both as one, (scene, solution)"
+        )
     used = (t for t in program.terms if t.weight > 0.0 and len(t.target))
     measured = [t for t in used if t is not prior]
     frames = len(scene.trajectory)

@@ -246,15 +246,16 @@ class _Matrix:
         return None
 
 
-#: Networks by identity of their rows and fixed voxels; dropped with the rows
-_networks: dict[tuple[int, int], _Map | None] = {}
+#: Networks by identity of their rows, a field's first column and fixed voxels; dropped
+#: with the rows, so that no other object can have their identity
+_networks: dict[tuple[int, int, int], _Map | None] = {}
 
 
 def _network(
     term: ProgramTerm, program: Program, part: slice, fixed: Mask
 ) -> _Map | None:
     """The network of differences of neighbours, cached while the rows exist."""
-    key = id(term.matrix), hash(fixed.tobytes())
+    key = id(term.matrix), part.start, hash(fixed.tobytes())
     if key not in _networks:
         laplace, matrix = program.laplace, term.matrix[:, part]
         grid = laplace.grid

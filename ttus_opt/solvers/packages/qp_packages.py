@@ -146,6 +146,12 @@ def claim_from(words: str, found: bool) -> Claim:
 #: near 1e-4, with 0.0 it fails on penalties with a kink
 REGULARISATION = 1e-11
 
+
+def _piqp_cost(program: Program) -> float:
+    """As seconds; no lambda, which is not pickled."""
+    return 1.5 * interior_point_seconds(program)
+
+
 SOLVERS = [
     QpPackage(
         Package(
@@ -164,7 +170,7 @@ SOLVERS = [
             "piqp",
             ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
             fixed={"check_duality_gap": True},
-            cost=lambda program: 1.5 * interior_point_seconds(program),
+            cost=_piqp_cost,
         )
     ),
     QpPackage(
