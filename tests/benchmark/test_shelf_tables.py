@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import performance_rows, shelf_tables
 from tests.benchmark.rows import failed, row
+from tests.kit import refuses
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -82,8 +83,7 @@ def test_a_folder_is_read_once_and_markers_are_filled(tmp_path):
         assert page.read_text() == (
             "before\n<!-- a: begin -->\n\nnew\n\n<!-- a: end -->\nafter\n"
         )
-    with pytest.raises(ValueError, match="markers"):
-        shelf_tables.filled(page, "b", "new")
+    refuses(ValueError, "markers", shelf_tables.filled, page, "b", "new")
 
 
 def test_the_markers_are_in_the_pages():
@@ -100,8 +100,7 @@ def test_every_row_of_the_page_is_measured():
     assert [
         performance_rows.begins(row) for row in performance_rows.told_rows()
     ] == list(performance_rows.ROWS)
-    with pytest.raises(KeyError, match="put it into ROWS"):
-        performance_rows.begins("a new row")
+    refuses(KeyError, "put it into ROWS", performance_rows.begins, "a new row")
 
 
 def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path):

@@ -75,8 +75,7 @@ def test_an_interrupted_benchmark_goes_on(tmp_path, monkeypatch):
         return ended(spec)
 
     monkeypatch.setattr(suite, "run_isolated", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        tiny_suite(tmp_path, parts=names).run()
+    refuses(KeyboardInterrupt, "", tiny_suite(tmp_path, parts=names).run)
     run = []
 
     def counted(spec, *others):
@@ -127,8 +126,7 @@ def test_bad_input_is_told_before_anything_runs(tmp_path, change, told):
 
 def test_case_of_files_that_are_gone_is_refused(tmp_path):
     gone = replace(TINY, surface=str(tmp_path / "no.nc"))
-    with pytest.raises(OSError, match="surface file not found"):
-        tiny_suite(tmp_path / "out", [gone]).run()
+    refuses(OSError, "surface file not found", tiny_suite(tmp_path / "out", [gone]).run)
 
 
 def test_dask_that_is_not_there(tmp_path):

@@ -18,7 +18,7 @@ import pytest
 from filelock import FileLock
 from numba.core import event
 
-from tests.kit import python, some
+from tests.kit import python, refuses, some
 from ttus_opt.core import compiled as module
 from ttus_opt.core.cache_folder import cache_folder
 from ttus_opt.core.compiled import compiled, content_key, is_cached
@@ -182,8 +182,7 @@ def test_swapped_fields_of_a_named_tuple_are_seen(load):
     swapped = ("pair", "first: int\n    second: int", "second: int\n    first: int")
     assert first(swapped) == 1
     hidden = ("caller", "from haunted.pair import Pair", "Pair = object")
-    with pytest.raises(TypeError, match="takes a Pair: import it in haunted"):
-        first(hidden)
+    refuses(TypeError, "takes a Pair: import it in haunted", first, hidden)
 
 
 def test_checkouts_share_code(load):
@@ -392,7 +391,6 @@ def test_garbage_is_left_alone_while_compiling_and_not_after():
     collected: list[bool] = []
     with event.install_listener("numba:run_pass", Watch()):
         assert numba.njit(lambda x: x + 1)(1) == 2
-        with pytest.raises(numba.TypingError):
-            numba.njit(wrong)(1)
+        refuses(numba.TypingError, "", numba.njit(wrong), 1)
     assert collected and not any(collected)
     assert gc.isenabled()

@@ -171,8 +171,7 @@ def test_an_interrupt_while_a_file_is_read_is_not_lost(tmp_path, monkeypatch):
     monkeypatch.setattr(netcdf_file, "contents", contents)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt):
-            io.read_content(file, kind="surface", version=1)
+        refuses(KeyboardInterrupt, "", io.read_content, file, kind="surface", version=1)
     finally:
         signal.signal(signal.SIGINT, before)
 

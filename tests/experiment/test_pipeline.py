@@ -123,8 +123,7 @@ def test_a_second_call_computes_nothing_again(done, monkeypatch):
     again = experiment.run(folder, PLAN)
     assert repr(again.rows) == repr(result.rows)
     other = experiment.Plan(PLAN.shape, ("eq10",), 2.0, 3.5, patients=("lean",))
-    with pytest.raises(AssertionError, match="computed again"):
-        experiment.run(folder, other)
+    refuses(AssertionError, "computed again", experiment.run, folder, other)
 
 
 def test_missing_finite_elements_are_told_by_name(tmp_path, monkeypatch):
@@ -187,8 +186,7 @@ def test_a_file_named_like_something_else_that_is_kept_is_refused(tmp_path):
         (tmp_path / f"{name}.py").write_text(words)
     for name in ("eq10", "laplace_scaled", "surface", "boundary"):
         plan = experiment.Plan(formulations=(str(tmp_path / f"{name}.py"),))
-        with pytest.raises(InputError, match=f"in the folder, {name}: rename it"):
-            plan.settings  # noqa: B018
+        refuses(InputError, f"in the folder, {name}: rename it", getattr, plan, "settings")
     (tmp_path / "mine.py").write_text(words)
     (tmp_path / "mine_auto.py").write_text(words)
     both = (str(tmp_path / "mine.py"), str(tmp_path / "mine_auto.py"))

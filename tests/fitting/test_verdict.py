@@ -117,8 +117,7 @@ def test_a_users_own_breakdown_is_told_with_its_line():
 @pytest.mark.parametrize("error", [InputError("no such"), TypeError("a mistake")])
 def test_mistakes_are_no_breakdowns(error):
     guarded = Guarded(Brittle("solve", error), PROGRAM, Request())
-    with pytest.raises(type(error), match=str(error)):
-        guarded.solve()
+    refuses(type(error), str(error), guarded.solve)
 
 
 class Scaling(Solver, Prepared):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.hostile import NUMBERS, only_our_errors
 from tests.probe import test_rigid_motion as motions
 from tests.probe import test_text_table as tables
@@ -23,8 +24,6 @@ from tests.sensors.test_stitching import poses_file
 from tests.sensors.test_stream_formats import SAMPLES
 from tests.sensors.test_streams import table
 from ttus_opt.probe.rigid_motion import read_rigid_motion
-from ttus_opt.probe.trajectory import read_trajectory
-from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.sensors.column_map import read_column_map
 from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.hand_eye import hand_eye, read_pose_pairs
@@ -43,7 +42,7 @@ STAMPED = [f"{1_700_000_000 + i},{i}" + ",0.5" * 13 for i in range(3)]
 
 
 def load_of(file):
-    free = read_trajectory(file)
+    free = tt.read_trajectory(file)
     load = identify_load(free, readings.SENSOR, readings.DOWN)
     given = free, readings.SENSOR, load, readings.DOWN, np.zeros(3)
     compensated(*given, inertia=True)
@@ -61,7 +60,7 @@ READERS = {
             "own.csv": "\n".join([",".join(tables.OURS), *tables.lines(","), ""]),
             "ros.csv": "\n".join([tables.ROS, *STAMPED, ""]),
         },
-        read_trajectory,
+        tt.read_trajectory,
     ),
     "recordings": (SAMPLES, raw_recordings),
     "wrenches": ({"w.csv": table}, read_wrenches),
@@ -108,7 +107,7 @@ READERS = {
         {f"a.{suffix}": photo() for suffix in ("png", "jpg", "tiff")},
         read_image,
     ),
-    "cloud": (seeds, read_cloud),
+    "cloud": (seeds, tt.read_cloud),
 }
 
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import ttus_opt as tt
 import ttus_opt.problem.terms
 from tests.kit import small_scene
 from ttus_opt.core import plugins
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.base import Term
-from ttus_opt.problem.terms.cvxpy_term import CvxpyRows
-from ttus_opt.problem.terms.drag import CoulombField, GlobalCoulomb, Viscous
 
 SCENE = small_scene("trilinear", n_poses=8)
 
@@ -20,11 +18,11 @@ SCENE = small_scene("trilinear", n_poses=8)
 OPTIONS: dict[str, list[dict[str, object]]] = {
     "ForceTerm": [
         {},
-        {"drag": GlobalCoulomb(SCENE, coefficient=0.3)},
-        {"drag": CoulombField(SCENE)},
-        {"drag": Viscous(SCENE, sectors=3, bands=2)},
+        {"drag": tt.terms.GlobalCoulomb(SCENE, coefficient=0.3)},
+        {"drag": tt.terms.CoulombField(SCENE)},
+        {"drag": tt.terms.Viscous(SCENE, sectors=3, bands=2)},
     ],
-    "TorqueTerm": [{}, {"drag": CoulombField(SCENE)}],
+    "TorqueTerm": [{}, {"drag": tt.terms.CoulombField(SCENE)}],
     "TotalVariationTerm": [{}, {"isotropic": True}],
     "AnisotropicTerm": [{}, {"conductivities": (1.0, 0.3, 2.0)}],
     "TikhonovTerm": [{}, {"reference": "zero"}],
@@ -34,8 +32,8 @@ OPTIONS: dict[str, list[dict[str, object]]] = {
 def members():
     """All but cvxpy's rows, whose laws are those of the expression they are given."""
     kinds = plugins.classes_of(ttus_opt.problem.terms).values()
-    kinds = [kind for kind in kinds if issubclass(kind, Term)]
-    return [kind for kind in kinds if kind not in (Term, CvxpyRows)]
+    kinds = [kind for kind in kinds if issubclass(kind, tt.Term)]
+    return [kind for kind in kinds if kind not in (tt.Term, tt.terms.CvxpyRows)]
 
 
 CASES = [

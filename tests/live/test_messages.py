@@ -94,18 +94,15 @@ def test_arbitrary_content_with_a_right_checksum_is_refused_or_a_packet(data, cu
 def test_a_flipped_bit_is_damage(place, bit):
     data = bytearray(encode(packet(pose_command(np.eye(3), np.zeros(3)))))
     data[place % len(data)] ^= 1 << bit
-    with pytest.raises(DamagedError):
-        decode(bytes(data))
+    refuses(DamagedError, "", decode, bytes(data))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_is_told_apart(value):
     pose = np.array([0, 0, value, 1, 0, 0, 0], dtype="<f4").tobytes()
-    with pytest.raises(NotFiniteError):
-        decode(encode(packet(PoseCommand(pose))))
+    refuses(NotFiniteError, "", decode, encode(packet(PoseCommand(pose))))
     row = np.array([0, 0, 0, 0, 1, 0, 0, 0, value, *np.zeros(5)], dtype="<f4")
-    with pytest.raises(NotFiniteError):
-        decode(encode(packet(Measurement(1, row.tobytes()))))
+    refuses(NotFiniteError, "", decode, encode(packet(Measurement(1, row.tobytes()))))
 
 
 BAD = [

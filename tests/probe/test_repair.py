@@ -38,9 +38,7 @@ def broken():
 
 def test_one_error_lists_all(tmp_path):
     file = written(tmp_path / "press.csv", broken())
-    with pytest.raises(FileError) as told:
-        read_trajectory(file)
-    text = str(told.value)
+    text = refuses(FileError, "", read_trajectory, file)
     assert "\n" not in text
     for words in (
         "4 kinds of faults",

@@ -114,8 +114,7 @@ def test_the_package_is_not_blamed_on_a_user(monkeypatch):
     module = formulation_module("eq10")
 
     monkeypatch.setattr(module, "LaplaceTerm", len)
-    with pytest.raises(TypeError, match="len"):
-        load("eq10", SCENE)
+    refuses(TypeError, "len", load, "eq10", SCENE)
 
 
 def test_a_users_file_may_take_any_keyword(tmp_path):

@@ -20,7 +20,6 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
 from tests.fitting.uncertainty.test_field_uncertainty import exact as laplace
 from tests.kit import ellipsoid, presses, torso
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
-from ttus_opt.fitting.uncertainty.field_uncertainty import uncertainty
 from ttus_opt.fitting.uncertainty.wrench_noise import LEAST_SHARE, MeasuredWrenches
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 
@@ -45,7 +44,7 @@ def fitted():
 
 @functools.cache
 def exact():
-    return uncertainty(fitted(), scene_of(LEAST))
+    return tt.uncertainty(fitted(), scene_of(LEAST))
 
 
 def rows_of(scene):
@@ -167,7 +166,7 @@ def test_a_stiffer_place_is_uncertain_by_more_newtons():
     """
     scene = opposite_presses(2.0)
     solution = tt.fit(scene, "depth_map", **WEIGHTS)
-    found = uncertainty(solution, scene)
+    found = tt.uncertainty(solution, scene)
     voxels = sp.csr_array(sp.eye_array(scene.n_voxels))
     std = np.sqrt(found.covariance(voxels, 1)[:, 0, 0])
     inside = voxel_depths(scene.voxmap) > 0.0
@@ -194,9 +193,9 @@ def test_a_place_of_a_depth_map_is_never_exact(monkeypatch):
     """However little its places differ from it; a Laplace field's may be."""
     exactly = replace(exact().noise, place_share=0.001)
     monkeypatch.setattr(MeasuredWrenches, "estimate", lambda *_: (1.0, exactly))
-    assert uncertainty(fitted(), scene_of(LEAST)).noise.place_share == LEAST_SHARE
+    assert tt.uncertainty(fitted(), scene_of(LEAST)).noise.place_share == LEAST_SHARE
     plain = tt.fit(three_presses(), "eq10", **WEIGHTS)
-    assert uncertainty(plain, three_presses()).noise.place_share == 0.001
+    assert tt.uncertainty(plain, three_presses()).noise.place_share == 0.001
 
 
 def test_forces_without_torques_have_an_uncertainty_too():
@@ -204,9 +203,9 @@ def test_forces_without_torques_have_an_uncertainty_too():
     whole = opposite_presses(2.0)
     bare = replace(whole.trajectory, torque=None)
     scene = tt.Scene.assemble(whole.voxmap, whole.shell, bare, inner=1.0)
-    found = uncertainty(tt.fit(scene, "depth_map", force_weight=30.0), scene)
+    found = tt.uncertainty(tt.fit(scene, "depth_map", force_weight=30.0), scene)
     rows = sp.csr_array(whole.N)
-    less = uncertainty(tt.fit(whole, "depth_map", **WEIGHTS), whole)
+    less = tt.uncertainty(tt.fit(whole, "depth_map", **WEIGHTS), whole)
     assert np.isnan(found.noise.torque)
     seen = whole.touching
     stated, known = (np.trace(u.covariance(rows, 3).T)[seen] for u in (found, less))

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import ttus_opt as tt
 from tests.kit import InputError, refuses, small_scene
-from ttus_opt.problem.terms.base import AffineRows, Term
-from ttus_opt.problem.terms.penalties import Groups, Squares
 
 SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
 V = SCENE.n_voxels
 
 
 @dataclass(frozen=True)
-class Own(Term):
+class Own(tt.Term):
     """Counts how often its rows are made."""
 
     made: list[int] = field(default_factory=list, repr=False)
@@ -24,11 +23,11 @@ class Own(Term):
 
     @property
     def penalty(self):
-        return Groups(self.group) if self.group else Squares()
+        return tt.terms.Groups(self.group) if self.group else tt.terms.Squares()
 
     def rows(self):
         self.made.append(1)
-        return AffineRows({"p": sp.coo_array(np.eye(6, V))}, np.arange(6))
+        return tt.AffineRows({"p": sp.coo_array(np.eye(6, V))}, np.arange(6))
 
 
 def test_before_they_are_made_nothing_is_kept():
@@ -40,8 +39,7 @@ def test_before_they_are_made_nothing_is_kept():
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf"), -1e-300])
 def test_a_weight_that_is_none_is_refused(weight):
-    with pytest.raises(InputError, match="own weight must not be negative"):
-        Own(SCENE, weight)
+    refuses(InputError, "own weight must not be negative", Own, SCENE, weight)
     with pytest.raises(InputError, match="own weight must not be negative"):
         Own(SCENE).with_weight(weight)
 

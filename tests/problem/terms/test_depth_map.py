@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.kit import InputError, small_scene
+from tests.kit import InputError, refuses, small_scene
 from ttus_opt.problem.terms.depth_map import SCALE_DEVIATION, DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import PRIOR, DepthMapEstimate
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
@@ -107,5 +107,4 @@ class Wrong(DepthMapTerm):
 
 def test_a_covariance_that_is_not_that_of_the_rows_is_refused():
     wrong = Wrong(small_scene("trilinear"), profile=PROFILE)
-    with pytest.raises(InputError, match="drop the tag KnownCovariance"):
-        wrong.assembled  # noqa: B018
+    refuses(InputError, "drop the tag KnownCovariance", lambda: wrong.assembled)

@@ -9,7 +9,6 @@ import scipy.sparse as sp
 import ttus_opt as tt
 from tests.kit import InputError, small_scene
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem.constraints.base import Constraint, LinearRows
 from ttus_opt.problem.terms.structure import LaplaceRows, Tag, Tags
 from ttus_opt.solvers.dual.data import second_field
 from ttus_opt.solvers.registry import solvers
@@ -37,7 +36,7 @@ class Own(tt.Term):
 
 
 @dataclass(frozen=True)
-class Given(Constraint):
+class Given(tt.constraints.Constraint):
     """A user's values at a few voxels."""
 
     at: Array = field(repr=False)
@@ -46,7 +45,7 @@ class Given(Constraint):
     def rows(self):
         V, m = self.scene.n_voxels, len(self.at)
         rows = sp.csr_array((np.ones(m), self.at, np.arange(m + 1)), shape=(m, V))
-        return LinearRows({"p": rows}, np.full(m, 0.3), np.full(m, 0.3))
+        return tt.terms.LinearRows({"p": rows}, np.full(m, 0.3), np.full(m, 0.3))
 
 
 def test_a_term_called_laplace_with_other_rows_is_solved_like_any_other():

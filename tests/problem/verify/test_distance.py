@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.kit import dragged_scene, small_scene
 from tests.solvers.problems import program as bare
 from tests.solvers.problems import rows, term
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.terms.penalties import Linear
-from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.problem.verify.distance import CLOSE, energy, field_of, held_by_equalities
 from ttus_opt.problem.verify.kkt import Duals, kkt_residuals
 from ttus_opt.solvers.base import Request
@@ -108,7 +107,7 @@ def test_rows_of_free_voxels_alone_determine_a_field_only_with_the_others_fixed(
     assert field_of(own, "p", slice(0, V), none, laplace) is None
     assert field_of(own, "p", slice(0, V), given, laplace) is not None
     whole = next(t for t in compiled("eq10").terms if t.laplace_rows)
-    scaled = replace(whole, tags=frozenset({LaplaceRows("p", np.ones(V))}))
+    scaled = replace(whole, tags=frozenset({tt.terms.LaplaceRows("p", np.ones(V))}))
     for term_of_all in (whole, scaled):
         assert field_of(term_of_all, "p", slice(0, V), none, laplace) is not None
 
@@ -126,7 +125,7 @@ def test_nothing_is_said_where_squares_leave_something_open():
     tied = bare([term([[1.0, 1.0]], [1.0])])
     assert energy(tied, np.array([1.0, -1.0]), free) is None
     assert energy(one, np.zeros(2), free) == 0.0
-    nothing = bare([term([[1.0, 0.0]], [1.0], penalty=Linear())])
+    nothing = bare([term([[1.0, 0.0]], [1.0], penalty=tt.terms.Linear())])
     assert energy(nothing, np.array([1.0, 0.0]), free) is None
 
 

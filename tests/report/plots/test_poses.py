@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
+import ttus_opt as tt
 from tests.kit import InputError, ellipsoid, presses, torso
-from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.report import plots
 from ttus_opt.report.plots import poses
 from ttus_opt.report.plots.poses import LONGEST
 
 
 def drawn(recorded, surface=None):
-    return plots.pose_picture(surface or torso(), ellipsoid(), recorded)
+    return tt.plots.pose_picture(surface or torso(), ellipsoid(), recorded)
 
 
 def recording():
@@ -72,12 +71,12 @@ def test_the_seen_side_is_up():
 
 def test_a_row_for_each_recording_up_to_a_limit(monkeypatch):
     monkeypatch.setattr(poses, "RECORDINGS", 2)
-    three = Trajectory.concatenate([recording()] * 3)
+    three = tt.Trajectory.concatenate([recording()] * 3)
     figure = drawn(three)
     assert len(figure.axes) == 3 * 2
     assert "first 2 of 3" in figure.get_suptitle()
     with pytest.raises(InputError, match="3 recordings"):
-        plots.pose_picture(torso(), ellipsoid(), three, ["press.csv"])
+        tt.plots.pose_picture(torso(), ellipsoid(), three, ["press.csv"])
 
 
 def test_poses_without_wrenches_have_no_arrows():

@@ -8,7 +8,6 @@ from matplotlib import colormaps
 
 import ttus_opt as tt
 from tests.kit import InputError, refuses, torso
-from ttus_opt.report import plots
 from ttus_opt.report.plots.canvas import COLOURS
 from ttus_opt.report.plots.potential import (
     colour_limit,
@@ -20,7 +19,7 @@ from ttus_opt.report.plots.potential import (
 
 @pytest.mark.slow
 def test_potential_shows_the_slice_that_changed_most(fields):
-    figure = plots.potential_slices(*fields)
+    figure = tt.plots.potential_slices(*fields)
     z = fields[0].voxmap.grid.z[4]
     assert figure.get_suptitle().startswith(f"Potential at z = {100 * z:.1f} cm")
     bars = [a.get_xlabel() for a in figure.axes if "p [" in a.get_xlabel()]
@@ -57,7 +56,7 @@ def _data(line):
 
 def test_one_field_in_one_slice(fields):
     grid = fields[0].voxmap.grid
-    figure = plots.field_slice(fields[0], z=grid.z[7])
+    figure = tt.plots.field_slice(fields[0], z=grid.z[7])
     axes, bar = figure.axes
     assert axes.get_title(loc="left") == f"Potential at z = {100 * grid.z[7]:.1f} cm"
     assert bar.get_ylabel() == "p [N/cm²]"
@@ -67,11 +66,11 @@ def test_one_field_in_one_slice(fields):
     )
     skin = fields[0].voxmap.surface.radius_at(np.array(0.0), np.array(grid.z[7]))
     assert np.nanmax(np.hypot(x, y)) == pytest.approx(100 * float(skin), rel=0.05)
-    refuses(InputError, "in metres", plots.field_slice, fields[0], z=10.0)
+    refuses(InputError, "in metres", tt.plots.field_slice, fields[0], z=10.0)
 
 
 def test_colours_are_centred_at_zero(fields):
-    figure = plots.potential_slices(*fields)
+    figure = tt.plots.potential_slices(*fields)
     for axes in figure.axes[:6]:
         filled = axes.collections[0]
         assert filled.norm.vmin == pytest.approx(-filled.norm.vmax)
@@ -81,7 +80,7 @@ def test_colours_are_centred_at_zero(fields):
 def test_fields_on_two_grids_are_refused(fields):
     voxmap = tt.Voxmap.from_surface(torso(), shape=(20, 40, 12))
     other = tt.PotentialField(voxmap, np.zeros((20, 40, 12)), "trilinear")
-    refuses(InputError, "one grid", plots.potential_slices, fields[0], other)
+    refuses(InputError, "one grid", tt.plots.potential_slices, fields[0], other)
 
 
 @pytest.mark.parametrize(

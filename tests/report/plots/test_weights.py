@@ -5,7 +5,6 @@ import pytest
 
 import ttus_opt as tt
 from tests.kit import InputError, presses, refuses, small_scene, torso
-from ttus_opt.report import plots
 
 WEIGHTS = [1e-3, 1e-1, 10.0]
 
@@ -18,7 +17,7 @@ def path(**more):
 def test_the_curve_and_the_errors_are_those_of_the_path():
     unseen = presses(torso(), 6, np.random.default_rng(9))
     found = path(weights={"force": WEIGHTS}, held_out={"unseen": unseen})
-    left, right, angle = plots.weight_path(found, title="a path").axes
+    left, right, angle = tt.plots.weight_path(found, title="a path").axes
     value = found["term_value"]
     x, y = left.lines[0].get_data()
     np.testing.assert_allclose(x, value.sel(term="force"))
@@ -39,7 +38,7 @@ def test_the_curve_and_the_errors_are_those_of_the_path():
 
 def test_without_held_out_recordings_the_residuals_are_drawn():
     found = path(weights={"force": WEIGHTS})
-    right = plots.weight_path(found).axes[1]
+    right = tt.plots.weight_path(found).axes[1]
     np.testing.assert_allclose(
         right.lines[0].get_data()[1], found["force_residual"].to_numpy()[:, 0]
     )
@@ -47,7 +46,7 @@ def test_without_held_out_recordings_the_residuals_are_drawn():
 
 def test_a_grid_is_a_map():
     found = path(weights={"force": WEIGHTS, "torque": [1e-2, 1.0]})
-    left, right, _bar = plots.weight_path(found).axes
+    left, right, _bar = tt.plots.weight_path(found).axes
     told = left.get_legend()
     assert told.get_title().get_text() == "torque weight"
     assert [line.get_text() for line in told.get_texts()] == ["0.01", "1"]
@@ -58,8 +57,8 @@ def test_a_grid_is_a_map():
 def test_what_cannot_be_drawn_is_one_line():
     found = path(weights={"force": [1.0]})
     with pytest.raises(InputError, match="solution_path"):
-        plots.weight_path(found.drop_vars("term_value"))
+        tt.plots.weight_path(found.drop_vars("term_value"))
     with pytest.raises(InputError, match="no point"):
-        plots.weight_path(found.assign(objective=found["objective"] * np.nan))
+        tt.plots.weight_path(found.assign(objective=found["objective"] * np.nan))
     three = found.expand_dims({"a_weight": 1, "b_weight": 1})
-    refuses(InputError, "3 weights", plots.weight_path, three)
+    refuses(InputError, "3 weights", tt.plots.weight_path, three)

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
-from tests.kit import some, torso, with_wrenches
+from tests.kit import refuses, some, torso, with_wrenches
 from tests.oracles.dense import enumerated, stacked
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
@@ -336,8 +336,7 @@ def test_stops_when_the_time_is_up():
         time_limit=1e-6,
     )
     assert solution.status is Status.TIME_LIMIT
-    with pytest.raises(NoSolutionError):
-        solution.field  # noqa: B018
+    refuses(NoSolutionError, "", lambda: solution.field)
 
 
 def updated(first, second):

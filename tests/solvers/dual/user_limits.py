@@ -5,17 +5,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
+import ttus_opt as tt
 from tests.kit import small_scene, with_wrenches
 from ttus_opt.core.arrays import Array
-from ttus_opt.problem.constraints.base import Bounds, Constraint, LinearRows
-from ttus_opt.problem.constraints.monotone import Monotone
 from ttus_opt.problem.formulation import load
 
 INF = np.inf
 
 
 @dataclass(frozen=True)
-class Within(Constraint):
+class Within(tt.constraints.Constraint):
     """Bounds made by a user."""
 
     lower: Array = field(repr=False)
@@ -25,11 +24,11 @@ class Within(Constraint):
     formula = "l ≤ p ≤ u"
 
     def rows(self):
-        return Bounds("p", self.lower, self.upper)
+        return tt.terms.Bounds("p", self.lower, self.upper)
 
 
 @dataclass(frozen=True)
-class Rows(Constraint):
+class Rows(tt.constraints.Constraint):
     """Rows made by a user."""
 
     matrix: sp.csr_array = field(repr=False)
@@ -40,11 +39,11 @@ class Rows(Constraint):
     formula = "l ≤ M p ≤ u"
 
     def rows(self):
-        return LinearRows({"p": self.matrix}, self.lower, self.upper)
+        return tt.terms.LinearRows({"p": self.matrix}, self.lower, self.upper)
 
 
 @dataclass(frozen=True)
-class Steeper(Monotone):
+class Steeper(tt.constraints.Monotone):
     """A second growth along the same spokes."""
 
     name = "steeper"

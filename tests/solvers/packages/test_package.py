@@ -4,8 +4,7 @@ import math
 import signal
 import threading
 
-import pytest
-
+from tests.kit import refuses
 from tests.solvers.problems import program, term
 from ttus_opt.solvers.packages.package import Package, PackageSolver, interruptible
 
@@ -34,8 +33,7 @@ def test_a_package_without_an_estimate_is_never_the_cheapest():
 
 def test_interruptible_work_returns_and_raises():
     assert interruptible(lambda: threading.current_thread().name) == "solver"
-    with pytest.raises(ZeroDivisionError):
-        interruptible(lambda: 1 // 0)
+    refuses(ZeroDivisionError, "", interruptible, lambda: 1 // 0)
 
 
 def test_elsewhere_than_in_the_main_thread_it_is_done_directly():
@@ -61,8 +59,7 @@ def test_an_interrupt_is_heard_while_it_goes_on():
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt):
-            interruptible(work)
+        refuses(KeyboardInterrupt, "", interruptible, work)
         assert begun.is_set() and not done.is_set()
     finally:
         signal.signal(signal.SIGINT, before)

@@ -5,12 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.kit import NumericalError, refuses, small_scene
-from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
-from ttus_opt.problem.terms.laplace import SparseSourcesTerm
-from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Request
@@ -53,8 +51,8 @@ def test_an_active_set_that_does_not_settle_is_told(monkeypatch):
 
 @pytest.mark.parametrize("weight", [1e-8, 1e-6, 1e-4, 1e-2])
 def test_sources_are_exact_over_six_decades(weight):
-    terms = [SparseSourcesTerm(SCENE, weight), ForceTerm(SCENE, 1e-2)]
-    what = Program.build(SCENE, terms, [HardBoundary(SCENE)])
+    terms = [tt.terms.SparseSourcesTerm(SCENE, weight), tt.terms.ForceTerm(SCENE, 1e-2)]
+    what = Program.build(SCENE, terms, [tt.constraints.HardBoundary(SCENE)])
     both = reduce(what)
     solver = registry.solvers()["augmented_lagrangian"]
     found = solver.prepare(both.program, Request(1e-6)).solve()
