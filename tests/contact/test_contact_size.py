@@ -6,11 +6,7 @@ import pytest
 import ttus_opt as tt
 from tests.kit import ellipsoid, small_scene
 from ttus_opt.benchmark.parts.rendering import numpy_frame
-from ttus_opt.contact.contact_size import (
-    REFERENCE_LENGTH,
-    patch_factors,
-    patches_of,
-)
+from ttus_opt.contact.contact_size import REFERENCE_LENGTH, patch_factors, patches_of
 from ttus_opt.contact.rows import REFERENCE_AREA, contact_rows
 from ttus_opt.voxmap.sampling import LEAST_LENGTH
 

@@ -17,12 +17,7 @@ from tests.kit import (
     torso,
 )
 from ttus_opt.contact.contact_size import patch_factors, patches_of
-from ttus_opt.contact.friction import (
-    DEADBAND,
-    Sliding,
-    pressing_axis,
-    viscous_rows,
-)
+from ttus_opt.contact.friction import DEADBAND, Sliding, pressing_axis, viscous_rows
 from ttus_opt.voxmap.sampling import LEAST_LENGTH
 
 TUBE = tt.Surface.from_radius(np.full((72, 21), 0.09), np.linspace(0.0, 0.2, 21))

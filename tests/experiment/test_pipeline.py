@@ -186,7 +186,9 @@ def test_a_file_named_like_something_else_that_is_kept_is_refused(tmp_path):
         (tmp_path / f"{name}.py").write_text(words)
     for name in ("eq10", "laplace_scaled", "surface", "boundary"):
         plan = experiment.Plan(formulations=(str(tmp_path / f"{name}.py"),))
-        refuses(InputError, f"in the folder, {name}: rename it", getattr, plan, "settings")
+        refuses(
+            InputError, f"in the folder, {name}: rename it", getattr, plan, "settings"
+        )
     (tmp_path / "mine.py").write_text(words)
     (tmp_path / "mine_auto.py").write_text(words)
     both = (str(tmp_path / "mine.py"), str(tmp_path / "mine_auto.py"))

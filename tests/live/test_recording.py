@@ -8,12 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.kit import FileError, refuses
 from tests.live.springy import BALL, session
 from ttus_opt.live.impairment import Impairment
-from ttus_opt.live.recording import (
-    Description,
-    Frame,
-    Recorder,
-    frames_of,
-)
+from ttus_opt.live.recording import Description, Frame, Recorder, frames_of
 from ttus_opt.live.replay import replay
 
 mcap = pytest.importorskip("mcap.reader", reason="needs mcap")

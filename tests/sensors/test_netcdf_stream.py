@@ -16,9 +16,7 @@ from scipy.spatial.transform import Rotation
 from tests.hostile import only_our_errors
 from tests.kit import FileError, TtusWarning, refuses
 from ttus_opt.core import netcdf_file
-from ttus_opt.sensors.netcdf_stream import (
-    write_netcdf_wrenches,
-)
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.stream_files import read_poses, read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 

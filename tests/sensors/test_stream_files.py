@@ -8,11 +8,7 @@ from tests.sensors.test_plus_sequence import sequence
 from tests.sensors.test_stream_formats import SAMPLES
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
-from ttus_opt.sensors.stream_files import (
-    raw_recordings,
-    read_poses,
-    read_wrenches,
-)
+from ttus_opt.sensors.stream_files import raw_recordings, read_poses, read_wrenches
 from ttus_opt.sensors.streams import WrenchStream
 
 TIME = np.arange(4.0)

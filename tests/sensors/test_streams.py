@@ -7,11 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.kit import FileError, InputError, refuses
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.stream_files import read_wrenches
-from ttus_opt.sensors.streams import (
-    WrenchStream,
-    poses_at,
-    with_wrenches,
-)
+from ttus_opt.sensors.streams import WrenchStream, poses_at, with_wrenches
 
 
 def turning(time):

@@ -12,10 +12,7 @@ from ttus_opt.session.description import read_description
 def test_the_example_is_understood(recording):
     found = read_description(recording)
     assert found.title == "Synthetic recording"
-    assert found.fitted == [
-        "press_fit",
-        "sweep_fit",
-    ]
+    assert found.fitted == ["press_fit", "sweep_fit"]
     assert found.fit.shape == (12, 24, 12)
     assert found.clock.by == "gravity"
     assert found.force.sensor is not None

@@ -11,11 +11,7 @@ from tests.session.recordings import changed
 from tests.session.single_steps import SURFACE, forces, streams
 from ttus_opt.sensors.streams import WrenchStream, with_wrenches
 from ttus_opt.session.description import Part, read_description
-from ttus_opt.session.readings import (
-    contact_wrenches,
-    cut,
-    synchronise,
-)
+from ttus_opt.session.readings import contact_wrenches, cut, synchronise
 from ttus_opt.session.registration import probe_poses, register
 from ttus_opt.session.synthetic import Truth, perfect
 

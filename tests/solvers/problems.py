@@ -9,13 +9,7 @@ import scipy.sparse as sp
 
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.terms.penalties import (
-    Absolute,
-    Groups,
-    Huber,
-    Linear,
-    Squares,
-)
+from ttus_opt.problem.terms.penalties import Absolute, Groups, Huber, Linear, Squares
 
 INF = np.inf
 SQUARES = Squares()

@@ -10,12 +10,7 @@ import ttus_opt as tt
 from tests.kit import MistakeWarning
 from ttus_opt import example
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.fitting.checks.zero_check import (
-    _onset,
-    on_zero,
-    sensor_bias,
-    skin_offset,
-)
+from ttus_opt.fitting.checks.zero_check import _onset, on_zero, sensor_bias, skin_offset
 from ttus_opt.fitting.weights.weight_choice import choice_of, default_model
 
 PLAN = ScenePlan((16, 48, 24), 0.03)

@@ -9,9 +9,7 @@ import scipy.stats
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import exact, fitted
 from tests.kit import InputError, presses, torso
-from ttus_opt.fitting.uncertainty.uncertainty_check import (
-    check_uncertainty,
-)
+from ttus_opt.fitting.uncertainty.uncertainty_check import check_uncertainty
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.report.metrics import compare

@@ -8,11 +8,7 @@ import pytest
 from tests.kit import InputError, refuses, small_scene, with_wrenches
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.terms.structure import Whitened, declared
-from ttus_opt.problem.terms.wrench import (
-    LENGTHS,
-    RobustForceTerm,
-    TorqueTerm,
-)
+from ttus_opt.problem.terms.wrench import LENGTHS, RobustForceTerm, TorqueTerm
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=5)
 

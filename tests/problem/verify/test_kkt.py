@@ -7,11 +7,7 @@ import scipy.sparse as sp
 from tests.kit import small_scene
 from tests.oracles.dense import minimiser, stacked
 from ttus_opt.problem.formulation import load
-from ttus_opt.problem.members import (
-    ProgramBounds,
-    ProgramConstraint,
-    ProgramTerm,
-)
+from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties import Absolute, Linear
 from ttus_opt.problem.verify.distance import CLOSE
