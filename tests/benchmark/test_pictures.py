@@ -8,16 +8,6 @@ import pytest
 
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark import pictures
-from ttus_opt.benchmark.pictures import (
-    INKS,
-    MARKERS,
-    profile_picture,
-    profile_table,
-    ranked,
-    ratios,
-    share,
-    solver_styles,
-)
 from ttus_opt.benchmark.summary import MIB, NOT_RUN
 
 
@@ -32,17 +22,17 @@ def rows():
 
 
 def test_solvers_are_told_apart_without_colour():
-    names = [f"s{i:02d}" for i in range(len(INKS) * len(MARKERS))]
-    styles = solver_styles([*names, *names])
+    names = [f"s{i:02d}" for i in range(len(pictures.INKS) * len(pictures.MARKERS))]
+    styles = pictures.solver_styles([*names, *names])
     assert list(styles) == names
     told = {(s["marker"], s["linestyle"]) for s in styles.values()}
     assert len(told) > 0.9 * len(names)
-    assert solver_styles(reversed(names)) == styles
+    assert pictures.solver_styles(reversed(names)) == styles
 
 
 def test_curves_are_the_rows_and_failures_are_unfilled():
     given = sorted(rows(), key=lambda each: (each["voxels"], each["solver"]))
-    inks = solver_styles(["one", "two"])
+    inks = pictures.solver_styles(["one", "two"])
     drawn = {name: figure for name, _, figure in pictures._pictures(given, inks)}
     assert list(drawn) == ["time", "memory", "residual"]
     lines = drawn["time"].axes[0].lines
@@ -92,27 +82,27 @@ ROWS = [
 
 
 def test_ratios_by_hand():
-    found = ratios(ROWS)
+    found = pictures.ratios(ROWS)
     assert found["a"] == pytest.approx([1.0, 3.0, 1.0])
     assert found["b"] == pytest.approx([4.0, 1.0, math.inf])
     assert found["never"] == [math.inf] * 3
-    assert [share(found["b"], f) for f in (1.0, 3.9, 4.0, 1e9)] == pytest.approx(
-        [1 / 3, 1 / 3, 2 / 3, 2 / 3]
-    )
-    assert math.isnan(share([], 2.0))
+    assert [
+        pictures.share(found["b"], f) for f in (1.0, 3.9, 4.0, 1e9)
+    ] == pytest.approx([1 / 3, 1 / 3, 2 / 3, 2 / 3])
+    assert math.isnan(pictures.share([], 2.0))
 
 
 def test_the_table_ranks_who_is_near_the_best():
-    found = ranked(ROWS)
+    found = pictures.ranked(ROWS)
     assert list(found) == ["a", "b"]
-    lines = str(profile_table(found)).splitlines()
+    lines = str(pictures.profile_table(found)).splitlines()
     assert [cell.strip() for cell in lines[0].split("|")[2:4]] == ["τ = 1", "τ = 2"]
     assert lines[2].split("|")[2].strip() == "67%"
     assert lines[3].split("|")[-2].strip() == "67%"
 
 
 def test_the_picture_has_the_steps():
-    axes = profile_picture(ranked(ROWS)).axes[0]
+    axes = pictures.profile_picture(pictures.ranked(ROWS)).axes[0]
     steps = {line.get_label(): line for line in axes.lines}
     tau, height = (np.asarray(v) for v in steps["b"].get_data())
     at = [height[np.flatnonzero(tau <= f)[-1]] for f in (1.0, 2.0, 4.0, tau[-1])]

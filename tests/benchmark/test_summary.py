@@ -3,21 +3,12 @@
 import pytest
 
 from tests.benchmark.rows import failed, row
-from ttus_opt.benchmark.summary import (
-    closed_form_table,
-    growth_table,
-    memory_table,
-    ratio,
-    row_table,
-    scores,
-    shifted_geometric_mean,
-    worst_relative,
-)
+from ttus_opt.benchmark import summary
 
 
 def test_shifted_geometric_mean_by_hand():
-    assert shifted_geometric_mean([3.0, 8.0], shift=1.0) == pytest.approx(5.0)
-    assert shifted_geometric_mean([7.0], shift=10.0) == pytest.approx(7.0)
+    assert summary.shifted_geometric_mean([3.0, 8.0], shift=1.0) == pytest.approx(5.0)
+    assert summary.shifted_geometric_mean([7.0], shift=10.0) == pytest.approx(7.0)
 
 
 def test_failures_count_as_the_time_limit_and_refusals_do_not():
@@ -28,7 +19,7 @@ def test_failures_count_as_the_time_limit_and_refusals_do_not():
         failed("absent", "not installed"),
         row("slow", 3.0, 5.0, case="M"),
     ]
-    fast, slow = scores(rows)
+    fast, slow = summary.scores(rows)
     assert (fast["solver"], fast["solved"], fast["run"]) == ("fast", 1, 1)
     assert fast["again"] == pytest.approx(0.1)
     assert (slow["solver"], slow["solved"], slow["run"]) == ("slow", 1, 2)
@@ -36,8 +27,8 @@ def test_failures_count_as_the_time_limit_and_refusals_do_not():
 
 
 def test_the_worst_residual_is_a_relative_one():
-    assert worst_relative(row("a", 1.0, 1.0)) == 2e-8
-    assert worst_relative(failed("b")) is None
+    assert summary.worst_relative(row("a", 1.0, 1.0)) == 2e-8
+    assert summary.worst_relative(failed("b")) is None
 
 
 def test_tables_say_ratios_and_reasons():
@@ -46,19 +37,19 @@ def test_tables_say_ratios_and_reasons():
         row("other", 1.0, 8.0, difference_from_closed_form=3e-7),
         failed("slow"),
     ]
-    against = str(closed_form_table(rows, "closed_form"))
+    against = str(summary.closed_form_table(rows, "closed_form"))
     assert "reference" in against
     assert "3.0e-07" in against
     assert "× 0.1" in against
     assert "slow" not in against
-    assert "time limit: ended during first" in str(row_table(rows))
-    assert "256" in str(memory_table(rows))
-    assert not closed_form_table(rows, "closed_form_pardiso")
-    assert ratio(1.0, None) == "–"
+    assert "time limit: ended during first" in str(summary.row_table(rows))
+    assert "256" in str(summary.memory_table(rows))
+    assert not summary.closed_form_table(rows, "closed_form_pardiso")
+    assert summary.ratio(1.0, None) == "–"
 
 
 def test_table_tells_active_limits():
-    table = row_table([row("a", 1.0, 1.0, active_limits=37), failed("b")])
+    table = summary.row_table([row("a", 1.0, 1.0, active_limits=37), failed("b")])
     lines = str(table).splitlines()
     assert lines[0].rstrip("| ").endswith("active limits")
     assert lines[2].rstrip("| ").endswith("37")
@@ -78,7 +69,7 @@ def test_growth_is_the_slope_of_verified_answers():
         sized("flat", "M", 10_000, 2.0) | {"seconds_again": None},
         sized("alone", "S", 1_000, 2.0),
     ]
-    *_, flat, cube = str(growth_table(rows)).splitlines()
+    *_, flat, cube = str(summary.growth_table(rows)).splitlines()
     cells = [cell.strip() for cell in cube.strip("|").split("|")]
     cubic = "time ∝ V^3.00"
     assert cells == ["eq10", "cube", "S to L (3)", cubic, cubic]
@@ -86,4 +77,4 @@ def test_growth_is_the_slope_of_verified_answers():
     assert cells[1] == "flat"
     assert cells[3].strip("-") in ("time ∝ V^0.00", "time ∝ V^-0.00")
     assert cells[4] == "–"
-    assert not growth_table(rows[-1:])
+    assert not summary.growth_table(rows[-1:])

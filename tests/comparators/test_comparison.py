@@ -11,14 +11,7 @@ import pytest
 
 from tests.comparators.recordings import fitted, recordings
 from tests.kit import InputError, ellipsoid, torso
-from ttus_opt.comparators import available, compare, markdown
-from ttus_opt.comparators.comparison import (
-    SLIDE,
-    judged,
-    ripple,
-    slow_slide,
-    timed_wrenches,
-)
+from ttus_opt.comparators import available, compare, comparison, markdown
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import angles
 
@@ -78,7 +71,7 @@ def test_a_table_has_a_row_per_comparator_and_recording():
 
 def test_errors_are_those_of_the_rendered_wrenches():
     _, slide = recordings()
-    row = judged(fitted("signed_distance"), "slide", slide)
+    row = comparison.judged(fitted("signed_distance"), "slide", slide)
     wrench = fitted("signed_distance").wrenches(slide)
     size = np.linalg.norm(slide.force, axis=1)
     off = np.linalg.norm(wrench[:, :3], axis=1) - size
@@ -127,7 +120,7 @@ def burn(seconds):
 
 def test_a_frame_is_timed_without_first_call_and_other_threads():
     press = recordings()[0].select(slice(0, 40))
-    wrench, frame = timed_wrenches(Busy(), press)
+    wrench, frame = comparison.timed_wrenches(Busy(), press)
     assert wrench.shape == (len(press), 6)
     assert 0.02 <= frame * len(press) < 0.12
 
@@ -137,15 +130,19 @@ def test_ripple_is_what_short_waves_are_and_long_ones_are_not():
     share = np.linspace(0.0, 1.0, 301)
     for waves, expected in ((1.0, 0.0), (30.0, 0.05 / math.sqrt(2.0))):
         force = 1.0 + 0.05 * np.sin(2.0 * np.pi * waves * share)
-        assert ripple(Known(force), press) == pytest.approx(expected, abs=2e-3)
+        assert comparison.ripple(Known(force), press) == pytest.approx(
+            expected, abs=2e-3
+        )
 
 
 def test_the_slide_goes_through_the_firmest_pose_along_z():
     press, _ = recordings()
     firm = np.linalg.norm(press.force, axis=1).argmax()
-    slide = slow_slide(press)
+    slide = comparison.slow_slide(press)
     np.testing.assert_allclose(slide.position.mean(axis=0), press.position[firm])
-    np.testing.assert_allclose(np.ptp(slide.position, axis=0), [0.0, 0.0, SLIDE])
+    np.testing.assert_allclose(
+        np.ptp(slide.position, axis=0), [0.0, 0.0, comparison.SLIDE]
+    )
 
 
 def test_nothing_to_judge_by_is_told():
@@ -166,8 +163,8 @@ def test_the_shown_comparator_renders_one_spring():
     kind = names["DeepestPoint"]
     assert callable(kind)
     own = kind(surface=torso(), shell=ellipsoid()).fit(recordings())
-    row = judged(own, "slide", recordings()[1])
-    other = judged(fitted("signed_distance"), "slide", recordings()[1])
+    row = comparison.judged(own, "slide", recordings()[1])
+    other = comparison.judged(fitted("signed_distance"), "slide", recordings()[1])
     # both are straight springs along the same direction
     assert abs(row.force_angle_error_deg - other.force_angle_error_deg) < 2.0
     assert np.isfinite(row.ripple)

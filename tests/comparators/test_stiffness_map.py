@@ -7,12 +7,6 @@ from tests.comparators.contacts import NO_PATCH, STILL, samples
 from tests.comparators.contacts import made as on_torso
 from ttus_opt.comparators import stiffness_map
 from ttus_opt.comparators.patch_model import Contact
-from ttus_opt.comparators.stiffness_map import (
-    Palpation,
-    PowerLaw,
-    StiffnessMap,
-    chosen_law,
-)
 from ttus_opt.gaussian.matern import matern
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 
@@ -25,11 +19,11 @@ def palpation(n, noise, seed=0):
     stiffness = 5.0 * (1.0 + np.linalg.cholesky(cov) @ rng.normal(size=n))
     depth = rng.uniform(0.2, 1.2, n)
     force = stiffness * depth**1.4 + noise * rng.normal(size=n)
-    return Palpation(depth, place, force)
+    return stiffness_map.Palpation(depth, place, force)
 
 
 def made(data):
-    found = on_torso(StiffnessMap)
+    found = on_torso(stiffness_map.StiffnessMap)
     touching = [
         Contact(h, 0.0, s, STILL, NO_PATCH)
         for h, s in zip(data.depth, data.place, strict=True)
@@ -39,7 +33,7 @@ def made(data):
 
 
 def test_evidence_is_the_density_of_the_forces():
-    data, law = palpation(30, 0.1), PowerLaw(1.2, 0.02, 0.5, 0.2)
+    data, law = palpation(30, 0.1), stiffness_map.PowerLaw(1.2, 0.02, 0.5, 0.2)
     _, stiffness = data.base(1.2)
     mean = stiffness * data.depth**1.2
     C = 0.5**2 * np.outer(mean, mean) * matern(cdist(data.place, data.place), 0.02)
@@ -76,7 +70,7 @@ def test_priors_are_wide_about_soft_tissue(steps, monkeypatch):
     monkeypatch.setattr(
         stiffness_map, "posterior_mode", lambda *_: PosteriorMode(steps, 0.0)
     )
-    law = chosen_law(palpation(9, 0.1))
+    law = stiffness_map.chosen_law(palpation(9, 0.1))
     widths = [0.25, 0.3, 0.5, 1.0]
     expected = np.array([1.3, 0.03, 0.4, 0.15]) * np.exp(widths * steps)
     found = [law.exponent, law.length, law.deviation, law.noise]
@@ -88,11 +82,11 @@ def test_noise_is_never_less_than_a_covariance_needs(monkeypatch):
     monkeypatch.setattr(stiffness_map, "posterior_mode", lambda *_: silent)
     data = palpation(9, 0.1)
     rms = np.sqrt(np.mean(data.force**2))
-    assert chosen_law(data).noise == pytest.approx(1e-4 * rms)
+    assert stiffness_map.chosen_law(data).noise == pytest.approx(1e-4 * rms)
 
 
 def test_evidence_finds_what_the_data_were_made_with():
-    law = chosen_law(palpation(200, 0.1))
+    law = stiffness_map.chosen_law(palpation(200, 0.1))
     assert law.exponent == pytest.approx(1.4, abs=0.1)
     assert law.noise == pytest.approx(0.1, rel=0.3)
     assert 0.015 < law.length < 0.06

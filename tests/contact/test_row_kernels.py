@@ -4,24 +4,14 @@ import numpy as np
 import pytest
 
 from tests.kit import ellipsoid, small_scene
-from ttus_opt.contact.row_kernels import (
-    REFERENCE_AREA,
-    TRILINEAR,
-    Poses,
-    Rows,
-    Scratch,
-    VoxmapArrays,
-    _sort,
-    pose_rows,
-    shell_arrays,
-)
+from ttus_opt.contact import row_kernels
 from ttus_opt.contact.slip import Slip
 from ttus_opt.core.compiled import compiled
 
 
 @compiled()
 def _sorted(keys, order, count):
-    _sort(keys, order, count)
+    row_kernels._sort(keys, order, count)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
@@ -39,12 +29,16 @@ def test_rows_go_on_where_there_was_no_room():
     """Made in many small pieces they are those made in one."""
     scene = small_scene("trilinear")
     trajectory, V = scene.trajectory, scene.n_voxels
-    poses = Poses(trajectory.rotation, trajectory.position, Slip.none())
-    given = (poses, shell_arrays(scene.shell), VoxmapArrays.of(scene.voxmap))
-    scratch = Scratch.of(V, len(scene.shell))
-    rows, done, pieces = Rows.empty(len(trajectory), 8), 0, 0
+    poses = row_kernels.Poses(trajectory.rotation, trajectory.position, Slip.none())
+    given = (
+        poses,
+        row_kernels.shell_arrays(scene.shell),
+        row_kernels.VoxmapArrays.of(scene.voxmap),
+    )
+    scratch = row_kernels.Scratch.of(V, len(scene.shell))
+    rows, done, pieces = row_kernels.Rows.empty(len(trajectory), 8), 0, 0
     while True:
-        done = pose_rows(done, TRILINEAR, *given, rows, scratch)
+        done = row_kernels.pose_rows(done, row_kernels.TRILINEAR, *given, rows, scratch)
         if done == len(trajectory):
             break
         pieces += 1
@@ -60,6 +54,6 @@ def test_rows_go_on_where_there_was_no_room():
 
 def test_areas_refer_to_a_square_centimetre():
     shell = ellipsoid()
-    assert shell_arrays(shell).areas.sum() * REFERENCE_AREA == pytest.approx(
-        shell.areas.sum()
-    )
+    assert row_kernels.shell_arrays(
+        shell
+    ).areas.sum() * row_kernels.REFERENCE_AREA == pytest.approx(shell.areas.sum())

@@ -6,21 +6,17 @@ import threading
 import pytest
 
 from tests.kit import python, refuses
-from ttus_opt.core.interrupts import (
-    ALARM,
-    INTERRUPT,
-    STOPPED,
-    ended_at_once,
-    signals_deferred,
+from ttus_opt.core import interrupts
+
+
+@pytest.mark.parametrize(
+    "kind", [signal.SIGINT, signal.SIGTERM, interrupts.INTERRUPT, interrupts.ALARM]
 )
-
-
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM])
 def test_a_signal_comes_when_all_is_written(kind):
     came: list[str] = []
     before = signal.signal(kind, lambda *_: came.append("signal"))
     try:
-        with signals_deferred():
+        with interrupts.signals_deferred():
             signal.raise_signal(kind)
             came.append("written")
         assert came == ["written", "signal"]
@@ -34,7 +30,7 @@ def test_an_interrupt_ends_what_comes_after():
     done = False
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), signals_deferred():
+        with pytest.raises(KeyboardInterrupt), interrupts.signals_deferred():
             signal.raise_signal(signal.SIGINT)
             done = True
     finally:
@@ -44,7 +40,7 @@ def test_an_interrupt_ends_what_comes_after():
 
 def test_a_mistake_meanwhile_leaves_the_handlers_as_they_were():
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyError), signals_deferred():
+    with pytest.raises(KeyError), interrupts.signals_deferred():
         raise KeyError("a mistake")
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -53,7 +49,7 @@ def test_another_thread_may_write_as_well():
     before, within = signal.getsignal(signal.SIGINT), list[object]()
 
     def write():
-        with signals_deferred():
+        with interrupts.signals_deferred():
             within.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=write)
@@ -75,15 +71,15 @@ with ended_at_once():
         print("seen")
 """
     done = python("-c", program, status=130)
-    assert (done.stdout, done.stderr) == ("", f"\n{STOPPED}\n")
+    assert (done.stdout, done.stderr) == ("", f"\n{interrupts.STOPPED}\n")
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, INTERRUPT])
+@pytest.mark.parametrize("kind", [signal.SIGINT, interrupts.INTERRUPT])
 def test_once_loaded_an_interrupt_is_an_exception(kind):
-    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, interrupts.INTERRUPT)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with ended_at_once():
+        with interrupts.ended_at_once():
             pass
         refuses(KeyboardInterrupt, "", signal.raise_signal, kind)
     finally:
@@ -92,10 +88,10 @@ def test_once_loaded_an_interrupt_is_an_exception(kind):
 
 
 def test_an_interrupt_that_is_ignored_stays_so():
-    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, interrupts.INTERRUPT)}
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with ended_at_once():
+        with interrupts.ended_at_once():
             signal.raise_signal(signal.SIGINT)
     finally:
         for each, handler in before.items():
@@ -105,7 +101,7 @@ def test_an_interrupt_that_is_ignored_stays_so():
 def test_a_handler_that_was_set_meanwhile_stays():
     before = signal.getsignal(signal.SIGINT)
     try:
-        with ended_at_once():
+        with interrupts.ended_at_once():
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:

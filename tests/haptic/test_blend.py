@@ -9,15 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from tests.kit import InputError, ellipsoid, refuses, some, torso
-from ttus_opt.haptic.blend import (
-    GAP,
-    RETREAT_STEP,
-    BlendLaw,
-    follow,
-    opened_ledger,
-    pose_of,
-    settled_ledger,
-)
+from ttus_opt.haptic import blend
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.cylindrical import cylindrical
@@ -105,10 +97,10 @@ def twist(walk):
 
 
 def test_motion_is_displacement_and_rotation_vector():
-    walk, ledger = Walk.make(3, n=50), settled_ledger(0.0)
+    walk, ledger = Walk.make(3, n=50), blend.settled_ledger(0.0)
     reference = np.array([0.003, -0.002, 0.001])
     for k in range(50):
-        found = follow(ledger, walk.rotation[k], walk.position[k], reference)
+        found = blend.follow(ledger, walk.rotation[k], walk.position[k], reference)
         if k:
             centres = walk.position + walk.rotation @ reference
             turn = Rotation.from_matrix(walk.rotation[k] @ walk.rotation[k - 1].T)
@@ -119,11 +111,11 @@ def test_motion_is_displacement_and_rotation_vector():
 
 
 def test_the_ledger_keeps_the_pose_of_the_last_frame():
-    walk, ledger = Walk.make(3, n=5), settled_ledger(0.0)
+    walk, ledger = Walk.make(3, n=5), blend.settled_ledger(0.0)
     reference, R, at = np.array([0.003, -0.002, 0.001]), np.empty((3, 3)), np.empty(3)
     for k in range(5):
-        follow(ledger, walk.rotation[k], walk.position[k], reference)
-        pose_of(ledger, reference, R, at)
+        blend.follow(ledger, walk.rotation[k], walk.position[k], reference)
+        blend.pose_of(ledger, reference, R, at)
         np.testing.assert_array_equal(R, walk.rotation[k])
         np.testing.assert_allclose(at, walk.position[k], atol=1e-15)
 
@@ -133,18 +125,20 @@ def test_stored_energy_is_found_on_the_way_away_from_the_axis():
     R = Rotation.from_rotvec([0.2, -0.3, 0.1]).as_matrix()
     r = SURFACE.radius_at(np.array([0.5]), np.array([0.1])).item() + 0.008
     at, probe = np.array([r * np.cos(0.5), r * np.sin(0.5), 0.1]), shell()
-    ledger, pair = settled_ledger(0.0), (field_of(1.0), field_of(1.6))
-    follow(ledger, R, at, probe.reference)
+    ledger, pair = blend.settled_ledger(0.0), (field_of(1.0), field_of(1.6))
+    blend.follow(ledger, R, at, probe.reference)
     data = FrameData.of(VOXMAP, probe, "trilinear")
-    opened = opened_ledger(ledger, *(f.values.reshape(-1) for f in pair), data)
+    opened = blend.opened_ledger(ledger, *(f.values.reshape(-1) for f in pair), data)
     way = (at + R @ probe.reference) * [1.0, 1.0, 0.0]
     way /= np.linalg.norm(way)
-    places = [at + n * RETREAT_STEP * way for n in range(30)]
+    places = [at + n * blend.RETREAT_STEP * way for n in range(30)]
     both = [Renderer(field, probe) for field in pair]
     old, new = ([wrench(one, R, place)[:3] for place in places] for one in both)
     along = (np.array(new) - np.array(old)) @ way
     assert along[0] > 0.1 and along[-1] == 0.0
-    assert opened[GAP] == pytest.approx(np.trapezoid(along, dx=RETREAT_STEP), rel=1e-9)
+    assert opened[blend.GAP] == pytest.approx(
+        np.trapezoid(along, dx=blend.RETREAT_STEP), rel=1e-9
+    )
 
 
 @pytest.mark.slow
@@ -172,7 +166,7 @@ WALKS = [
 def test_no_jump_and_no_energy_over_random_motions_and_updates(sampling, reserve, seed):
     """Every frame: field-made change of force within the rate; Σ δa ΔU within."""
     rng = np.random.default_rng(seed)
-    law = BlendLaw(force_rate=20.0, reserve=reserve)
+    law = blend.BlendLaw(force_rate=20.0, reserve=reserve)
     walk = Walk.make(seed)
     renderer = Renderer(field_of(1.0, sampling), shell(), blend=law)
     mix = target = field_of(1.0, sampling)
@@ -213,7 +207,9 @@ def work_of_a_walk(seed, *, passive):
     rng = np.random.default_rng(seed + 100)
     walk = Walk.make(seed)
     moved = twist(walk)
-    renderer = Renderer(field_of(1.0), shell(4000), blend=BlendLaw(force_rate=1e3))
+    renderer = Renderer(
+        field_of(1.0), shell(4000), blend=blend.BlendLaw(force_rate=1e3)
+    )
     base = Renderer(field_of(1.0), shell(4000))  # every field is a multiple of this one
     mix = target = 1.0
     share, work, least = 1.0, 0.0, 0.0
@@ -253,7 +249,7 @@ def test_a_round_trip_gives_no_energy(seed):
 def test_softer_comes_at_the_force_rate_and_stiffer_waits_for_the_air():
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     away = np.array([0.0, 0.193, 0.1])
-    renderer = Renderer(field_of(1.0), shell(), blend=BlendLaw(force_rate=2.0))
+    renderer = Renderer(field_of(1.0), shell(), blend=blend.BlendLaw(force_rate=2.0))
     full = np.linalg.norm(renderer.render(R, at).force)
     renderer.update(field_of(0.5))
     frames = 0
@@ -276,7 +272,7 @@ def test_softer_comes_at_the_force_rate_and_stiffer_waits_for_the_air():
 
 def test_an_update_amid_a_swap_does_not_show_in_the_force():
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
-    law = BlendLaw(force_rate=1.0, reserve=1.0)
+    law = blend.BlendLaw(force_rate=1.0, reserve=1.0)
     renderer = Renderer(field_of(1.0), shell(), blend=law)
     before = renderer.render(R, at).force
     for stiffness in (1.5, 0.2, 3.0, 1.0):
@@ -297,4 +293,4 @@ def test_an_update_amid_a_swap_does_not_show_in_the_force():
     ],
 )
 def test_unusable_laws(options, word):
-    refuses(InputError, word, BlendLaw, **options)
+    refuses(InputError, word, blend.BlendLaw, **options)

@@ -8,16 +8,7 @@ import pytest
 from tests.haptic.test_renderer import random_field
 from tests.kit import InputError, small_scene
 from ttus_opt.contact.friction import FRICTION
-from ttus_opt.haptic.blend import (
-    BENT,
-    DIFFERENCE,
-    PLACE,
-    PROGRESS,
-    ROTATION,
-    SEEN,
-    opened_ledger,
-    settled_ledger,
-)
+from ttus_opt.haptic import blend
 from ttus_opt.haptic.drag import FRICTION as PLACE_OF_FRICTION
 from ttus_opt.haptic.field_swap import (
     RenderedField,
@@ -48,7 +39,7 @@ def test_before_the_first_frame_a_field_is_simply_taken(scene):
     old, field = RenderedField.of(random_field(scene)), random_field(scene)
     new = RenderedField.of(replace(field, parameters={FRICTION: 0.2}))
     data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
-    fields = RenderedFields.of(old, old, settled_ledger(0.5))
+    fields = RenderedFields.of(old, old, blend.settled_ledger(0.5))
     after = swapped(fields, new, data, np.zeros((len(scene.shell), 7)))
     assert after.pair.current is after.pair.target is new.values
     assert after.pair.ledger is fields.pair.ledger
@@ -66,8 +57,8 @@ def test_before_the_first_frame_a_field_is_simply_taken(scene):
     ],
 )
 def test_drag_is_named_while_there_is_any(scene, current, target, progress, told):
-    ledger = settled_ledger(0.5)
-    ledger[PROGRESS] = progress
+    ledger = blend.settled_ledger(0.5)
+    ledger[blend.PROGRESS] = progress
     pair = (rubbing(scene, mu) for mu in (current, target))
     assert RenderedFields.of(*pair, ledger).drag == told
 
@@ -78,12 +69,14 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(scene, touches):
     old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.0, 0.0))
     old = old._replace(values=2.0 * old.values)
     new = new._replace(values=-new.values)
-    ledger = settled_ledger(0.5)
-    ledger[[PROGRESS, SEEN]] = 0.25, 1.0
+    ledger = blend.settled_ledger(0.5)
+    ledger[[blend.PROGRESS, blend.SEEN]] = 0.25, 1.0
     pose = int(np.argmax(np.abs(scene.N @ old.values).reshape(-1, 3).max(axis=1)))
-    ledger[ROTATION:DIFFERENCE] = scene.trajectory.rotation[pose].reshape(-1)
+    ledger[blend.ROTATION : blend.DIFFERENCE] = scene.trajectory.rotation[pose].reshape(
+        -1
+    )
     away = 0.0 if touches else 0.5
-    ledger[PLACE:ROTATION] = scene.trajectory.position[pose] + away
+    ledger[blend.PLACE : blend.ROTATION] = scene.trajectory.position[pose] + away
     data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, target, ledger)
     after = swapped(fields, new, data, np.ones((len(scene.shell), 7)))
@@ -95,16 +88,16 @@ def test_an_update_amid_a_swap_begins_where_that_one_stands(scene, touches):
     assert now.current_drag[PLACE_OF_FRICTION] > 0.1
     if not touches:
         assert now.current_drag[PLACE_OF_FRICTION] == pytest.approx(0.75 * 0.2)
-    assert now.ledger[PROGRESS] == 0.0
-    opened = opened_ledger(ledger, now.current, now.target, data)
+    assert now.ledger[blend.PROGRESS] == 0.0
+    opened = blend.opened_ledger(ledger, now.current, now.target, data)
     np.testing.assert_array_equal(now.ledger, opened)
-    assert opened[DIFFERENCE:BENT].any() == touches
+    assert opened[blend.DIFFERENCE : blend.BENT].any() == touches
 
 
 def test_after_a_swap_the_field_in_force_is_its_target(scene):
     old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.1, 0.0))
-    ledger = settled_ledger(0.5)
-    ledger[SEEN] = 1.0
+    ledger = blend.settled_ledger(0.5)
+    ledger[blend.SEEN] = 1.0
     data = FrameData.of(scene.voxmap, scene.shell, "trilinear")
     fields = RenderedFields.of(old, target, ledger)
     now = swapped(fields, new, data, np.ones((len(scene.shell), 7))).pair

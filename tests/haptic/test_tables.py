@@ -7,20 +7,10 @@ import pytest
 import ttus_opt as tt
 from tests.kit import InputError, ellipsoid, refuses, small_scene
 from ttus_opt.core.compiled import compiled
+from ttus_opt.haptic import tables
 from ttus_opt.haptic.blend import PROGRESS, settled_ledger
 from ttus_opt.haptic.field_swap import RenderedField, RenderedFields
 from ttus_opt.haptic.kernel_data import FrameData
-from ttus_opt.haptic.tables import (
-    N_ARRAYS,
-    WORDS,
-    _data,
-    buffers_at,
-    frame_table,
-    matrix,
-    render_tables,
-    table_of,
-    vector,
-)
 from ttus_opt.haptic.wrench import (
     TWIST,
     WRENCH,
@@ -35,7 +25,7 @@ SCENE = small_scene("trilinear")
 @compiled()
 def doubled(table, k):
     """Change array k of a table in its place."""
-    values = matrix(table, k, np.float64)
+    values = tables.matrix(table, k, np.float64)
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             values[i, j] *= 2.0
@@ -44,12 +34,12 @@ def doubled(table, k):
 
 @compiled()
 def summed(table, k):
-    return vector(table, k, np.int64).sum()
+    return tables.vector(table, k, np.int64).sum()
 
 
 def test_a_table_lists_addresses_and_shapes():
     arrays = (np.zeros((3, 4)), np.zeros(5), np.arange(7))
-    table = table_of(arrays).reshape(-1, WORDS)
+    table = tables.table_of(arrays).reshape(-1, tables.WORDS)
     assert table.dtype == np.int64
     np.testing.assert_array_equal(table[:, 0], [a.ctypes.data for a in arrays])
     np.testing.assert_array_equal(table[:, 1:], [[3, 4], [5, 0], [7, 0]])
@@ -57,7 +47,7 @@ def test_a_table_lists_addresses_and_shapes():
 
 def test_compiled_code_reads_and_writes_what_is_listed():
     whole, counts = np.arange(12.0).reshape(3, 4), np.arange(7)
-    table = table_of((np.zeros(2), whole, counts))
+    table = tables.table_of((np.zeros(2), whole, counts))
     assert doubled(table, 1) == (3, 4)
     np.testing.assert_array_equal(whole, 2.0 * np.arange(12.0).reshape(3, 4))
     assert summed(table, 2) == 21
@@ -68,16 +58,16 @@ def test_a_frame_s_arrays_come_out_in_their_places(sampling):
     """Name by name, by address, shape and kind: none has another's place."""
     data = FrameData.of(SCENE.voxmap, ellipsoid(), sampling)
     buffers, limits = FrameBuffers.empty(), FrameLimits(np.ones(3), np.ones((2, 2)))
-    table = frame_table(data, buffers, limits)
-    assert len(table) == WORDS * N_ARRAYS
-    found = _data(data.trilinear, table)
+    table = tables.frame_table(data, buffers, limits)
+    assert len(table) == tables.WORDS * tables.N_ARRAYS
+    found = tables._data(data.trilinear, table)
     assert found.trilinear == data.trilinear
     for name in FrameData._fields[1:]:
         own, there = getattr(data, name), getattr(found, name)
         assert there.dtype == own.dtype, name
         assert there.shape == own.shape, name
         assert there.ctypes.data == own.ctypes.data, name
-    for name, there in zip(FrameBuffers._fields, buffers_at(table), strict=True):
+    for name, there in zip(FrameBuffers._fields, tables.buffers_at(table), strict=True):
         own = getattr(buffers, name)
         assert (there.shape, there.ctypes.data) == (own.shape, own.ctypes.data), name
 
@@ -105,8 +95,8 @@ def test_a_frame_by_tables_is_the_frame_itself(trilinear):
         buffers.rows[TWIST] = [0.05, -0.02, 0.01, 0.3, 0.0, -0.2]
         limits = renderer._limits
         if by_table:
-            table = frame_table(data, buffers, limits)
-            counts = render_tables(table, both.table, trilinear, np.nan, False)
+            table = tables.frame_table(data, buffers, limits)
+            counts = tables.render_tables(table, both.table, trilinear, np.nan, False)
         else:
             counts = render_frame(buffers, np.nan, data, both.pair, limits, False)
         assert counts[0] > 0

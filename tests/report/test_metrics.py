@@ -8,14 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.kit import InputError, refuses, small_scene
-from ttus_opt.report.metrics import (
-    angles,
-    as_rendered,
-    compare,
-    evaluate,
-    hysteresis_share,
-    noticeable,
-)
+from ttus_opt.report import metrics
 
 SCENE = small_scene("trilinear", n_poses=20)
 FIELD = tt.PotentialField(
@@ -35,11 +28,11 @@ def test_known_errors_by_hand():
 
     Angles of both are told over the frames above the thresholds only.
     """
-    seen = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
+    seen = metrics.evaluate(FIELD, SCENE.shell, SCENE.trajectory)
     force = 2.0 * turned(seen.rendered_force, 30.0)
     torque = 0.5 * turned(seen.rendered_torque, 50.0)
     measured = replace(SCENE.trajectory, force=force, torque=torque)
-    errors = evaluate(
+    errors = metrics.evaluate(
         FIELD, SCENE.shell, measured, force_threshold=0.2, torque_threshold=2e-4
     ).errors
     size = np.linalg.norm(seen.rendered_force, axis=1)
@@ -66,7 +59,7 @@ def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre():
     force[:5, 0], force[5, 0] = 0.501, 0.499
     torque[:3, 1], torque[3, 1], torque[5, 1] = 0.0101, 0.0099, 1.0
     measured = replace(SCENE.trajectory, force=force, torque=torque)
-    errors = evaluate(FIELD, SCENE.shell, measured).errors
+    errors = metrics.evaluate(FIELD, SCENE.shell, measured).errors
     assert errors.frames_in_contact == 5
     assert errors.frames_with_torque == 3
     assert (errors.force_threshold_N, errors.torque_threshold_Nm) == (0.5, 0.01)
@@ -76,7 +69,7 @@ def test_angles_are_exact_when_small_and_right_for_zeros():
     a = np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0]])
     b = np.array([[1.0, 1e-9, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 0]])
     expected = [np.degrees(1e-9), 180.0, 90.0, 90.0]
-    np.testing.assert_allclose(angles(a, b), expected, rtol=1e-9)
+    np.testing.assert_allclose(metrics.angles(a, b), expected, rtol=1e-9)
 
 
 def test_errors_are_told_in_short():
@@ -86,7 +79,7 @@ def test_errors_are_told_in_short():
     wrench = np.zeros((20, 6))
     wrench[:5, 1], wrench[:5, 5] = 3.0, 0.06
     measured = replace(SCENE.trajectory, force=force, torque=torque)
-    errors = compare(measured, as_rendered(wrench)).errors
+    errors = metrics.compare(measured, metrics.as_rendered(wrench)).errors
     assert repr(errors) == (
         "Errors(force 0.25 N, 90.0°; torque 10 mN m, 90.0°; 20 frames, 5 in contact)"
     )
@@ -94,7 +87,7 @@ def test_errors_are_told_in_short():
 
 def test_no_frame_in_contact_has_no_angle():
     still = replace(SCENE.trajectory, force=np.zeros((20, 3)))
-    errors = evaluate(FIELD, SCENE.shell, still).errors
+    errors = metrics.evaluate(FIELD, SCENE.shell, still).errors
     assert errors.frames_in_contact == 0
     assert np.isnan(errors.force_angle_error_deg)
 
@@ -109,22 +102,24 @@ def test_the_share_told_apart_counts_frames_with_a_force_of_either():
     # the fifth is below it on both sides, the last is measured without a direction
     wrench = np.column_stack([force_hat, np.zeros((20, 3))])
     measured = replace(SCENE.trajectory, force=force, torque=np.zeros((20, 3)))
-    errors = compare(measured, as_rendered(wrench)).errors
+    errors = metrics.compare(measured, metrics.as_rendered(wrench)).errors
     assert errors.share_told_apart == pytest.approx(3 / 5)
     assert errors.frames_in_contact == 3
 
 
 def test_a_trajectory_without_wrench_is_refused():
     bare = replace(SCENE.trajectory, force=None, torque=None)
-    refuses(InputError, "no wrench", evaluate, FIELD, SCENE.shell, bare)
+    refuses(InputError, "no wrench", metrics.evaluate, FIELD, SCENE.shell, bare)
 
 
 def test_some_frames_are_judged_as_if_recorded_alone():
     measured = replace(SCENE.trajectory, force=np.full((20, 3), 0.7))
     own = np.arange(20) % 3 == 0
-    whole = evaluate(FIELD, SCENE.shell, measured, force_threshold=1.0)
+    whole = metrics.evaluate(FIELD, SCENE.shell, measured, force_threshold=1.0)
     part = whole.over(own)
-    alone = evaluate(FIELD, SCENE.shell, measured.select(own), force_threshold=1.0)
+    alone = metrics.evaluate(
+        FIELD, SCENE.shell, measured.select(own), force_threshold=1.0
+    )
     assert part.errors == alone.errors != whole.errors
     np.testing.assert_array_equal(part.time, alone.time)
     np.testing.assert_array_equal(part.rendered_force, alone.rendered_force)
@@ -146,7 +141,7 @@ def test_some_frames_are_judged_as_if_recorded_alone():
 )
 def test_limits_of_magnitude_and_direction(measured, rendered, degrees, felt):
     force, force_hat = (np.array([[0.0, size, 0.0]]) for size in (measured, rendered))
-    found = noticeable(force, force_hat, np.array([degrees]))
+    found = metrics.noticeable(force, force_hat, np.array([degrees]))
     assert found.tolist() == [felt]
 
 
@@ -168,12 +163,14 @@ def presses(lost=0.0, depth=DEPTH):
 
 
 def test_a_spring_gives_everything_back():
-    assert hysteresis_share(presses(), SHELL, 0.5) == pytest.approx(0.0, abs=1e-9)
+    assert metrics.hysteresis_share(presses(), SHELL, 0.5) == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("lost", [0.1, 0.4])
 def test_share_is_what_is_missing_on_the_way_out(lost):
-    found = hysteresis_share(presses(lost), SHELL, 0.5)
+    found = metrics.hysteresis_share(presses(lost), SHELL, 0.5)
     assert found == pytest.approx(lost, abs=0.03)
 
 
@@ -191,11 +188,11 @@ def test_a_turn_against_a_torque_is_work_too():
         recording.force,
         torque,
     )
-    assert hysteresis_share(turned, SHELL, 0.5) == pytest.approx(1.0, abs=1e-6)
+    assert metrics.hysteresis_share(turned, SHELL, 0.5) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_nothing_is_told_where_no_press_is_complete():
     middle = presses(0.4).select(slice(10, 40))
-    assert np.isnan(hysteresis_share(middle, SHELL, 0.5))
+    assert np.isnan(metrics.hysteresis_share(middle, SHELL, 0.5))
     bare = tt.Trajectory(middle.time, middle.position, middle.rotation)
-    refuses(InputError, "forces", hysteresis_share, bare, SHELL, 0.5)
+    refuses(InputError, "forces", metrics.hysteresis_share, bare, SHELL, 0.5)

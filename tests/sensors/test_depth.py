@@ -12,14 +12,7 @@ from tests.sensors.cameras import (
     see_ellipsoid,
     see_plane,
 )
-from ttus_opt.sensors.depth import (
-    LEAST_COUNT,
-    STEPS,
-    DepthImage,
-    _neighbours,
-    judge,
-    read_depth_image,
-)
+from ttus_opt.sensors import depth
 from ttus_opt.sensors.depth_noise import Pixels, StructuredLight, TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics
 from ttus_opt.sensors.unprojection import Unprojection
@@ -49,8 +42,8 @@ def test_incidence_on_a_plane_is_the_angle_to_its_normal(tilt, axis):
     normal = np.array([0.0, 0.0, np.cos(turn)])
     normal[axis] = np.sin(turn)
     z = plane(normal)
-    found = judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-4), STEEPEST)
-    kept = np.s_[STEPS:-STEPS, STEPS:-STEPS]
+    found = depth.judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-4), STEEPEST)
+    kept = np.s_[depth.STEPS : -depth.STEPS, depth.STEPS : -depth.STEPS]
     assert not found.flying[kept].any()
     np.testing.assert_allclose(
         np.cos(found.incidence[kept]), (straight_rays() @ normal)[kept], atol=1e-9
@@ -59,7 +52,7 @@ def test_incidence_on_a_plane_is_the_angle_to_its_normal(tilt, axis):
 
 def test_pixels_beside_a_jump_are_flying_and_no_others():
     z = np.where(np.arange(SHAPE[1]) < 14, 1.0, 1.4) * np.ones(SHAPE)
-    found = judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-3), STEEPEST)
+    found = depth.judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-3), STEEPEST)
     expected = np.zeros(SHAPE, dtype=bool)
     expected[:, [13, 14]] = True
     np.testing.assert_array_equal(found.flying[2:-2, 2:-2], expected[2:-2, 2:-2])
@@ -70,8 +63,8 @@ def test_a_jump_within_the_noise_is_none():
     """Steps of 1 cm: gone at 5 mm of noise, there at a tenth of a millimetre."""
     z = np.where(np.arange(SHAPE[1]) < 14, 1.0, 1.01) * np.ones(SHAPE)
     level = np.deg2rad(10.0)  # nearly facing the camera
-    noisy = judge(z, straight_rays(), FOCAL, np.full(SHAPE, 5e-3), level)
-    exact = judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-4), level)
+    noisy = depth.judge(z, straight_rays(), FOCAL, np.full(SHAPE, 5e-3), level)
+    exact = depth.judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-4), level)
     assert not noisy.flying[:, 13:15].any()
     assert exact.flying[2:-2, 13:15].all()
 
@@ -80,12 +73,12 @@ def test_a_lonely_pixel_is_flying_and_missing_ones_are_nothing():
     z = np.full(SHAPE, np.nan)
     z[4, 5] = 1.0
     z[12:20, 10:22] = 1.0
-    found = judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-3), STEEPEST)
+    found = depth.judge(z, straight_rays(), FOCAL, np.full(SHAPE, 1e-3), STEEPEST)
     assert found.flying[4, 5]
     assert not found.flying[~np.isfinite(z)].any()
     assert np.isnan(found.incidence[~np.isfinite(z)]).all()
     assert np.isfinite(found.incidence[14:18, 12:20]).all()
-    assert LEAST_COUNT > 1
+    assert depth.LEAST_COUNT > 1
 
 
 @pytest.mark.parametrize(("most", "stride"), [(1, 1), (2, 3), (2, 4), (2, 40)])
@@ -94,7 +87,7 @@ def test_neighbours_are_those_of_plain_loops(most, stride):
     shape = (7, 9)
     number = np.arange(63).reshape(shape)
     found = []
-    for there, here, distance in _neighbours(shape, most, stride):
+    for there, here, distance in depth._neighbours(shape, most, stride):
         pairs = zip(number[here].ravel(), number[there].ravel(), strict=True)
         found += [(int(a), int(b), round(distance, 9)) for a, b in pairs]
     expected = []
@@ -140,7 +133,7 @@ def distance(points):
 def test_points_lie_on_what_was_seen(tmp_path):
     cv2.imwrite(str(tmp_path / "scan.png"), millimetres(seen()))
     camera = Intrinsics(CAMERA.matrix, np.zeros(0), (160, 120))
-    cloud = read_depth_image(tmp_path / "scan.png", camera).to_cloud(CAMERA.pose)
+    cloud = depth.read_depth_image(tmp_path / "scan.png", camera).to_cloud(CAMERA.pose)
     assert distance(cloud.points).max() < 0.7e-3  # rounded to millimetres
     assert cloud.std is None
     (dropped,) = cloud.dropped
@@ -152,10 +145,10 @@ def test_points_lie_on_what_was_seen(tmp_path):
 def test_range_and_z_are_the_same_scene():
     z = seen()
     along = z / rays().rays[..., 2]
-    by_z = DepthImage(z, rays()).to_cloud(CAMERA.pose)
-    by_range = DepthImage(along, rays(), "range").to_cloud(CAMERA.pose)
+    by_z = depth.DepthImage(z, rays()).to_cloud(CAMERA.pose)
+    by_range = depth.DepthImage(along, rays(), "range").to_cloud(CAMERA.pose)
     np.testing.assert_allclose(by_range.points, by_z.points, atol=1e-12)
-    mistaken = DepthImage(along, rays()).to_cloud(CAMERA.pose)
+    mistaken = depth.DepthImage(along, rays()).to_cloud(CAMERA.pose)
     assert distance(mistaken.points).max() > 5e-3
 
 
@@ -166,7 +159,7 @@ def test_deviations_are_those_of_the_noise():
     distance_along = z / own.rays[..., 2]
     facing = Pixels(z, distance_along, np.zeros_like(z), own.focal)
     std = model.along_ray(facing) * own.rays[..., 2]
-    image = DepthImage(measured(z, std, 0.0, rng), own)
+    image = depth.DepthImage(measured(z, std, 0.0, rng), own)
     cloud = image.to_cloud(CAMERA.pose, noise=model)
     bed = cloud.points[:, 1] < 0.02
     view = cloud.points[bed] - CAMERA.pose[:3, 3]
@@ -179,18 +172,22 @@ def test_deviations_are_those_of_the_noise():
 
 def test_refusals(tmp_path):
     z = seen()
-    refuses(InputError, "depth_kind must be", DepthImage, z, rays(), "disparity")
-    refuses(InputError, "transposed", DepthImage, z.T, rays())
-    refuses(InputError, "not positive", DepthImage, np.where(z > 0.9, 0.0, z), rays())
+    refuses(InputError, "depth_kind must be", depth.DepthImage, z, rays(), "disparity")
+    refuses(InputError, "transposed", depth.DepthImage, z.T, rays())
+    refuses(
+        InputError, "not positive", depth.DepthImage, np.where(z > 0.9, 0.0, z), rays()
+    )
     with pytest.raises(InputError, match="no pixel with a depth"):
-        DepthImage(np.full_like(z, np.nan), rays())
-    image = DepthImage(z, rays())
+        depth.DepthImage(np.full_like(z, np.nan), rays())
+    image = depth.DepthImage(z, rays())
     refuses(InputError, "degrees", image.to_cloud, grazing=70.0)
     refuses(InputError, "scales by 2", image.to_cloud, np.diag([2.0, 2, 2, 1]))
     alone = np.full_like(z, np.nan)
     alone[::20, ::20] = 1.0
-    refuses(InputError, "no pixel shows a surface", DepthImage(alone, rays()).to_cloud)
+    refuses(
+        InputError, "no pixel shows a surface", depth.DepthImage(alone, rays()).to_cloud
+    )
     np.save(tmp_path / "scan.npy", z)
     camera = Intrinsics(CAMERA.matrix, np.zeros(0), (640, 480))
     with pytest.raises(InputError, match=r"scan\.npy.*640 x 480"):
-        read_depth_image(tmp_path / "scan.npy", camera)
+        depth.read_depth_image(tmp_path / "scan.npy", camera)

@@ -9,11 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.kit import MistakeWarning, presses, torso
-from ttus_opt.fitting.checks.frame_check import (
-    jumps,
-    share_near_skin,
-    warn_of_another_frame,
-)
+from ttus_opt.fitting.checks import frame_check
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.rigid_motion import as_rows, inverse
 
@@ -26,16 +22,16 @@ PLACE = SKIN.axis.scan_to_patient
 
 def told(written, conventions):
     read = conventions.read(written, SHELL.reference, PLACE)
-    warn_of_another_frame(written, read, SHELL, SKIN, conventions)
+    frame_check.warn_of_another_frame(written, read, SHELL, SKIN, conventions)
 
 
 def test_the_share_is_that_of_frames_near_the_skin():
-    assert share_near_skin(OWN, SHELL, SKIN) == 1.0
+    assert frame_check.share_near_skin(OWN, SHELL, SKIN) == 1.0
     away = OWN.position.copy()
     away[:3] *= 5.0  # out
     away[3:6, 2] += 1.0  # beyond the head
     there = replace(OWN, position=away)
-    assert share_near_skin(there, SHELL, SKIN) == pytest.approx(0.5)
+    assert frame_check.share_near_skin(there, SHELL, SKIN) == pytest.approx(0.5)
 
 
 def test_nothing_is_said_of_the_right_frame():
@@ -45,7 +41,7 @@ def test_nothing_is_said_of_the_right_frame():
         told(OWN.transformed(inverse(PLACE)), Conventions(frame="scan"))
         # nor where scan and patient are one frame
         one = replace(SKIN, axis=tt.Axis.identity())
-        warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
+        frame_check.warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
 
 
 def test_the_frame_that_fits_is_named():
@@ -91,7 +87,7 @@ def path(n, step=0.01):
 def test_a_jump_is_where_it_is_and_as_large():
     position, time = path(100)
     position[40:] += [0.0, 0.02, 0.0]
-    at, size = jumps(position, time)
+    at, size = frame_check.jumps(position, time)
     assert np.flatnonzero(at).tolist() == [40]
     assert size[40] == pytest.approx(0.02, rel=0.1)
 
@@ -99,13 +95,13 @@ def test_a_jump_is_where_it_is_and_as_large():
 def test_what_is_no_jump():
     """A few frames, a brisk start between sparse frames, and steps as all others."""
     for n in (1, 3):
-        assert not jumps(*path(n))[0].any()
+        assert not frame_check.jumps(*path(n))[0].any()
     position, time = path(12, step=0.1)
     position[6:, 0] += 0.05  # 0.5 m/s for 0.1 s
-    assert not jumps(position, time)[0].any()
+    assert not frame_check.jumps(position, time)[0].any()
     rough, time = path(100)
     rough += np.random.default_rng(1).normal(0.0, 0.02, rough.shape)
-    assert not jumps(rough, time)[0].any()
+    assert not frame_check.jumps(rough, time)[0].any()
     position, time = path(100)
     position[50] += [0.0, 0.0, 0.02]  # there and back: two steps, each unlike its own
-    assert np.flatnonzero(jumps(position, time)[0]).tolist() == [50, 51]
+    assert np.flatnonzero(frame_check.jumps(position, time)[0]).tolist() == [50, 51]

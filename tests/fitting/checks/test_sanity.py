@@ -18,13 +18,7 @@ import ttus_opt as tt
 from tests.kit import InputError, presses, small_scene, torso, with_wrenches
 from ttus_opt import example
 from ttus_opt.contact.scene import ScenePlan
-from ttus_opt.fitting.checks.sanity import (
-    SanityReport,
-    agreement,
-    check_recordings,
-    likely_mistake,
-    torque_offset,
-)
+from ttus_opt.fitting.checks import sanity
 from ttus_opt.probe.conventions import Conventions
 
 SWAP = [1, 0, 2]
@@ -48,7 +42,7 @@ def report(trajectory, shell=None):
         voxmap, shell or own, trajectory, inner=10.0, sampling="trilinear"
     )
     # which field is of no matter to what the mistake is
-    return check_recordings(scene, tt.fit(scene, "laplace_only").field)
+    return sanity.check_recordings(scene, tt.fit(scene, "laplace_only").field)
 
 
 def in_tool_axes(t):
@@ -128,7 +122,7 @@ def test_an_option_that_was_given_for_nothing_is_to_be_left_out():
     read = told.read(written, np.asarray(shell.reference))
     scene = tt.Scene.assemble(voxmap, shell, read, sampling="trilinear")
     what = "wrenches in the patient's axes and forces of the opposite sign"
-    assert_told(likely_mistake(scene, written, told), what, "")
+    assert_told(sanity.likely_mistake(scene, written, told), what, "")
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
@@ -150,7 +144,7 @@ def test_the_torques_of_a_ball_tell_no_unit(sign):
     scene = tt.Scene.assemble(voxmap, ball, read, sampling="trilinear")
     prior = scene.laplace.solve(scene.b)
     frames = replace(read, torque=sign * read.torque)
-    assert agreement(scene, prior, frames).torque_ratio == 0.0
+    assert sanity.agreement(scene, prior, frames).torque_ratio == 0.0
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
@@ -197,7 +191,7 @@ def test_residuals_and_contacts_are_those_of_each_recording():
     both = tt.Trajectory.concatenate([recording("press_fit"), recording("sweep_fit")])
     scene = tt.Scene.assemble(voxmap, shell, both, inner=10.0, sampling="trilinear")
     field = tt.fit(scene, "laplace_only").field
-    found = check_recordings(scene, field, ["press", "sweep"]).recordings
+    found = sanity.check_recordings(scene, field, ["press", "sweep"]).recordings
     assert [(check.name, check.frames) for check in found] == [
         ("press", 400),
         ("sweep", 400),
@@ -220,7 +214,7 @@ def test_residuals_and_contacts_are_those_of_each_recording():
         (["press"], ["press part 1", "press part 2"]),  # of one file
         (list("abc"), ["recording 0", "recording 1"]),
     ):
-        other = check_recordings(scene, field, names).recordings
+        other = sanity.check_recordings(scene, field, names).recordings
         assert [check.name for check in other] == told
 
 
@@ -229,11 +223,13 @@ def test_poses_alone_cannot_be_checked():
     poses = replace(recording("press_fit"), force=None, torque=None)
     scene = tt.Scene.assemble(voxmap, shell, poses)
     with pytest.raises(InputError, match="no wrenches"):
-        check_recordings(scene, tt.fit(scene, "laplace_only").field)
+        sanity.check_recordings(scene, tt.fit(scene, "laplace_only").field)
 
 
 def test_the_probe_is_told_in_millimetres():
-    found = SanityReport((), (0.06, 0.025, 0.636), (0.1234, -0.004, 0.0), 0.1, None)
+    found = sanity.SanityReport(
+        (), (0.06, 0.025, 0.636), (0.1234, -0.004, 0.0), 0.1, None
+    )
     assert found.lines == [
         "probe: 60 × 25 × 636 mm, centroid at (123.4, -4.0, 0.0) mm of its frame"
     ]
@@ -262,40 +258,40 @@ def left(expected, measured):
 
 def test_it_is_the_root_of_what_both_leave():
     frames = SCENE.trajectory
-    found = agreement(SCENE, PRIOR, frames)
+    found = sanity.agreement(SCENE, PRIOR, frames)
     s, of_forces = left(SCENE.N @ PRIOR, frames.force.ravel())
     k, of_torques = left(SCENE.W @ PRIOR, frames.torque.ravel())
     assert 0.0 < of_forces < of_torques
     assert found.disagreement == pytest.approx(np.sqrt(of_forces * of_torques))
     assert found.torque_ratio == pytest.approx(k / s)
-    alone = agreement(SCENE, PRIOR, replace(frames, torque=None))
+    alone = sanity.agreement(SCENE, PRIOR, replace(frames, torque=None))
     assert (alone.disagreement, alone.torque_ratio) == pytest.approx((of_forces, 0.0))
 
 
 def test_where_nothing_is_expected_all_disagrees_that_is_measured():
     none = 0.0 * PRIOR
     frames = SCENE.trajectory
-    assert agreement(SCENE, none, frames).disagreement == 1.0
+    assert sanity.agreement(SCENE, none, frames).disagreement == 1.0
     silent = replace(frames, force=0.0 * frames.force, torque=0.0 * frames.torque)
-    assert agreement(SCENE, PRIOR, silent).disagreement == 0.0
-    assert agreement(SCENE, none, silent).torque_ratio == 0.0
+    assert sanity.agreement(SCENE, PRIOR, silent).disagreement == 0.0
+    assert sanity.agreement(SCENE, none, silent).torque_ratio == 0.0
 
 
 @pytest.mark.parametrize("factor", [1.0, 7.0])
 def test_an_offset_is_found_beside_any_factor(factor):
     c = np.array([0.01, -0.03, 0.08])
     torque = factor * EXPECTED - np.cross(TURN @ c, FORCE)
-    assert torque_offset(torque, EXPECTED, FORCE, TURN) == pytest.approx(c)
-    assert torque_offset(factor * EXPECTED, EXPECTED, FORCE, TURN) == pytest.approx(
-        np.zeros(3), abs=1e-12
-    )
+    assert sanity.torque_offset(torque, EXPECTED, FORCE, TURN) == pytest.approx(c)
+    assert sanity.torque_offset(
+        factor * EXPECTED, EXPECTED, FORCE, TURN
+    ) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
 def test_pushes_along_one_axis_tell_nothing_along_it():
     force = 3.0 * TURN[:, :, 2]
     c = np.array([0.01, -0.03, 0.08])
     torque = -np.cross(TURN @ c, force)
-    found = torque_offset(torque, np.zeros((N, 3)), force, TURN)
+    found = sanity.torque_offset(torque, np.zeros((N, 3)), force, TURN)
     assert found == pytest.approx([0.01, -0.03, 0.0])
 
 
@@ -350,7 +346,7 @@ def test_evaluation_and_report_say_that_there_are_none():
     assert errors.force_magnitude_error_N == expected.force_magnitude_error_N
     assert np.isnan(errors.torque_magnitude_error_Nm)
     assert errors.frames_with_torque == 0
-    report = check_recordings(only, field)
+    report = sanity.check_recordings(only, field)
     assert report.mistake is None
     assert "no torques" in report.lines[0]
     assert "forces" in repr(only)
@@ -359,5 +355,5 @@ def test_evaluation_and_report_say_that_there_are_none():
 def test_a_flipped_sensor_of_forces_is_told():
     _, only = scenes()
     wrong = with_wrenches(only, -only.f)
-    report = check_recordings(wrong, tt.fit(wrong, "laplace_only").field)
+    report = sanity.check_recordings(wrong, tt.fit(wrong, "laplace_only").field)
     assert report.mistake.mends == "--flip-wrench"

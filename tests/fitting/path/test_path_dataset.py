@@ -7,12 +7,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.kit import FileError, presses, refuses, small_scene, torso
-from ttus_opt.fitting.path.path_dataset import (
-    PathRecord,
-    best_weights,
-    read_solution_path,
-    write_solution_path,
-)
+from ttus_opt.fitting.path import path_dataset
 from ttus_opt.fitting.path.weight_grid import WeightGrid
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.solution import Status, Timings
@@ -47,7 +42,7 @@ def noted():
     declared = formulation()
     grid = WeightGrid.of({"force": FORCE, "torque": TORQUE}, ["force", "torque"])
     held_out = {"one": unseen(1), "two": unseen(2)}
-    record = PathRecord(declared, grid, held_out, 1e-6, keep_fields=True)
+    record = path_dataset.PathRecord(declared, grid, held_out, 1e-6, keep_fields=True)
     points = {
         (0, 0): replace(solved((0, 0)), timings=Timings(9.0, 1.0, 2.0)),
         (0, 1): replace(
@@ -129,7 +124,7 @@ def test_what_only_some_points_have_is_missing_elsewhere(noted):
 def test_a_term_without_weight_has_no_value():
     grid = WeightGrid.of({"force": [1.0]}, ["force", "torque"])
     declared = formulation().with_weights(torque=0.0)
-    record = PathRecord(declared, grid, {}, 1e-6)
+    record = path_dataset.PathRecord(declared, grid, {}, 1e-6)
     record.add((0,), tt.Fitter(declared.with_weights(force=1.0)).solve())
     values = record.dataset()["term_value"].isel(force_weight=0)
     assert np.isnan(values.sel(term="torque")) and values.sel(term="force") > 0.0
@@ -140,7 +135,7 @@ def test_forces_alone_leave_torques_out():
     bare = replace(own, trajectory=replace(own.trajectory, torque=None))
     grid = WeightGrid.of({"force": [1.0]}, ["force"])
     declared = load("eq10", bare).with_weights(force=1.0)
-    record = PathRecord(declared, grid, {}, 1e-6)
+    record = path_dataset.PathRecord(declared, grid, {}, 1e-6)
     record.add((0,), tt.Fitter(declared).solve())
     found = record.dataset()
     assert np.isfinite(found["force_residual"]).all()
@@ -158,22 +153,24 @@ def test_everything_has_a_unit_and_says_where_it_is_from(noted):
 def test_a_common_weight_stands_on_one_axis():
     names = ("force", "torque")
     grid = WeightGrid.of({names: FORCE}, names)
-    found = PathRecord(formulation(), grid, {}, 1e-6).dataset()
+    found = path_dataset.PathRecord(formulation(), grid, {}, 1e-6).dataset()
     assert found["torque_weight"].dims == ("force_weight",)
     np.testing.assert_array_equal(found["torque_weight"], FORCE)
 
 
 def test_a_file_gives_it_back(noted, tmp_path):
     found, file = noted[0], tmp_path / "path.nc"
-    write_solution_path(found, file)
-    again = read_solution_path(file)
+    path_dataset.write_solution_path(found, file)
+    again = path_dataset.read_solution_path(file)
     assert again.drop_attrs().equals(found.drop_attrs())
     for name in ("force_residual", "status", "gcv"):
         assert set(again[name].attrs) >= set(found[name].attrs)
     assert again.attrs["formulation"] == found.attrs["formulation"]
     for lost in ("objective", "status", "term_value"):
-        write_solution_path(found.drop_vars(lost), file)
-        refuses(FileError, "damaged solution path", read_solution_path, file)
+        path_dataset.write_solution_path(found.drop_vars(lost), file)
+        refuses(
+            FileError, "damaged solution path", path_dataset.read_solution_path, file
+        )
 
 
 def test_the_best_weights_have_the_smallest_mean_error(noted):
@@ -182,7 +179,7 @@ def test_the_best_weights_have_the_smallest_mean_error(noted):
     name = "held_out_force_magnitude_error"
     errors = np.array([[[1.0, 9.0], [4.0, 5.0]], [[np.nan, np.nan], [3.0, 8.0]]])
     given = found.assign({name: (found[name].dims, errors)})
-    assert best_weights(given) == {"force": FORCE[0], "torque": TORQUE[1]}
+    assert path_dataset.best_weights(given) == {"force": FORCE[0], "torque": TORQUE[1]}
     nothing = found.assign({name: (found[name].dims, np.full((2, 2, 2), np.nan))})
-    assert best_weights(nothing) == {}
-    assert best_weights(found.drop_dims("held_out")) == {}
+    assert path_dataset.best_weights(nothing) == {}
+    assert path_dataset.best_weights(found.drop_dims("held_out")) == {}

@@ -10,10 +10,6 @@ import scipy.sparse as sp
 
 from tests.kit import small_scene
 from ttus_opt.fitting.uncertainty import laplace_posterior
-from ttus_opt.fitting.uncertainty.laplace_posterior import (
-    SCALE_DEVIATION,
-    LaplacePosterior,
-)
 from ttus_opt.fitting.uncertainty.wrench_noise import ErrorModel
 from ttus_opt.problem.formulation import load
 from ttus_opt.solvers.dual.data import DualData
@@ -55,13 +51,13 @@ def made(scale=False):
     data = DualData.of(load("eq10", SCENE, **weights).compile())
     root = data.system.root_weights
     with patch.object(laplace_posterior, "MISSING", 1e-8):  # a basis of all there is
-        bare = LaplacePosterior.of(data, root, scale)
+        bare = laplace_posterior.LaplacePosterior.of(data, root, scale)
     errors = errors_of(int(bare.informative.sum()))
     D = (root[:, None] * data.system.rows.toarray())[bare.informative]
     inverse = np.linalg.inv(SCENE.L.toarray())
     C = inverse @ inverse.T
     if scale:
-        p0 = SCALE_DEVIATION * inverse @ SCENE.b
+        p0 = laplace_posterior.SCALE_DEVIATION * inverse @ SCENE.b
         C = C + np.outer(p0, p0)
     G = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T)
     left = np.eye(V) - G @ D

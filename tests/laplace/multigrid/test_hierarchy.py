@@ -3,19 +3,14 @@
 import numpy as np
 
 from tests.laplace.multigrid.test_pooled import some_pooled
-from ttus_opt.laplace.multigrid.coarsening import (
-    DIRECT_NODES,
-    STIFFNESS,
-    coarsen,
-    finest,
-)
+from ttus_opt.laplace.multigrid import coarsening
 from ttus_opt.laplace.multigrid.hierarchy import Hierarchy
 from ttus_opt.laplace.multigrid.workspace import Workspace
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 def test_levels_are_the_coarsened_networks(small):
-    network = finest(small.grid, small.free)
+    network = coarsening.finest(small.grid, small.free)
     for level in small.hierarchy.levels:
         assert level.layout.shape == network.shape
         if level.T.ndim > 1:
@@ -29,8 +24,8 @@ def test_levels_are_the_coarsened_networks(small):
                     level.weights[2 * axis + 1], level.layout.split(after)
                 )
         for axis in np.flatnonzero(level.flags):
-            network = coarsen(network, int(axis))
-    assert network.n_free <= DIRECT_NODES
+            network = coarsening.coarsen(network, int(axis))
+    assert network.n_free <= coarsening.DIRECT_NODES
     inverse = small.hierarchy.inverse.astype(float)
     np.testing.assert_allclose(
         inverse @ network.matrix(), np.eye(network.n_free), atol=1e-4
@@ -46,7 +41,7 @@ def test_pooled_blocks_are_stiff_links_of_the_finest_level(small):
     i = np.nonzero(inside)[0]
     np.testing.assert_allclose(
         tied.levels[0].R.reshape(-1)[places],
-        plain.levels[0].R[i] * np.float32(STIFFNESS),
+        plain.levels[0].R[i] * np.float32(coarsening.STIFFNESS),
     )
     assert plain.levels[0].R.ndim == 1 and tied.levels[0].T.ndim == 1
 

@@ -4,29 +4,23 @@ import numpy as np
 
 from tests.laplace.multigrid.conftest import noise, split
 from ttus_opt.core.compiled import compiled
-from ttus_opt.laplace.multigrid.kernels import (
-    LevelIndex,
-    fill_ghost_rows,
-    flow,
-    level_index,
-    span,
-)
+from ttus_opt.laplace.multigrid import kernels
 from ttus_opt.laplace.multigrid.red_black import BLACK, RED
 from ttus_opt.laplace.multigrid.workspace import Workspace
 
 
 @compiled()
 def _fill_ghosts(table, work, x, colour):
-    at = level_index(table[0])
-    fill_ghost_rows(at, work, x, colour)
-    first, last = span(at, colour)
+    at = kernels.level_index(table[0])
+    kernels.fill_ghost_rows(at, work, x, colour)
+    first, last = kernels.span(at, colour)
     return first, last
 
 
 def test_the_table_says_where_every_array_lies(small):
     h = small.hierarchy
     for row, level in zip(h.table, h.levels, strict=True):
-        index = LevelIndex(*row.tolist())
+        index = kernels.LevelIndex(*row.tolist())
         assert (index.n_r, index.n_theta, index.n_z) == level.layout.shape
         for name, array in (("Z", level.Z), ("T", level.T), ("inverse", level.inverse)):
             start = getattr(index, name)
@@ -39,7 +33,7 @@ def test_closing_the_circle_copies_the_outer_rows(small):
     layout = small.hierarchy.levels[0].layout
     whole = split(layout, noise(small.free))
     work = np.zeros(small.hierarchy.work_size, np.float32)
-    at = LevelIndex(*small.hierarchy.table[0].tolist())
+    at = kernels.LevelIndex(*small.hierarchy.table[0].tolist())
     stored = work[at.x : at.x + whole.size].reshape(whole.shape)
     real = layout.places(np.nonzero(small.free))
     stored.reshape(-1)[real] = whole.reshape(-1)[real]
@@ -62,7 +56,7 @@ def test_flow_is_what_red_nodes_send_to_black_ones(small):
     before = split(layout, noise(small.free, 2))[BLACK]
     kept = work.values[at.residual : at.residual + before.size]
     kept[:] = before.reshape(-1)
-    flow(h.table[0], h.fields, work.values, at.residual, at.x, -0.5, (0, 1))
+    kernels.flow(h.table[0], h.fields, work.values, at.residual, at.x, -0.5, (0, 1))
     # between neighbours of one colour, where an odd circle closes, nothing is told
     coupling = -small.A * (black[:, None] & ~black[None])
     expected = coupling @ x - 0.5 * noise(small.free, 2)

@@ -10,17 +10,10 @@ import scipy.sparse as sp
 
 from tests.kit import InputError, refuses, small_scene
 from ttus_opt.fitting.batch import fit
+from ttus_opt.problem.constraints import signs
 from ttus_opt.problem.constraints.base import Bounds, ConeRows, Constraint, LinearRows
 from ttus_opt.problem.constraints.boundary import HardBoundary
 from ttus_opt.problem.constraints.monotone import Monotone
-from ttus_opt.problem.constraints.signs import (
-    DragLimit,
-    DragSign,
-    MeanFriction,
-    NonNegative,
-    Sign,
-    ViscousSign,
-)
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE
 
 FEW = small_scene(shape=(5, 8, 6), n_poses=5)
@@ -86,10 +79,10 @@ WEIGHTS = {"force_weight": 3.0, "torque_weight": 3.0}
 @pytest.mark.parametrize(
     ("constraint", "variable", "above_zero", "below_zero"),
     [
-        (Sign(SCENE), "p", FLAT == INSIDE, FLAT == OUTSIDE),
-        (DragSign(SCENE), "q", FLAT != OUTSIDE, FLAT != INSIDE),
-        (NonNegative(SCENE), "p", FLAT != OUTSIDE, np.zeros_like(FLAT, bool)),
-        (ViscousSign(SCENE, 6), "c", np.ones(6, bool), np.zeros(6, bool)),
+        (signs.Sign(SCENE), "p", FLAT == INSIDE, FLAT == OUTSIDE),
+        (signs.DragSign(SCENE), "q", FLAT != OUTSIDE, FLAT != INSIDE),
+        (signs.NonNegative(SCENE), "p", FLAT != OUTSIDE, np.zeros_like(FLAT, bool)),
+        (signs.ViscousSign(SCENE, 6), "c", np.ones(6, bool), np.zeros(6, bool)),
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
@@ -101,15 +94,15 @@ def test_signs_are_bounds_at_zero(constraint, variable, above_zero, below_zero):
 
 
 def test_the_mean_lies_between_nothing_and_the_largest():
-    mean = MeanFriction(SCENE, 0.4).rows()
+    mean = signs.MeanFriction(SCENE, 0.4).rows()
     assert (mean.variable, mean.lower, mean.upper) == ("m", [0.0], [0.4])
 
 
 @pytest.mark.parametrize(
     ("kind", "value", "words"),
     [
-        (DragLimit, 0.0, "largest friction must lie between"),
-        (MeanFriction, -1.0, "largest friction must lie between"),
+        (signs.DragLimit, 0.0, "largest friction must lie between"),
+        (signs.MeanFriction, -1.0, "largest friction must lie between"),
         (Monotone, -1.0, "least_slope must not be negative"),
     ],
 )
@@ -130,7 +123,7 @@ def test_hard_boundary_keeps_the_values():
 
 
 def test_drag_limit_is_a_share_of_the_field():
-    rows = DragLimit(SCENE, 0.4).rows()
+    rows = signs.DragLimit(SCENE, 0.4).rows()
     p, q = np.random.default_rng(0).normal(size=(2, SCENE.n_voxels))
     value = rows.blocks["p"] @ p + rows.blocks["q"] @ q
     beside = FLAT != 0

@@ -6,11 +6,7 @@ import pytest
 import ttus_opt as tt
 from tests.kit import InputError, refuses, small_scene, torso
 from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.problem.terms.departures import (
-    TikhonovTerm,
-    TotalVariationTerm,
-    difference_rows,
-)
+from ttus_opt.problem.terms import departures
 
 SCENE = small_scene("trilinear")
 
@@ -25,7 +21,7 @@ def test_tikhonov_pulls_towards_its_reference():
             distance.append(np.linalg.norm((field.values - target)[free]))
         assert distance[0] > distance[1] > distance[2]
     words = "reference must be one of laplace, zero"
-    refuses(InputError, words, TikhonovTerm, SCENE, reference="mean")
+    refuses(InputError, words, departures.TikhonovTerm, SCENE, reference="mean")
 
 
 LONG = small_scene("trilinear", n_poses=20)
@@ -47,7 +43,7 @@ def test_differences_are_those_of_the_grid():
     """Against plain loops, for every voxel of a small grid."""
     grid = small_scene(shape=(5, 6, 4), n_poses=2).voxmap.grid
     p = np.random.default_rng(0).normal(size=grid.shape)
-    found = (difference_rows(grid) @ p.reshape(-1)).reshape(*grid.shape, 3)
+    found = (departures.difference_rows(grid) @ p.reshape(-1)).reshape(*grid.shape, 3)
     n_r, n_theta, n_z = grid.shape
     for i in range(n_r):
         for j in range(n_theta):
@@ -71,7 +67,7 @@ def test_total_variation_of_a_gradient_is_its_length():
     values = np.broadcast_to(grid.z / grid.r_step, grid.shape).reshape(-1)
     departure = scene.laplace.solve(scene.b) + values
     for isotropic in (False, True):
-        term = TotalVariationTerm(scene, isotropic=isotropic)
+        term = departures.TotalVariationTerm(scene, isotropic=isotropic)
         program = Formulation([term]).compile()
         steps = grid.shape[0] * grid.shape[1] * (grid.shape[2] - 1)
         assert program.objective(departure) == pytest.approx(steps)
@@ -103,7 +99,7 @@ def test_a_sector_has_no_differences_beyond_its_sides():
         torso(), shape=(5, 9, 4), r_inner=0.03, sector=(0.2, 2.6)
     )
     grid = voxmap.grid
-    D = difference_rows(grid)
+    D = departures.difference_rows(grid)
     p = np.zeros(grid.shape)
     p[:, grid.wall :] = 7.0
     across = (D @ p.reshape(-1)).reshape(*grid.shape, 3)[..., 1]

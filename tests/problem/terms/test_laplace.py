@@ -11,25 +11,14 @@ from scipy.special import i0, k0
 import ttus_opt as tt
 from tests.kit import InputError, presses, refuses, small_scene
 from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.problem.terms import laplace
 from ttus_opt.problem.terms.depth_profile import DepthProfile, voxel_depths
-from ttus_opt.problem.terms.laplace import (
-    LENGTH,
-    MEAN_FRICTION,
-    AnisotropicTerm,
-    DragSmoothnessTerm,
-    LaplaceFreeSurfaceTerm,
-    LaplaceResidualTerm,
-    LaplaceTerm,
-    ScreenedTerm,
-    VolumeWeightedTerm,
-    free_surface_layer,
-)
 
 SCENE = small_scene("trilinear")
 
 
 def test_a_factor_scales_the_boundary_values_alone():
-    prior = LaplaceTerm(SCENE, 3.0)
+    prior = laplace.LaplaceTerm(SCENE, 3.0)
     np.testing.assert_array_equal(prior.assembled.target, SCENE.b)
     scaled = prior.with_factor(1.25)
     np.testing.assert_array_equal(scaled.assembled.target, 1.25 * SCENE.b)
@@ -43,25 +32,25 @@ def test_a_factor_scales_the_boundary_values_alone():
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_factor_is_positive(factor):
     with pytest.raises(InputError, match="factor on b must be positive"):
-        LaplaceTerm(SCENE).with_factor(factor)
+        laplace.LaplaceTerm(SCENE).with_factor(factor)
 
 
 def test_the_boundary_scale_is_told_where_it_was_fitted():
-    assert LaplaceTerm(SCENE).with_factor(2.0).parameters({}) == {}
+    assert laplace.LaplaceTerm(SCENE).with_factor(2.0).parameters({}) == {}
     fitted = replace(SCENE, parameters={"boundary_scale": 3.0})
-    assert LaplaceTerm(fitted).with_factor(2.0).parameters({}) == {
+    assert laplace.LaplaceTerm(fitted).with_factor(2.0).parameters({}) == {
         "boundary_scale": 6.0
     }
 
 
 def test_free_surface_drops_the_skin_and_nothing_else():
-    rows = LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
-    skin = free_surface_layer(SCENE.voxmap.on_surface).reshape(-1)
+    rows = laplace.LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
+    skin = laplace.free_surface_layer(SCENE.voxmap.on_surface).reshape(-1)
     slices = skin.reshape(SCENE.voxmap.grid.shape).any(axis=(0, 1))
     assert slices.tolist() == [False] + [True] * (len(slices) - 2) + [False]
     assert abs(rows[~skin] - SCENE.L[~skin]).max() == 0.0
     np.testing.assert_allclose(rows[skin].data, 0.5)
-    dropped = LaplaceFreeSurfaceTerm(SCENE, skin=0.0).rows().blocks["p"]
+    dropped = laplace.LaplaceFreeSurfaceTerm(SCENE, skin=0.0).rows().blocks["p"]
     assert dropped[skin].nnz == 0
 
 
@@ -69,7 +58,7 @@ def test_free_surface_lets_the_skin_push():
     """Measured forces raise the skin under the probe, and leave it elsewhere."""
     solution = tt.fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
     p = solution.field.values
-    skin = free_surface_layer(SCENE.voxmap.on_surface)
+    skin = laplace.free_surface_layer(SCENE.voxmap.on_surface)
     # points near the skin sample the layer below it: their spokes are what counts
     touched = (np.abs(SCENE.N).sum(axis=0) > 0).reshape(p.shape).any(axis=0)
     assert p[skin & touched].max() > 0.1
@@ -91,7 +80,7 @@ def place():
 def declared(profile):
     force, torque = tt.terms.ForceTerm(place(), 2.0), tt.terms.TorqueTerm(place(), 0.5)
     return tt.Formulation(
-        [LaplaceResidualTerm(place(), profile=profile), force, torque]
+        [laplace.LaplaceResidualTerm(place(), profile=profile), force, torque]
     )
 
 
@@ -173,8 +162,8 @@ def test_anisotropic_cylinder_converges_at_second_order():
 
 
 def test_only_the_ratio_of_conductivities_matters():
-    one = AnisotropicTerm(SCENE, conductivities=(1.0, 0.5, 2.0)).rows()
-    two = AnisotropicTerm(SCENE, conductivities=(2.0, 1.0, 4.0)).rows()
+    one = laplace.AnisotropicTerm(SCENE, conductivities=(1.0, 0.5, 2.0)).rows()
+    two = laplace.AnisotropicTerm(SCENE, conductivities=(2.0, 1.0, 4.0)).rows()
     first = spsolve(one.blocks["p"].tocsc(), one.target)
     np.testing.assert_allclose(
         spsolve(two.blocks["p"].tocsc(), two.target), first, atol=1e-10
@@ -206,8 +195,8 @@ def test_screened_tube_converges_at_second_order():
 @pytest.mark.parametrize(
     "term",
     [
-        AnisotropicTerm(SCENE, conductivities=(1.0, 1.0, 1.0)),
-        ScreenedTerm(SCENE, screening=0.0),
+        laplace.AnisotropicTerm(SCENE, conductivities=(1.0, 1.0, 1.0)),
+        laplace.ScreenedTerm(SCENE, screening=0.0),
     ],
 )
 def test_nothing_changed_is_l(term):
@@ -218,9 +207,11 @@ def test_nothing_changed_is_l(term):
 
 def test_values_that_are_none():
     words = "screening must not be negative"
-    refuses(InputError, words, lambda: ScreenedTerm(SCENE, screening=-1.0).rows())
+    refuses(
+        InputError, words, lambda: laplace.ScreenedTerm(SCENE, screening=-1.0).rows()
+    )
     for bad in ((1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0)):
-        term = AnisotropicTerm(SCENE, conductivities=bad)
+        term = laplace.AnisotropicTerm(SCENE, conductivities=bad)
         refuses(InputError, "three positive numbers", term.rows)
 
 
@@ -268,9 +259,9 @@ def test_squares_are_an_integral():
     shell = tt.PointShell.ellipsoid((0.02, 0.015, 0.015), 100)
     poses = presses(surface, 3, np.random.default_rng(0), depth=0.012)
     scene = tt.Scene.assemble(voxmap, shell, poses, inner=1.0, sampling="trilinear")
-    grid, length = voxmap.grid, LENGTH
+    grid, length = voxmap.grid, laplace.LENGTH
     p = np.broadcast_to(grid.r[:, None, None] ** 2 / 4.0, grid.shape).reshape(-1)
-    found = np.abs(VolumeWeightedTerm(scene).rows().blocks["p"] @ p)
+    found = np.abs(laplace.VolumeWeightedTerm(scene).rows().blocks["p"] @ p)
     i, _, k = np.unravel_index(np.flatnonzero(scene.laplace.free), grid.shape)
     inside = (grid.r[i] < 0.08) & (i > 1) & (k > 0) & (k < 8)
     volume = grid.r[i] * grid.r_step * grid.theta_step * grid.z_step
@@ -291,7 +282,10 @@ def residual(term, q, m):
 
 def test_a_share_of_the_laplace_field_costs_nothing():
     field = np.linalg.solve(FEW.L.toarray(), FEW.b)
-    free, held = DragSmoothnessTerm(FEW), DragSmoothnessTerm(FEW, has_mean=False)
+    free, held = (
+        laplace.DragSmoothnessTerm(FEW),
+        laplace.DragSmoothnessTerm(FEW, has_mean=False),
+    )
     np.testing.assert_allclose(residual(free, 0.3 * field, 0.3), 0.0, atol=1e-9)
     np.testing.assert_allclose(residual(held, 0.3 * field, 0.3), 0.3 * FEW.b, atol=1e-9)
     np.testing.assert_allclose(residual(held, np.zeros(V), 0.0), 0.0)
@@ -300,17 +294,19 @@ def test_a_share_of_the_laplace_field_costs_nothing():
 def test_its_rows_are_l_q_less_m_b():
     q = np.random.default_rng(0).normal(size=V)
     expected = FEW.L @ q - 0.7 * FEW.b
-    np.testing.assert_allclose(residual(DragSmoothnessTerm(FEW), q, 0.7), expected)
+    np.testing.assert_allclose(
+        residual(laplace.DragSmoothnessTerm(FEW), q, 0.7), expected
+    )
 
 
 def test_the_mean_is_found_or_given_up():
-    term, values = DragSmoothnessTerm(FEW, 2.0), {"m": np.array([0.25])}
-    assert term.parameters(values) == {MEAN_FRICTION: 0.25}
-    fitted = term.fitted(values)[MEAN_FRICTION]
+    term, values = laplace.DragSmoothnessTerm(FEW, 2.0), {"m": np.array([0.25])}
+    assert term.parameters(values) == {laplace.MEAN_FRICTION: 0.25}
+    fitted = term.fitted(values)[laplace.MEAN_FRICTION]
     np.testing.assert_array_equal(fitted.gradient["m"], [1.0])
-    neutral = term.with_neutral([MEAN_FRICTION])
+    neutral = term.with_neutral([laplace.MEAN_FRICTION])
     assert not neutral.has_mean and neutral.weight == 2.0
-    assert neutral.parameters(values) == {MEAN_FRICTION: 0.0}
+    assert neutral.parameters(values) == {laplace.MEAN_FRICTION: 0.0}
     assert not neutral.fitted(values)
     assert term.with_neutral(["another"]) is term
     # said for a reader: the formula follows

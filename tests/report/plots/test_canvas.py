@@ -7,43 +7,37 @@ import pytest
 from tests.report.plots.drawn import half_seen
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.report import plots
-from ttus_opt.report.plots.canvas import (
-    SUFFIXES,
-    look,
-    new_figure,
-    require_picture_suffix,
-    save_picture,
-)
+from ttus_opt.report.plots import canvas
 
 #: How files of each kind begin
 BEGIN = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
 
 
 def drawn():
-    with look():
-        figure = new_figure(3.0, 2.0)
+    with canvas.look():
+        figure = canvas.new_figure(3.0, 2.0)
         axes = figure.add_subplot()
         axes.plot([0.0, 1.0], [0.0, 2.0])
         axes.set_xlabel("time [s]")
     return figure
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", canvas.SUFFIXES)
 def test_a_picture_is_a_small_file_of_its_kind(suffix, tmp_path):
     file = tmp_path / f"picture{suffix}"
-    save_picture(drawn(), file)
+    canvas.save_picture(drawn(), file)
     content = file.read_bytes()
     assert content.startswith(BEGIN[suffix])
     assert 1_000 < len(content) < 200_000
     assert list(tmp_path.iterdir()) == [file]
     assert b"CreationDate" not in content and b"dc:date" not in content
-    save_picture(drawn(), file)
+    canvas.save_picture(drawn(), file)
     assert file.read_bytes() == content
 
 
 def test_labels_lie_within_the_picture(tmp_path):
     figure = drawn()
-    save_picture(figure, tmp_path / "picture.png")
+    canvas.save_picture(figure, tmp_path / "picture.png")
     (axes,) = figure.axes
     label = axes.xaxis.label.get_window_extent()
     width, height = figure.get_size_inches() * figure.dpi
@@ -60,11 +54,11 @@ def test_the_look_is_of_these_pictures_alone():
 
 def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path):
     with pytest.raises(InputError, match=r"picture.jpg: the name must end in .png"):
-        save_picture(drawn(), tmp_path / "picture.jpg")
-    require_picture_suffix("PICTURE.PNG")
+        canvas.save_picture(drawn(), tmp_path / "picture.jpg")
+    canvas.require_picture_suffix("PICTURE.PNG")
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match="cannot write"):
-        save_picture(drawn(), tmp_path / "file" / "picture.png")
+        canvas.save_picture(drawn(), tmp_path / "file" / "picture.png")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +79,7 @@ def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path):
 )
 def test_margins_hold_what_stands_in_them(draw, fields, evaluations):
     figure = draw(fields, evaluations)
-    with look():  # ticks are made when they are drawn
+    with canvas.look():  # ticks are made when they are drawn
         drawn = figure.get_tightbbox()
     width, height = figure.get_size_inches()
     assert drawn.x0 >= 0.0 and drawn.y0 >= 0.0

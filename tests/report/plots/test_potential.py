@@ -8,13 +8,8 @@ from matplotlib import colormaps
 
 import ttus_opt as tt
 from tests.kit import InputError, refuses, torso
+from ttus_opt.report.plots import potential
 from ttus_opt.report.plots.canvas import COLOURS
-from ttus_opt.report.plots.potential import (
-    colour_limit,
-    common_factor,
-    local_change,
-    round_up,
-)
 
 
 @pytest.mark.slow
@@ -33,18 +28,18 @@ def test_potential_shows_the_slice_that_changed_most(fields):
 def test_what_another_boundary_value_changes_everywhere_is_left_out(fields):
     before, after = fields
     scaled = tt.PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
-    dent = np.argmax(local_change(before, scaled))
+    dent = np.argmax(potential.local_change(before, scaled))
     assert dent == np.argmax(np.abs(after.values - before.values))
     inside = before.voxmap.inside
-    assert not local_change(before, scaled)[~inside].any()
+    assert not potential.local_change(before, scaled)[~inside].any()
 
 
 def test_the_scale_s_change_is_left_out_of_the_difference_and_greys_rise(fields):
     before, after = fields
-    assert common_factor(before, before) == pytest.approx(1.0)
+    assert potential.common_factor(before, before) == pytest.approx(1.0)
     scaled = replace(after, values=3.0 * after.values)
-    assert common_factor(before, scaled) == pytest.approx(
-        3.0 * common_factor(before, after)
+    assert potential.common_factor(before, scaled) == pytest.approx(
+        3.0 * potential.common_factor(before, after)
     )
     grey = colormaps[COLOURS](np.linspace(0, 1, 50))[:, :3] @ [0.299, 0.587, 0.114]
     assert (np.diff(grey) > 0).all()
@@ -74,7 +69,7 @@ def test_colours_are_centred_at_zero(fields):
     for axes in figure.axes[:6]:
         filled = axes.collections[0]
         assert filled.norm.vmin == pytest.approx(-filled.norm.vmax)
-    assert 0.5 < colour_limit(fields[0], 4) < 5.0
+    assert 0.5 < potential.colour_limit(fields[0], 4) < 5.0
 
 
 def test_fields_on_two_grids_are_refused(fields):
@@ -87,4 +82,4 @@ def test_fields_on_two_grids_are_refused(fields):
     ("value", "up"), [(0.0, 1.0), (0.16, 0.2), (2.0, 2.0), (9.4, 10.0), (73.0, 80.0)]
 )
 def test_scales_end_at_a_round_number(value, up):
-    assert round_up(value) == pytest.approx(up)
+    assert potential.round_up(value) == pytest.approx(up)

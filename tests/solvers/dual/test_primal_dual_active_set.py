@@ -22,15 +22,6 @@ from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import active_set, options
-from ttus_opt.solvers.dual.active_set import (
-    LimitedProblem,
-    _chosen,
-    _peak,
-    _Progress,
-    _Safeguard,
-    _strong,
-    primal_dual_active_set,
-)
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.solver import Accuracy
@@ -457,7 +448,7 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(heig
     sizes = np.array([0.5, 0.4, 0.3, 0.2, -INF, -INF])
     none = np.full(V, -INF)
     found = Violations(sizes, np.full(V, -1, dtype=np.int8), none)
-    start, safeguard = WorkingSet.empty(V), _Safeguard()
+    start, safeguard = WorkingSet.empty(V), active_set._Safeguard()
     following = safeguard.following(limits, start, found, 1.0)
     assert following.bounds.tolist() == [-1, -1, -1, -1, 0, 0]
     for active in ([-1, -1, 0, 0, 0, 0], [-1, 0, 0, 0, 0, 0]):  # it falls, and falls
@@ -481,7 +472,7 @@ def test_patience_ends_where_nothing_gets_better(monkeypatch):
 
     monkeypatch.setattr(active_set, "PROGRESS", 0.5)
     monkeypatch.setattr(options, "PATIENCE", 2)
-    progress = _Progress()
+    progress = active_set._Progress()
     told = []
     for worst, count, size in (
         (1.0, 8, 1),
@@ -509,7 +500,9 @@ def test_peaks_are_those_of_a_filter_over_six_neighbours():
     cross = generate_binary_structure(3, 1)[None]
     wrapped = np.pad(sizes, ((0, 0), (0, 0), (1, 1), (0, 0)), mode="wrap")
     largest = maximum_filter(wrapped, footprint=cross)[:, :, 1:-1]
-    np.testing.assert_array_equal(_peak(sizes), (sizes > 0) & (sizes == largest))
+    np.testing.assert_array_equal(
+        active_set._peak(sizes), (sizes > 0) & (sizes == largest)
+    )
 
 
 def test_links_of_every_field_join_by_their_peaks():
@@ -519,7 +512,9 @@ def test_links_of_every_field_join_by_their_peaks():
     links[0, :, 0, 0], links[1, :, 1, 1] = [0.1, 0.3, 0.2], [0.5, 0.4, 0.5]
     n = links.size
     found = Violations(np.full(n, -INF), np.ones(n, np.int8), links.reshape(-1))
-    chosen = _chosen(cast(LimitedProblem, problem), found, WorkingSet.empty(n))
+    chosen = active_set._chosen(
+        cast(active_set.LimitedProblem, problem), found, WorkingSet.empty(n)
+    )
     assert sorted(chosen.links[chosen.links > 0.0]) == [0.3, 0.5, 0.5]
 
 
@@ -566,8 +561,8 @@ def test_how_exactly_working_sets_are_solved(monkeypatch):
     def asked(*lines):
         script[:] = lines
         told.clear()
-        given = cast(LimitedProblem, problem)
-        primal_dual_active_set(given, None, 1e-6, Accuracy(1e-9))
+        given = cast(active_set.LimitedProblem, problem)
+        active_set.primal_dual_active_set(given, None, 1e-6, Accuracy(1e-9))
         return told
 
     # by the worst violation, 1e-3 at most; to the end with none left
@@ -595,7 +590,7 @@ def test_what_joins_is_a_share_of_the_worst_around(monkeypatch):
         0.08: [True, True, False, False, False, True],  # 0.4 instead of 0.5
     }
     for size, expected in joins.items():
-        assert _strong(size * profile).reshape(-1).tolist() == expected
+        assert active_set._strong(size * profile).reshape(-1).tolist() == expected
 
 
 @pytest.mark.parametrize("reach", [1, 2, 3])
@@ -615,4 +610,4 @@ def test_around_is_so_many_voxels_each_way(reach, monkeypatch):
         expected[field, i, j, k] = sizes[field, i, j, k] >= 0.75 * worst
     monkeypatch.setattr(options, "SHARE", 0.75)
     monkeypatch.setattr(options, "NEIGHBOURHOOD", reach)
-    np.testing.assert_array_equal(_strong(sizes), expected)
+    np.testing.assert_array_equal(active_set._strong(sizes), expected)

@@ -10,16 +10,8 @@ from scipy.sparse.linalg import spsolve
 from tests.kit import small_scene
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.verify.kkt import kkt_residuals
-from ttus_opt.solvers.dual import options
+from ttus_opt.solvers.dual import options, weight_sweep
 from ttus_opt.solvers.dual.data import DualData, duals_without_limits, root_weights
-from ttus_opt.solvers.dual.weight_sweep import (
-    BLOCK,
-    PROBES,
-    WeightSweep,
-    is_limited,
-    keeps_limits,
-    suits_sweep,
-)
 
 WEIGHTS = ((1e-4, 1e-4), (1.0, 1e-2), (1e2, 1e2), (1e-3, 10.0))
 
@@ -46,10 +38,10 @@ def exact(program):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
 def test_minimisers_are_those_of_a_factorisation(name):
-    sweep = WeightSweep(DualData.of(declared(name).compile()))
+    sweep = weight_sweep.WeightSweep(DualData.of(declared(name).compile()))
     for force, torque in WEIGHTS:
         program = declared(name, force, torque).compile()
-        assert suits_sweep(program)
+        assert weight_sweep.suits_sweep(program)
         answer = sweep.solve(root_weights(program), 1e-8)
         x = exact(program)
         assert answer.settled
@@ -59,7 +51,7 @@ def test_minimisers_are_those_of_a_factorisation(name):
 
 
 def test_what_was_solved_needs_nothing_new():
-    sweep = WeightSweep(DualData.of(declared().compile()))
+    sweep = weight_sweep.WeightSweep(DualData.of(declared().compile()))
     roots = [root_weights(declared("eq10", *pair).compile()) for pair in WEIGHTS]
     first = [sweep.solve(root, 1e-6).directions for root in roots]
     assert min(first) > 0 and len(sweep) == sum(first)
@@ -69,7 +61,7 @@ def test_what_was_solved_needs_nothing_new():
 def test_the_basis_is_orthonormal_and_its_error_is_what_it_says():
     """Loosely solved, the objective is above its minimum by the square asked for."""
     program = declared().compile()
-    sweep = WeightSweep(DualData.of(program))
+    sweep = weight_sweep.WeightSweep(DualData.of(program))
     least = program.objective(exact(program))
     for rtol in (1e-1, 1e-2, 1e-3):
         found = program.objective(sweep.solve(root_weights(program), rtol).p)
@@ -81,7 +73,7 @@ def test_the_basis_is_orthonormal_and_its_error_is_what_it_says():
 
 def test_a_deadline_ends_it():
     program = declared().compile()
-    sweep = WeightSweep(DualData.of(program))
+    sweep = weight_sweep.WeightSweep(DualData.of(program))
     answer = sweep.solve(root_weights(program), 1e-6, time.perf_counter() - 1.0)
     assert not answer.settled and answer.directions == 0
     p0 = program.laplace.solve(declared().scene.b)
@@ -93,9 +85,12 @@ def test_fields_that_are_handed_over_have_the_images_that_stay():
     program = declared("eq10", 30.0, 30.0).compile()
     data, scene = DualData.of(program), declared().scene
     voxels = np.unique(data.system.rows.indices)
-    sweep = WeightSweep(data, voxels=voxels)
+    sweep = weight_sweep.WeightSweep(data, voxels=voxels)
     sweep.complete(root_weights(program))
-    assert BLOCK < len(sweep) < scene.n_voxels and len(sweep) % BLOCK
+    assert (
+        weight_sweep.BLOCK < len(sweep) < scene.n_voxels
+        and len(sweep) % weight_sweep.BLOCK
+    )
     fields = sweep.take_fields().astype(float)
     assert fields.shape == (len(sweep), len(voxels))
     images = fields @ data.system.rows[sweep.informative][:, voxels].T
@@ -107,9 +102,9 @@ def test_with_a_direction_for_every_row_the_basis_is_complete():
     """One pose: fewer rows than `PROBES`, whose mean would else end it."""
     scene = small_scene("trilinear", n_poses=1)
     data = DualData.of(load("eq10", scene).without("torque").compile())
-    sweep = WeightSweep(data)
+    sweep = weight_sweep.WeightSweep(data)
     assert sweep.complete(data.system.root_weights, 1e-12)
-    assert len(sweep) == 3 < PROBES
+    assert len(sweep) == 3 < weight_sweep.PROBES
     G = np.linalg.solve(scene.L.toarray().T, data.system.rows.toarray().T)
     C = G.T @ G
     size = np.abs(C).max()
@@ -120,11 +115,11 @@ def test_a_combination_may_be_of_fewer_fields_than_are_held():
     """As after a solve whose best point came before its last directions."""
     program = declared("eq10", 30.0, 30.0).compile()
     data, rng = DualData.of(program), np.random.default_rng(0)
-    sweep = WeightSweep(data)
+    sweep = weight_sweep.WeightSweep(data)
     sweep.complete(root_weights(program))
     rows = data.system.rows[sweep.informative]
-    assert len(sweep) > BLOCK + 1
-    for k in (0, 3, BLOCK, BLOCK + 1):
+    assert len(sweep) > weight_sweep.BLOCK + 1
+    for k in (0, 3, weight_sweep.BLOCK, weight_sweep.BLOCK + 1):
         c = rng.normal(size=k)
         found, expected = rows @ sweep._combined(c), c @ sweep.images[:k]
         size = np.abs(sweep.images).max()
@@ -134,7 +129,7 @@ def test_a_combination_may_be_of_fewer_fields_than_are_held():
 def test_too_few_directions_complete_nothing(monkeypatch):
     monkeypatch.setattr(options, "MAX_DIRECTIONS", 3)
     program = declared("eq10", 30.0, 30.0).compile()
-    sweep = WeightSweep(DualData.of(program))
+    sweep = weight_sweep.WeightSweep(DualData.of(program))
     assert not sweep.complete(root_weights(program))
     assert len(sweep) == 3
 
@@ -142,26 +137,28 @@ def test_too_few_directions_complete_nothing(monkeypatch):
 def test_only_one_field_and_few_rows_suit():
     scene = small_scene("trilinear")
     for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
-        assert not suits_sweep(load(name, scene).compile()), name
+        assert not weight_sweep.suits_sweep(load(name, scene).compile()), name
 
 
 def test_limits_are_told_from_boundary_values():
     hard, sign = declared("eq10_hard_boundary"), declared("eq10_sign_monotone")
-    assert not is_limited(hard.compile()) and is_limited(sign.compile())
+    assert not weight_sweep.is_limited(hard.compile()) and weight_sweep.is_limited(
+        sign.compile()
+    )
     program = sign.compile()
     inside = program.laplace.solve(sign.scene.b)
-    assert keeps_limits(program, inside)
+    assert weight_sweep.keeps_limits(program, inside)
     deep = int(np.argmax(inside * program.laplace.free))
     for broken in (-inside, np.where(np.arange(len(inside)) == deep, 0.0, inside)):
         for unit in (1.0, 1e-12):  # rounding is that of the values
-            assert not keeps_limits(program, unit * broken)
+            assert not weight_sweep.keeps_limits(program, unit * broken)
 
 
 def test_completed_it_holds_all_that_the_rows_tell_of_each_other():
     """KᵀK against C from dense inverses, in the trace that was asked for."""
     program = declared("eq10", 30.0, 30.0).compile()
     data = DualData.of(program)
-    sweep = WeightSweep(data)
+    sweep = weight_sweep.WeightSweep(data)
     root = root_weights(program)
     assert sweep.complete(root, missing=0.1)
     D = data.system.rows.toarray()[sweep.informative]
@@ -181,7 +178,7 @@ def test_dependent_rows_are_spanned_and_nothing_is_added(field_rtol):
     G = np.linalg.solve(scene.L.toarray().T, D.T)
     C = G.T @ G
     rank = int(np.linalg.matrix_rank(C, tol=1e-11 * np.abs(C).max()))
-    sweep = WeightSweep(data, field_rtol=field_rtol)
+    sweep = weight_sweep.WeightSweep(data, field_rtol=field_rtol)
     assert sweep.complete(root, 1e-12)
     assert len(sweep) <= rank < len(root)
     K = sweep.images
