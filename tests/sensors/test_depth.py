@@ -5,13 +5,7 @@ import numpy as np
 import pytest
 
 from tests.kit import InputError, refuses
-from tests.sensors.cameras import (
-    Camera,
-    measured,
-    millimetres,
-    see_ellipsoid,
-    see_plane,
-)
+from tests.sensors import cameras
 from ttus_opt.sensors import depth
 from ttus_opt.sensors.depth_noise import Pixels, StructuredLight, TimeOfFlight
 from ttus_opt.sensors.intrinsics import Intrinsics
@@ -102,7 +96,7 @@ def test_neighbours_are_those_of_plain_loops(most, stride):
     assert sorted(found) == sorted(expected)
 
 
-CAMERA = Camera((0.1, 0.9, -0.2), (0.0, 0.1, 0.0))
+CAMERA = cameras.Camera((0.1, 0.9, -0.2), (0.0, 0.1, 0.0))
 CENTRE, SEMI_AXES = np.array([0, 0.11, 0]), np.array([0.17, 0.11, 0.35])
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -115,8 +109,8 @@ def rays(camera=CAMERA):
 
 def seen(camera=CAMERA):
     """An ellipsoid on a bed."""
-    body = see_ellipsoid(camera, CENTRE, SEMI_AXES)
-    return np.minimum(body, see_plane(camera, UP, 0.0))
+    body = cameras.see_ellipsoid(camera, CENTRE, SEMI_AXES)
+    return np.minimum(body, cameras.see_plane(camera, UP, 0.0))
 
 
 def off_the_body(points):
@@ -131,7 +125,7 @@ def distance(points):
 
 
 def test_points_lie_on_what_was_seen(tmp_path):
-    cv2.imwrite(str(tmp_path / "scan.png"), millimetres(seen()))
+    cv2.imwrite(str(tmp_path / "scan.png"), cameras.millimetres(seen()))
     camera = Intrinsics(CAMERA.matrix, np.zeros(0), (160, 120))
     cloud = depth.read_depth_image(tmp_path / "scan.png", camera).to_cloud(CAMERA.pose)
     assert distance(cloud.points).max() < 0.7e-3  # rounded to millimetres
@@ -159,7 +153,7 @@ def test_deviations_are_those_of_the_noise():
     distance_along = z / own.rays[..., 2]
     facing = Pixels(z, distance_along, np.zeros_like(z), own.focal)
     std = model.along_ray(facing) * own.rays[..., 2]
-    image = depth.DepthImage(measured(z, std, 0.0, rng), own)
+    image = depth.DepthImage(cameras.measured(z, std, 0.0, rng), own)
     cloud = image.to_cloud(CAMERA.pose, noise=model)
     bed = cloud.points[:, 1] < 0.02
     view = cloud.points[bed] - CAMERA.pose[:3, 3]

@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.solvers.proximal.dense_steps import (
-    RTOL,
-    compared,
-    expected,
-    gradient_of,
-    none_of,
-    problem_of,
-    slopes_of,
-)
+from tests.solvers.proximal import dense_steps
 from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 
@@ -20,22 +12,24 @@ from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 @pytest.mark.parametrize("bent", [0.0, 0.4, 1.0])
 def test_through_the_dual(name, bent):
     """Few rows may all have bent; of Laplace's rows it is squares that are meant."""
-    problem = problem_of(name)
-    slopes = slopes_of(problem, 0, bent)
+    problem = dense_steps.problem_of(name)
+    slopes = dense_steps.slopes_of(problem, 0, bent)
     for k, rows in enumerate(problem.declared):
         if rows is not None:
             factor = slopes[k].factor
             slopes[k] = Slope(np.where(factor > 0.0, factor, factor.max() + 1e-2))
     system = LaplaceNewton(problem)
-    gradient = gradient_of(problem)
-    step, _ = system.step(gradient, none_of(problem), slopes, RTOL, None)
-    compared(step, expected(problem, slopes, gradient))
+    gradient = dense_steps.gradient_of(problem)
+    step, _ = system.step(
+        gradient, dense_steps.none_of(problem), slopes, dense_steps.RTOL, None
+    )
+    dense_steps.compared(step, dense_steps.expected(problem, slopes, gradient))
 
 
 def test_heavy_rows_balance_the_others():
     """A rough step is rough beside the step, not beside what heavy rows pull at."""
-    problem = problem_of("robust")
-    slopes = slopes_of(problem, 0, 0.0)
+    problem = dense_steps.problem_of("robust")
+    slopes = dense_steps.slopes_of(problem, 0, 0.0)
     few = [k for k, rows in enumerate(problem.declared) if rows is None]
     for k in few:
         slopes[k] = Slope(1e8 * slopes[k].factor)
@@ -54,7 +48,7 @@ def test_heavy_rows_balance_the_others():
         gradient = np.sum(
             [b.adjoint(own) for b, own in zip(problem.blocks, y, strict=True)], axis=0
         )
-        exact = expected(problem, slopes, gradient)
+        exact = dense_steps.expected(problem, slopes, gradient)
         step, _ = system.step(gradient, y, slopes, 1e-4, None)
         system.taken(1.0)
         first = exact if first is None else first
