@@ -79,32 +79,23 @@ def test_work_on_the_hand_is_the_stored_energy_and_at_most_the_reserve():
     assert renderer.blend.progress == 1.0  # it was lifted
 
 
-def test_the_last_of_several_surfaces_counts():
-    renderer = PatientRenderer(
-        field(), SHELL, blend=tt.BlendLaw(force_rate=100.0, reserve=10.0)
-    )
-    run(renderer, np.full(3, 0.01))
-    for radius in (0.101, 0.102, 0.103):
-        renderer.update(field(radius))
-    last = run(renderer, np.full(1500, 0.01), 3)[-1]
-    alone = tt.Renderer(field(0.103), SHELL).render(*pose(0.01)).force
+@pytest.mark.parametrize(
+    ("before", "updates", "frames"),
+    [
+        (3, [field(0.101), field(0.102), field(0.103)], 1500),  # the last one counts
+        (3, [replace(field(), values=0.5 * field().values)], 1500),  # of one surface
+        (0, [field(0.105)], 1),  # before the first frame it is used at once
+    ],
+)
+def test_what_an_update_ends_at(before, updates, frames):
+    law = tt.BlendLaw(force_rate=100.0, reserve=10.0)
+    renderer = PatientRenderer(field(), SHELL, blend=law)
+    run(renderer, np.full(before, 0.01))
+    for update in updates:
+        renderer.update(update)
+    last = run(renderer, np.full(frames, 0.01), before)[-1]
+    alone = tt.Renderer(updates[-1], SHELL).render(*pose(0.01)).force
     np.testing.assert_allclose(last, alone, atol=1e-9)
-
-
-def test_fields_over_the_same_surface_are_updates():
-    renderer = PatientRenderer(field(), SHELL, blend=tt.BlendLaw(force_rate=100.0))
-    run(renderer, np.full(3, 0.01))
-    renderer.update(replace(field(), values=0.5 * field().values))
-    last = run(renderer, np.full(1500, 0.01), 3)[-1]
-    alone = tt.Renderer(field(stiffness=2.0), SHELL).render(*pose(0.01)).force
-    np.testing.assert_allclose(last, alone, atol=1e-9)
-
-
-def test_before_the_first_frame_a_surface_is_used_at_once():
-    renderer = PatientRenderer(field(), SHELL)
-    renderer.update(field(0.105))
-    alone = tt.Renderer(field(0.105), SHELL).render(*pose(0.01)).force
-    np.testing.assert_allclose(run(renderer, [0.01])[0], alone, atol=1e-9)
 
 
 def test_a_reserve_per_contact_is_refilled_when_lifted():

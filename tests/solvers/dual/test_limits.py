@@ -264,13 +264,6 @@ def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small):
     np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
 
 
-def test_a_given_value_outside_its_bound_is_a_contradiction(small):
-    """The inner layer is given as -1 N where the sign says it is not negative."""
-    scene = small.with_boundary(-1.0, 1.0)
-    limits = read(scene, Sign(scene), HardBoundary(scene))
-    assert limits.contradiction() == pytest.approx(1.0)
-
-
 def least_value(limits, v, sign):
     """The least value sign · p_v can have within limits, by a linear program."""
     n, stride = len(limits.lower), limits.stride
