@@ -148,16 +148,12 @@ def test_all_nan_is_refused_even_when_dropping(tmp_path):
         (1, "mm", r"read with unit='mm': are these metres\? pass unit='m'"),
         (1e6, None, "crop a room to the patient by box="),
         (1e-9, "m", "check its unit"),
+        (1, "inch", "one of m, cm, mm"),
     ],
 )
-def test_implausible_extents(tmp_path, scale, unit, message):
+def test_implausible_extents_and_units(tmp_path, scale, unit, message):
     path = write(tmp_path / "c.npy", POINTS.astype(float) * scale, "npy")
     refuses(InputError, message, read_cloud, path, unit=unit)
-
-
-def test_unknown_unit(tmp_path):
-    path = write(tmp_path / "c.npy", POINTS, "npy")
-    refuses(InputError, "one of m, cm, mm", read_cloud, path, unit="inch")
 
 
 @pytest.mark.parametrize(

@@ -105,30 +105,22 @@ def test_a_surely_measured_pose_stays():
     assert steps[0].shift > 1.02 * steps[1].shift
 
 
-@pytest.mark.parametrize("what", ["bed", "cylinder"])
-def test_what_slides_is_refused(what):
+AWAY = POSES[1] + np.pad([[0.0], [0.3], [0.0]], ((0, 1), (3, 0)))
+
+
+@pytest.mark.parametrize(
+    ("what", "second", "uncertainty", "told"),
+    [
+        ("bed", POSES[1], (), "scan 2 slides on the others"),
+        ("cylinder", POSES[1], (), "scan 2 slides on the others"),
+        ("body and bed", OFF, (0.0005, 0.001), "deviations of its measured pose"),
+        ("body and bed", AWAY, (0.1,), "scan 2 overlaps the others by 0 %"),
+    ],
+)
+def test_what_cannot_be_refined_is_refused(what, second, uncertainty, told):
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
-    with pytest.raises(InputError, match="scan 2 slides on the others"):
-        stitch(images(what), POSES, refine=PoseUncertainty())
-
-
-def test_what_leaves_its_measured_pose_is_refused():
-    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
-    poses = np.stack([POSES[0], OFF])
-    with pytest.raises(InputError, match="deviations of its measured pose"):
-        stitch(images("body and bed"), poses, refine=PoseUncertainty(0.0005, 0.001))
-
-
-def test_what_does_not_overlap_is_refused():
-    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
-    away = POSES[1].copy()
-    away[:3, 3] += [0.0, 0.3, 0.0]
-    with pytest.raises(InputError, match="scan 2 overlaps the others by 0 %"):
-        stitch(
-            images("body and bed"),
-            np.stack([POSES[0], away]),
-            refine=PoseUncertainty(0.1),
-        )
+    poses, refine = np.stack([POSES[0], second]), PoseUncertainty(*uncertainty)
+    refuses(InputError, told, stitch, images(what), poses, refine=refine)
 
 
 def test_refusals(monkeypatch):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.kit import refuses
 from tests.sensors.readings import (
     CENTRE,
     DOWN,
@@ -143,12 +144,11 @@ def test_readings_without_weight_are_told():
 
 def test_what_is_refused():
     free = readings(tilts())
-    with pytest.raises(InputError, match="at least 8 free poses"):
-        identify_load(free.select(slice(0, 7)), SENSOR, DOWN)
-    with pytest.raises(InputError, match="forces and torques"):
-        identify_load(replace(free, torque=None), SENSOR, DOWN)
-    with pytest.raises(InputError, match="counts"):
-        identify_load(replace(free, force=1e5 * free.force), SENSOR, DOWN)
+    for given, told in (
+        (free.select(slice(0, 7)), "at least 8 free poses"),
+        (replace(free, torque=None), "forces and torques"),
+        (replace(free, force=1e5 * free.force), "counts"),
+    ):
+        refuses(InputError, told, identify_load, given, SENSOR, DOWN)
     for down in ([0, 0, 0], [1, 2], [np.nan, 0, 1], [np.inf, 0, 0]):
-        with pytest.raises(InputError, match="down must be a direction"):
-            identify_load(free, SENSOR, down)
+        refuses(InputError, "down must be a dir", identify_load, free, SENSOR, down)
