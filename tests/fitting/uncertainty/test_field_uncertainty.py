@@ -258,20 +258,17 @@ def test_a_solution_is_pickled_with_its_scene():
 
 
 def test_what_has_no_such_posterior_is_refused():
-    scene = three_presses()
-    with pytest.raises(InputError, match="no uncertainty for robust"):
-        uncertainty(tt.fit(scene, "robust"), scene)
-    with pytest.raises(InputError, match="measured terms"):
-        uncertainty(tt.fit(scene, "laplace_only"), scene)
-    with pytest.raises(InputError, match="another scene"):
-        uncertainty(fitted(), small_scene("trilinear", n_poses=3))
+    scene, own = three_presses(), fitted()
+    for given, at, told in (
+        (tt.fit(scene, "robust"), scene, "no uncertainty for robust"),
+        (tt.fit(scene, "laplace_only"), scene, "measured terms"),
+        (own, small_scene("trilinear", n_poses=3), "another scene"),
+        (tt.Renderer(own.field, scene.shell), scene, "comparators have no uncertainty"),
+    ):
+        refuses(InputError, told, uncertainty, given, at)
     refuses(InputError, "rows must be", exact().covariance, sp.csr_array((5, 7)))
     refuses(InputError, "number above 1", exact().draws, 1)
     for depth in (0.0, np.nan, np.inf):
         refuses(InputError, "depth must be", exact().draws, 5, depth)
-        with pytest.raises(InputError, match="depth must be"):
-            uncertainty(fitted(), three_presses(), depth=depth)
-    with pytest.raises(InputError, match="exact or samples"):
-        uncertainty(fitted(), three_presses(), method="sample")
-    with pytest.raises(InputError, match="comparators have no uncertainty"):
-        uncertainty(tt.Renderer(fitted().field, three_presses().shell), three_presses())
+        refuses(InputError, "depth must be", uncertainty, own, scene, depth=depth)
+    refuses(InputError, "exact or samples", uncertainty, own, scene, method="sample")
