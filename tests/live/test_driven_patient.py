@@ -2,7 +2,6 @@
 
 import importlib.util
 import socket
-import struct
 import time
 from pathlib import Path
 
@@ -63,15 +62,7 @@ def test_refuses_what_is_no_pose(bad):
 def test_the_openigtlink_example():
     pyigtl = pytest.importorskip("pyigtl", reason="needs pyigtl")
 
-    class Sensor(pyigtl.messages.MessageBase):
-        def __init__(self, values):
-            super().__init__(device_name="Wrench")
-            self._message_type, self._valid_message = "SENSOR", True
-            self.values = values
-
-        def _pack_content(self):
-            head = struct.pack(">BBQ", len(self.values), 0, 0)
-            return head + self.values.astype(">f8").tobytes()
+    from tests.sensors.test_open_igt_link import SensorMessage
 
     spec = importlib.util.spec_from_file_location("live_follower", EXAMPLE)
     example = importlib.util.module_from_spec(spec)
@@ -86,7 +77,7 @@ def test_the_openigtlink_example():
         there.sendall(pose[:50])
         robot.poll()
         assert not robot.patient.ready(time.monotonic())
-        there.sendall(pose[50:] + Sensor(WRENCH).pack())
+        there.sendall(pose[50:] + SensorMessage(WRENCH, device_name="Wrench").pack())
         ends = time.monotonic() + 5.0
         while not robot.patient.ready(time.monotonic()):
             robot.poll()

@@ -59,8 +59,6 @@ def test_a_renderer_takes_the_map_of_the_file(file):
         given.force_std
     )
     assert given.force_std > 0.0
-    with pytest.raises(InputError, match="uncertainty=True needs"):
-        tt.Renderer(fitted().field, shell, uncertainty=True)
 
 
 def test_files_without_uncertainty_or_with_a_damaged_one_are_refused(file, tmp_path):

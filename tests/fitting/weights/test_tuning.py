@@ -238,9 +238,12 @@ def test_what_cannot_be_tuned_is_refused(given, told):
     refuses(InputError, told, tt.fit, drawn(), **{"weights": "auto", **given})
 
 
-def test_without_contact_nothing_is_tuned():
+def without_contact():
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
     with pytest.warns(tt.TtusWarning, match="Laplace field alone"):
-        off = tt.Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
-    refuses(InputError, "measured in contact", tt.tune, off)
+        return tt.Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+
+
+def test_without_contact_nothing_is_tuned():
+    refuses(InputError, "measured in contact", tt.tune, without_contact())

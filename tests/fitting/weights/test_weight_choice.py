@@ -8,7 +8,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_contact_spread import scene_of
-from tests.fitting.weights.test_tuning import drawn, tuned
+from tests.fitting.weights.test_tuning import drawn, tuned, without_contact
 from tests.kit import (
     InputError,
     TtusWarning,
@@ -89,11 +89,8 @@ def test_what_stays_open_is_told_with_the_value_that_is_kept():
 
 
 def test_without_contact():
-    scene = small_scene("trilinear")
-    away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
-    with pytest.warns(TtusWarning, match="Laplace field alone"):
-        off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
-    refused(off, "touches the patient in no frame; the weights of eq10 are used")
+    told = "touches the patient in no frame; the weights of eq10 are used"
+    refused(without_contact(), told)
 
 
 def test_too_few_frames():
