@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import PROBE, empty
-from tests.kit import started
+from tests.kit import python, started
 from ttus_opt import example
 from ttus_opt.solvers import registry
 from ttus_opt.voxmap.field import PotentialField
@@ -151,3 +151,30 @@ def test_every_solver_on_a_large_grid(solver, tmp_path):
         PotentialField.load(tmp_path / "f.nc")
         (tmp_path / "f.nc").unlink()
     assert empty(tmp_path)
+
+
+#: An interrupt within an exec, as where a dataclass is being made
+WITHIN = """
+import ttus_opt.cli.app as app
+app.program = lambda: lambda **_: exec("raise KeyboardInterrupt")
+app.main(["solvers"])
+"""
+
+#: One that a package takes for its own while it loads
+TAKEN = """
+import contextlib, signal
+from ttus_opt.cli import app, warm_up_command
+def load(_):
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+warm_up_command.compile_all = load
+app.main(["warm-up", "-q"])
+"""
+
+
+@pytest.mark.parametrize("program", [WITHIN, TAKEN])
+def test_one_that_python_or_a_package_would_lose_ends_as_any_other(program, tmp_path):
+    """After the former Python would end by the signal, though it was caught."""
+    (tmp_path / "within.py").write_text(program)
+    told = python("-m", "within", status=130, cwd=tmp_path).stderr
+    assert told.strip() == "error: interrupted: nothing further was written"

@@ -187,6 +187,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         _end(told, BAD_INPUT)
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
+        # Python remembers one that struck within an exec, as of a dataclass that was
+        # being made, until the next, and would end by the signal instead
+        exec("")
         _end(STOPPED.removeprefix("error: "), INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import ttus_opt as tt
 from ttus_opt.cli.console import Stages, tell
+from ttus_opt.core.interrupts import ended_at_once
 
 #: Grid, probe points and frames of the run, and its stages
 SHAPE, POINTS, FRAMES, N_STAGES = (16, 24, 12), 300, slice(20, 60), 6
@@ -26,7 +27,8 @@ def warm_up() -> None:
     """
     from ttus_opt.core.cache_folder import cache_folder
 
-    with Stages(N_STAGES) as begin:
+    # packages that load take an interrupt for their own
+    with ended_at_once(), Stages(N_STAGES) as begin:
         seconds = compile_all(begin)
     folder = cache_folder()
     facts = {"seconds": seconds, "folder": None if folder is None else str(folder)}
