@@ -99,15 +99,12 @@ def test_an_interrupt_says_that_the_same_call_goes_on(tmp_path, capsys, monkeypa
     assert f"{tmp_path / 'rows.jsonl'}: repeat the call to continue" in told
 
 
-def test_perturbed_cases_by_either_name(tmp_path, capsys, monkeypatch):
+def test_perturbed_cases(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(suite, "run_isolated", crashed)
-    found = []
-    for option in ("--perturb", "--contest"):
-        words = ["--case", "S,M", option, "noise", "--parts", "profile", "--json"]
-        assert typed(*words, "-o", str(tmp_path / option)) == 1
-        found.append(json.loads(capsys.readouterr().out)["profile"])
-    assert [row["case"] for row in found[0]] == ["S-noise", "M-noise"]
-    assert found[0] == found[1]
+    words = ["--case", "S,M", "--perturb", "noise", "--parts", "profile", "--json"]
+    assert typed(*words, "-o", str(tmp_path)) == 1
+    found = json.loads(capsys.readouterr().out)["profile"]
+    assert [row["case"] for row in found] == ["S-noise", "M-noise"]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +119,6 @@ def test_perturbed_cases_by_either_name(tmp_path, capsys, monkeypatch):
         (["--shape", "8,8,8"], "own needs --surface, --probe and --trajectory"),
         (["--case", "S,XXL"], "unknown case 'XXL'"),
         (["--perturb", "loud"], "unknown perturbation 'loud': choose from noise"),
-        (["--contest", "loud"], "unknown perturbation 'loud': choose from noise"),
         (["--parts", "riple"], "unknown part 'riple': choose from solvers, assembly"),
         (["--parts", "ripple", "--export", "here"], "leave --parts out"),
         (["--sampling", "cubic"], "sampling must be one of voxel-mean"),

@@ -172,7 +172,10 @@ def test_bad_options(run, files, field, output, command, more, words):
     assert empty(output)
 
 
-@pytest.mark.parametrize("command", ["tune", "next-press -o {}/n.csv", "evaluate"])
+NEED_FORCES = ["tune", "next-press -o {}/n.csv", "evaluate", "fit -o {}/f.nc"]
+
+
+@pytest.mark.parametrize("command", NEED_FORCES)
 def test_recordings_without_forces_are_named(run, files, field, output, command):
     presses, poses = read_trajectory(files / "press.csv"), files / "poses.csv"
     replace(presses, force=None, torque=None).save(poses)
@@ -180,6 +183,16 @@ def test_recordings_without_forces_are_named(run, files, field, output, command)
     if command != "evaluate":
         words = scene_words(files).replace("press.csv", "poses.csv")
     refused(run(f"{command.format(output)} {words}"), "error: poses.csv: ", "fx")
+    assert empty(output)
+
+
+@pytest.mark.parametrize("what", ["force", "torque"])
+def test_of_two_recordings_the_one_without_is_named(run, files, output, what):
+    less = {"torque": None} if what == "torque" else {"torque": None, "force": None}
+    presses, other = read_trajectory(files / "press.csv"), files / "other.csv"
+    replace(presses, **less).save(other)
+    answer = run(fit_words(files, output / "f.nc", f"--trajectory {other}"))
+    refused(answer, f"{other} has no {what}s, and {files / 'press.csv'} has")
     assert empty(output)
 
 

@@ -92,7 +92,6 @@ def benchmark(
     own: OwnScene,
     boundary: str = "subvoxel",
     perturb: str = "",
-    contest: Annotated[str, typer.Option(hidden=True)] = "",
     weight: float = 1e-2,
     jobs: int = 1,
     dask: str = "",
@@ -157,7 +156,7 @@ def benchmark(
         memory=memory,
     )
     suite = Suite(
-        [each.bounded(boundary).perturbed(perturb or contest) for each in cases],
+        [each.bounded(boundary).perturbed(perturb) for each in cases],
         output,
         settings,
         names,

@@ -144,6 +144,7 @@ def fit(
         as_written = thinned(recordings.as_written(), every=every, rate=rate)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, patient)
+        recordings.require_forces(recorded, problem.name)
         if picture is not None:  # before the fit: it may tell why there is none
             begin("drawing")
             _draw_poses(patient, shell, recorded, recordings.names, picture)

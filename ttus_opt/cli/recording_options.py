@@ -147,12 +147,29 @@ class RecordingOptions:
         from ttus_opt.sensors.stream_files import read_recording
 
         told, repair = read_column_map(self.columns), self.repair
-        return Trajectory.concatenate(
-            [
-                read_recording(f, self.stream, told, repair=repair)
-                for f in self.trajectory
-            ]
-        )
+        parts = [
+            read_recording(f, self.stream, told, repair=repair) for f in self.trajectory
+        ]
+        for what in ("force", "torque"):
+            having = [getattr(part, what) is not None for part in parts]
+            if any(having) and not all(having):
+                raise InputError(
+                    f"{self.trajectory[having.index(False)]} has no {what}s, and "
+                    f"{self.trajectory[having.index(True)]} has: give those of one kind"
+                )
+        return Trajectory.concatenate(parts)
+
+    def require_forces(self, recorded: Trajectory, formulation: str = "") -> None:
+        """Check that forces were measured, where a formulation needs any.
+
+        Raises:
+            InputError: None were; for ``laplace_only`` and a file of the user's own
+                that is not checked.
+        """
+        unneeded = formulation == "laplace_only" or formulation.endswith(".py")
+        if not (recorded.has_wrench or unneeded):
+            names = ", ".join(self.names)
+            raise InputError(f"{names}: no measured forces: add the columns fx, fy, fz")
 
     def read(
         self, as_written: Trajectory, shell: PointShell, patient: Surface

@@ -106,9 +106,7 @@ def measured(
     patient, shell = Surface.load(surface), probe.read()
     reading = recordings.as_written(), recordings.conventions
     recorded = recordings.read(reading[0], shell, patient)
-    if not recorded.has_wrench:
-        names = ", ".join(recordings.names)
-        raise InputError(f"{names}: no measured forces: add the columns fx, fy, fz")
+    recordings.require_forces(recorded)
     begin("assembling (first run compiles)")
     scene = built_scene(plan, (patient, shell, recorded), reading)
     warn_of_mistake(scene, reading)
