@@ -10,6 +10,7 @@ import pytest
 from tests.cli.conftest import PROBE, empty
 from tests.kit import python, started
 from ttus_opt import example
+from ttus_opt.core.interrupts import STOPPED
 from ttus_opt.solvers import registry
 from ttus_opt.voxmap.field import PotentialField
 
@@ -97,18 +98,20 @@ def children(number):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not children(os.getppid()), reason="needs Linux's list of children")
-def test_processes_that_are_loading_show_no_traceback(tmp_path):
-    """A terminal interrupts the demo's workers too; the demo ends them."""
+@pytest.mark.parametrize("library", ["libc", "numpy"])
+def test_workers_show_no_traceback(library, tmp_path):
+    """A terminal interrupts workers too; the demo ends them."""
     process = started("-m", "ttus_opt", "live", "demo", "-o", "out", cwd=tmp_path)
-    loading = False  # a worker that has numpy, and not yet all
+    loading = False  # a worker that has this library, and not yet all
     while not loading:
         assert process.poll() is None, process.communicate()
         workers = [w for own in children(process.pid) for w in children(own)]
         maps = [Path(f"/proc/{worker}/maps").read_text() for worker in workers]
-        loading = any("numpy" in loaded for loaded in maps)
+        loading = any(library in loaded for loaded in maps)
     interrupted(process, terminal=True)
     _, told = process.communicate()
     assert process.returncode == 130 and "Traceback" not in told, told
+    assert told.strip().endswith(STOPPED), told  # no leaks either
     assert empty(tmp_path / "out")
 
 

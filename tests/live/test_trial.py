@@ -1,6 +1,10 @@
 """Comparators in one simulation: what must hold of each."""
 
+import contextlib
 import json
+import multiprocessing
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +44,24 @@ def test_sessions_at_a_time_are_those_one_by_one(tmp_path):
     assert [r.as_dict() for r in one] == [r.as_dict() for r in two]
     files = [frames_of(tmp_path / f"{name}.mcap")[1] for name in ("one", "two")]
     assert list(files[0]) == list(files[1])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_trial_that_is_ended_ends_its_process(monkeypatch):
+    """A pool would take its SystemExit for a result and give the process the next."""
+    monkeypatch.setattr(demo, "run", lambda _: signal.raise_signal(signal.SIGTERM))
+    arguments = Trial("model", 0.1), None
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_then_17, args=(demo._one_of_pool, *arguments))
+    process.start()
+    process.join()
+    assert process.exitcode == 1
+
+
+def _then_17(call, *arguments):
+    with contextlib.suppress(BaseException):
+        call(*arguments)
+    os._exit(17)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Interrupts: the signal that stops a command, and its delay during a file write."""
+"""Interrupts: the signal that stops a command, and its delay where none may strike."""
 
 from __future__ import annotations
 
@@ -50,22 +50,25 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 @contextlib.contextmanager
 def signals_deferred() -> Iterator[None]:
-    """Delay interrupts and termination until a file is written.
+    """Delay signals that end until a file is written or a process started.
 
     An exception inside the netCDF library would leave its lock taken, and the next
-    writer would wait forever. Only the main thread receives signals; in other threads
-    this does nothing.
+    writer would wait forever; a process half started shows its own traceback.
+    Only the main thread receives signals; in other threads this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
-    deferred = dict.fromkeys((signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM))
-    before = [signal.signal(s, lambda n, _: received.append(n)) for s in deferred]
+    kinds = dict.fromkeys((signal.SIGINT, signal.SIGTERM, INTERRUPT, ALARM))
+    # one that is ignored stays so, for processes started meanwhile as well
+    before = {s: h for s in kinds if (h := signal.getsignal(s)) != signal.SIG_IGN}
+    for kind in before:
+        signal.signal(kind, lambda n, _: received.append(n))
     try:
         yield
     finally:
-        for kind, handler in zip(deferred, before, strict=True):
+        for kind, handler in before.items():
             signal.signal(kind, handler or signal.SIG_DFL)
-        for number in received:  # the first that is not ignored ends the loop
+        for number in received:  # the first whose handler raises ends the loop
             signal.raise_signal(number)

@@ -27,6 +27,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ttus_opt.core import io
+from ttus_opt.core.interrupts import signals_deferred
 from ttus_opt.live.recording import Recorder
 from ttus_opt.live.trial import COMPARATORS, Trial, TrialResult, run
 from ttus_opt.report.document import Heading, Items, Picture, Table, Text, write_report
@@ -154,9 +155,13 @@ def _all(
         if processes > 1:
             spawn, others = multiprocessing.get_context("spawn"), active_children()
             workers = ProcessPoolExecutor(processes, spawn, _end_with_parent)
-            each = pool.enter_context(workers).map(_one, *zip(*tasks, strict=True))
-            pool.callback(workers.shutdown, cancel_futures=True)
-            pool.push(partial(_stop, [p for p in active_children() if p not in others]))
+            with signals_deferred():
+                each = pool.enter_context(workers).map(
+                    _one_of_pool, *zip(*tasks, strict=True)
+                )
+                pool.callback(workers.shutdown, cancel_futures=True)
+                begun = [p for p in active_children() if p not in others]
+                pool.push(partial(_stop, begun))
         waiting = iter(each)
         for trial in trials:
             say(f"{trial.comparator}, round trip {1e3 * trial.round_trip:.0f} ms")
@@ -171,12 +176,11 @@ def _stop(workers: list[BaseProcess], failed: object, *_: object) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process with its parent, whatever ends that, or when that says so.
+    """End this process with its parent, whatever ends that.
 
-    An interrupt of the terminal is the parent's; a recording is cleaned up.
+    An interrupt of the terminal is the parent's.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -185,6 +189,17 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
+
+
+def _one_of_pool(trial: Trial, recording: Path | None) -> TrialResult:
+    """A trial in a process of its own; its recording is cleaned up when it is ended."""
+    try:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+        return _one(trial, recording)
+    except SystemExit:  # the pool would take it for a result, and go on to the next
+        os._exit(1)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _one(trial: Trial, recording: Path | None) -> TrialResult:
