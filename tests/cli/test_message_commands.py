@@ -53,12 +53,12 @@ def test_what_changed(run, files, output, message):
 @pytest.mark.slow
 def test_what_is_refused(run, files, field, tmp_path, output):
     surface, to = files / "surface.nc", f"-o {output / 'x'}"
-    refused(run(f"encode {field} {to}"), "base", "surface's message")
+    refused(run(f"encode {field} {to}"), "give the surface's message as --base")
     refused(run(f"encode {surface} --max-error 0 {to}"), "--max-error")
     refused(run(f"encode {files / 'press.csv'} {to}"), "netCDF", "press.csv")
     refused(run(f"encode {tmp_path / 'no.nc'} {to}"), "not found")
     refused(run(f"encode {surface} -o {surface}"), "--force")
-    refused(run(f"decode {surface} {to}"), "not a message of ttus_opt")
+    refused(run(f"decode {surface} {to}"), f"{surface} is not a message of ttus_opt")
     (tmp_path / "empty.msg").touch()
     refused(run(f"decode {tmp_path / 'empty.msg'} {to}"), "empty")
     refused(run(f"decode {tmp_path} {to}"), "folder")

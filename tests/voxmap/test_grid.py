@@ -57,7 +57,7 @@ def test_layout_is_c_order_in_numpy_and_in_kernels():
         ({"shape": (6, 8)}, InputError, "3 counts"),
         ({"r_outer": 0.02}, GeometryError, "r_outer"),
         ({"z_max": 0.0}, GeometryError, "z_max"),
-        ({"r_inner": float("nan")}, InputError, "finite"),
+        ({"r_inner": float("nan")}, InputError, "r_inner must be finite .m., got nan"),
         ({"r_inner": 0.001}, GeometryError, "half a radial step"),
     ],
 )

@@ -9,6 +9,7 @@ import typer
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.core import io
+from ttus_opt.core.errors import FileError
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
@@ -118,11 +119,14 @@ def _bytes(file: Path) -> bytes:
     """A message's bytes.
 
     Raises:
-        FileError: No file, an empty one, or one longer than a message may be.
+        FileError: No file, an empty one, one longer than a message may be, or another.
     """
-    from ttus_opt.message.envelope import LONGEST
+    from ttus_opt.message.envelope import LONGEST, MARK
 
-    return io.existing_file(file, "message", LONGEST).read_bytes()
+    content = io.existing_file(file, "message", LONGEST).read_bytes()
+    if not content.startswith(MARK):
+        raise FileError(f"{file} is not a message of ttus_opt: wrong file?")
+    return content
 
 
 def _size(what: Any) -> int:

@@ -44,7 +44,7 @@ def encode(
     if base is None:
         raise InputError(
             "a field is encoded as its difference from the Laplace field of its "
-            "surface: give the surface's message as base"
+            "surface: give the surface's message as base=…"
         )
     return field_message.encode_field(what, *_surface(base), max_error)
 
@@ -79,7 +79,7 @@ def decode(
     if base is None:
         raise InputError(
             f"the message holds a {NAMES[reader.kind]}, which builds on another "
-            "message: give that as base"
+            "message: give that as base=…"
         )
     surface, name = _surface(base)
     if reader.kind == FIELD:

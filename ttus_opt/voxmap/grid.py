@@ -205,9 +205,11 @@ class CylindricalGrid:
                     f"{MOST_LAYERS:,}, got {io.shortened(count)}"
                 )
         checked_sector(self.sector)
-        limits = (self.r_inner, self.r_outer, self.z_min, self.z_max)
-        if not all(math.isfinite(v) for v in limits):
-            raise InputError(f"grid limits must be finite [m], got {limits}")
+        for name in ("r_inner", "r_outer", "z_min", "z_max"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(
+                    f"{name} must be finite [m], got {getattr(self, name)}"
+                )
         for high, low in (("r_outer", "r_inner"), ("z_max", "z_min")):
             top, bottom = getattr(self, high), getattr(self, low)
             if not top > bottom:

@@ -9,7 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.fitting.uncertainty.test_field_uncertainty import KEPT_SHARE, three_presses
-from ttus_opt.core.errors import InputError
+from tests.kit import InputError, refuses
 from ttus_opt.fitting.uncertainty.next_press import greedy, next_press, normal_forces
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import rendered, wrench_rows
 
@@ -149,3 +149,10 @@ def test_each_place_is_a_cell_of_its_own_size():
 def test_what_gives_no_place_is_refused(given, told):
     with pytest.raises(InputError, match=told):
         next_press(stated(), **{"spacing": 0.04, "depth": 0.006} | given)
+
+
+def test_a_field_without_force_has_no_next_press():
+    given = stated()
+    potential = replace(given.potential, values=0.0 * given.potential.values)
+    none = replace(given, potential=potential)
+    refuses(InputError, "no force where the skin", next_press, none, spacing=0.04)

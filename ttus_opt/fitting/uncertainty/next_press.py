@@ -164,6 +164,11 @@ def next_press(
     force = rows @ uncertainty.potential.values.ravel()
     reached = np.abs(force) > LEAST_FORCE  # within the grid's sector
     at = np.flatnonzero(seen)[reached]
+    if not len(at):
+        raise InputError(
+            "the field gives no force where the skin was seen: fit it to forces "
+            "measured in contact"
+        )
     if not 0 < count <= len(at):
         raise InputError(f"count must be 1 to {len(at)}, the places seen, got {count}")
     points = skin_points(scene.voxmap.surface, theta[at], z[at])
