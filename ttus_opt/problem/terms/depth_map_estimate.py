@@ -24,7 +24,7 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -50,6 +50,7 @@ from ttus_opt.problem.terms.depth_profile import (
     slopes_of,
     voxel_depths,
 )
+from ttus_opt.problem.terms.depth_regression import expected_errors
 from ttus_opt.problem.terms.part_noise import (
     RELATIVE,
     SENSOR,
@@ -154,8 +155,9 @@ class DepthMapEstimate:
         force = normal @ self.profile(depth)
         slope = slopes_of(depth, self.profile.exponents) @ self.profile.coefficients
         alone = np.hypot(self.sensor_noise, self.relative_noise * force)
-        drift = self.depth_error * (normal @ slope)
-        return PartNoise.of(scene, alone, force, drift, turn)
+        per_depth = normal @ slope
+        noise = PartNoise.of(scene, alone, force, self.depth_error * per_depth, turn)
+        return replace(noise, lost=per_depth * expected_errors(scene, self.depth_error))
 
 
 def estimate_depth_map(

@@ -72,12 +72,15 @@ class PartNoise:
             length; zero without contact; shape (T, 3) [–].
         level: Root mean square error of normal forces in contact [N]; 1/level² is the
             likely weight of the rows.
+        lost: Force that the errors of reported depths take from every normal force on
+            average, shape (T,) [N].
     """
 
     normal: sp.csr_array = field(repr=False, compare=False)
     across: Array = field(repr=False, compare=False)
     direction: Array = field(repr=False, compare=False)
     level: float = 1.0
+    lost: Array | float = field(default=0.0, repr=False, compare=False)
 
     @classmethod
     def of_direction(cls, scene: Scene, turn: float | None) -> Self | None:
@@ -129,6 +132,10 @@ class PartNoise:
             :, None, None
         ]
         return sp.csr_array(along.T @ self.normal @ along + diagonal_blocks(beside))
+
+    def expected(self, force: Array) -> Array:
+        """Measured forces, (3T,), with what errors of depths take from them [N]."""
+        return force + (np.reshape(self.lost, (-1, 1)) * self.direction).ravel()
 
     @property
     def torque(self) -> sp.csr_array:

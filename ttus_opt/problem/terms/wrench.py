@@ -61,7 +61,7 @@ class ForceTerm(_Measured):
         blocks = {"p": scene.N} if drag is None else drag.force_blocks()
         if noise is None:
             return AffineRows(blocks, scene.f)
-        return whitened(noise.force, blocks, scene.f)
+        return whitened(noise.force, blocks, noise.expected(scene.f))
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The drag coefficients."""
