@@ -1,6 +1,7 @@
 """Fixtures of all tests, and how they are collected and shared out."""
 
 import gc
+import signal
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -14,6 +15,9 @@ settings.register_profile(
 )
 settings.register_profile("steady", settings.get_profile("search"), derandomize=True)
 settings.load_profile("steady")
+
+# a shell has what it runs in the background ignore interrupts, with all its children
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # of what files of tests hold nothing is garbage: rounds of the collector are rare
 gc.set_threshold(100_000, 20, 50)

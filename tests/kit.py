@@ -2,7 +2,6 @@
 
 import functools
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -85,7 +84,7 @@ def python(*words, status=0, timeout=300.0, cwd=None, **environment):
 
 
 def started(*words, cwd=None):
-    """A process of Python with these words, which heeds interrupts, in a session."""
+    """A process of Python with these words, in a session."""
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
         cwd=cwd,
@@ -94,7 +93,6 @@ def started(*words, cwd=None):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 

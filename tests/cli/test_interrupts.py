@@ -166,7 +166,6 @@ app.main(["solvers"])
 #: One that a package takes for its own while it loads
 TAKEN = """
 import contextlib, signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
 from ttus_opt.cli import app, warm_up_command
 def load(_):
     with contextlib.suppress(KeyboardInterrupt):

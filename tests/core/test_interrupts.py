@@ -28,13 +28,9 @@ def test_a_signal_comes_when_all_is_written(kind):
 
 def test_an_interrupt_ends_what_comes_after():
     done = False
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt), interrupts.signals_deferred():
-            signal.raise_signal(signal.SIGINT)
-            done = True
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with pytest.raises(KeyboardInterrupt), interrupts.signals_deferred():
+        signal.raise_signal(signal.SIGINT)
+        done = True
     assert done
 
 
@@ -62,7 +58,6 @@ def test_another_thread_may_write_as_well():
 def test_what_loads_ends_at_once_and_without_a_traceback(kind):
     program = f"""
 import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
 from ttus_opt.core.interrupts import INTERRUPT, ended_at_once
 with ended_at_once():
     try:
@@ -76,15 +71,13 @@ with ended_at_once():
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, interrupts.INTERRUPT])
 def test_once_loaded_an_interrupt_is_an_exception(kind):
-    before = {s: signal.getsignal(s) for s in (signal.SIGINT, interrupts.INTERRUPT)}
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = signal.getsignal(interrupts.INTERRUPT)
     try:
         with interrupts.ended_at_once():
             pass
         refuses(KeyboardInterrupt, "", signal.raise_signal, kind)
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        signal.signal(interrupts.INTERRUPT, before)
 
 
 def test_an_interrupt_that_is_ignored_stays_so():
