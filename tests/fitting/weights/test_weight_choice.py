@@ -29,9 +29,12 @@ from ttus_opt.fitting.weights.weight_choice import (
     has_weights,
     word_for,
 )
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.sampling import least_length, sized
 
 OWN = {"force": 1e-2, "torque": 1e-2}
@@ -304,3 +307,13 @@ def test_a_fit_takes_what_the_word_chose(word, monkeypatch):
     names = {"own": "eq10", "auto": "tikhonov"}
     scene = small_scene("trilinear")
     assert tt.fit(scene, weights=word).formulation == names[word]
+
+
+def test_forces_that_were_moved_for_errors_of_depths_are_told():
+    scene = small_scene("contact-size", n_poses=60)
+    found = estimate_depth_map(scene)
+    for error, told in ((0.0, False), (1e-3, True)):
+        noise = replace(found, depth_error=error).part_noise(scene)
+        terms = [DepthMapTerm.of(scene, found), ForceTerm(scene, noise=noise)]
+        lines = weight_choice.described(Formulation(terms=terms))
+        assert any("forces moved by up to" in line for line in lines) == told

@@ -330,6 +330,11 @@ def described(model: Formulation) -> tuple[str, ...]:
             f"error of a normal force {force.noise.level:.2g} N, of its direction "
             f"{np.degrees(TURN):.0f}°"
         )
+        if lost := float(np.max(np.abs(force.noise.lost))):
+            lines.append(
+                f"forces moved by up to {lost:.2g} N, which the tracker's noise takes "
+                "from them: a probe that is reported deep is so partly by error"
+            )
     if least:
         lines.append(
             f"stiffness per area is that of a thin layer for contacts shorter than "
