@@ -43,6 +43,7 @@ def test_json_holds_numbers_and_null(capsys):
         ("n_points must be 4", "--points must be 4"),
         ("a wrench_delay of 9 s", "a --wrench-delay of 9 s"),
         ("got 'wrench_delay' of n_points.csv", "got 'wrench_delay' of n_points.csv"),
+        ("normalise q, or read it with repair=True", "normalise q"),
         ("give angles=3 or sign=2", "give angles=3 or sign=2"),  # no such options
     ],
 )

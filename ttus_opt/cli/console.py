@@ -85,6 +85,8 @@ def as_options(message: str, **options: str) -> str:
     value = r"(?:(?P<q>['\"])(?P<quoted>[^'\"]+)(?P=q)|(?P<bare>[\w.,…-]*[\w…]))"
     # a term may be called force and have any other value
     told = message.replace("force=True", "--force")
+    if "repair" not in table:  # nothing is mended by this command
+        told = told.replace(", or read it with repair=True", "")
     for name, option in table.items():
         told = re.sub(rf"(?<![\w-])(?P<name>{name})={value}", written, told)
         if "_" in name:  # a word of Python, whatever follows

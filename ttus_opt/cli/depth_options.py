@@ -25,7 +25,7 @@ RECORDING = ".bag"
 IMAGES = (".png", ".tif", ".tiff")
 
 #: Advice of the readers of poses by options that are not here
-ABSENT = re.compile(r"(; map them by columns|, or read it with repair=True).*")
+ABSENT = re.compile(r"; map them by columns.*")
 
 
 @dataclass(frozen=True)
