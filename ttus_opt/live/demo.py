@@ -153,12 +153,11 @@ def _all(
     with contextlib.ExitStack() as pool:
         each: Iterable[TrialResult] = (_one(*task) for task in tasks)
         if processes > 1:
-            spawn, others = multiprocessing.get_context("spawn"), active_children()
-            workers = ProcessPoolExecutor(processes, spawn, _end_with_parent)
             with signals_deferred():
-                each = pool.enter_context(workers).map(
-                    _one_of_pool, *zip(*tasks, strict=True)
-                )
+                spawn, others = multiprocessing.get_context("spawn"), active_children()
+                workers = ProcessPoolExecutor(processes, spawn, _end_with_parent)
+                pool.enter_context(workers)
+                each = workers.map(_one_of_pool, *zip(*tasks, strict=True))
                 pool.callback(workers.shutdown, cancel_futures=True)
                 begun = [p for p in active_children() if p not in others]
                 pool.push(partial(_stop, begun))
