@@ -6,7 +6,7 @@ import pytest
 import ttus_opt as tt
 from tests.kit import InputError, refuses
 from ttus_opt import example
-from ttus_opt.phantom import skin_compliance, torso_body
+from ttus_opt.phantom.elasticity import skin_compliance
 from ttus_opt.phantom.example_data import (
     DRAG,
     PROBE,
@@ -17,6 +17,7 @@ from ttus_opt.phantom.example_data import (
     recording,
     true_surface,
 )
+from ttus_opt.phantom.torso import torso_body
 
 
 def test_every_named_file_is_there_and_nothing_else():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.experiment.patients import PROBE, RECORDINGS, patients
-from ttus_opt.phantom import Torso
+from ttus_opt.phantom.torso import Torso
 from ttus_opt.scan.surface import Surface
 
 EVERYONE = patients()

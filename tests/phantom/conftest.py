@@ -1,6 +1,7 @@
 import pytest
 
-from ttus_opt.phantom import Torso, TorsoMesh, skin_compliance, torso_body
+from ttus_opt.phantom.elasticity import skin_compliance
+from ttus_opt.phantom.torso import Torso, TorsoMesh, torso_body
 
 
 @pytest.fixture(scope="session")

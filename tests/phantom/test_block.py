@@ -7,7 +7,9 @@ import pytest
 
 from tests.phantom.block import hertz_force, soft_block
 from ttus_opt.core.errors import InputError
-from ttus_opt.phantom import EllipsoidProbe, press, skin_compliance
+from ttus_opt.phantom.elasticity import skin_compliance
+from ttus_opt.phantom.press import press
+from ttus_opt.phantom.probe import EllipsoidProbe
 
 RADIUS, YOUNG, POISSON = 0.05, 15e3, 0.45
 SPHERE = EllipsoidProbe((RADIUS,) * 3)

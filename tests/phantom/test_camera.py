@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from tests.kit import InputError, refuses
-from ttus_opt.phantom import Torso
 from ttus_opt.phantom.camera import ScanSetup, View, depth_image, scan, write_cloud
+from ttus_opt.phantom.torso import Torso
 from ttus_opt.scan.cloud import read_cloud
 
 TORSO = Torso()

@@ -6,7 +6,8 @@ from scipy.sparse.linalg import spsolve
 
 from tests.kit import FileError, InputError, refuses
 from tests.phantom.block import box_mesh
-from ttus_opt.phantom import ElasticBody, SkinPatch, elasticity, skin_compliance
+from ttus_opt.phantom import elasticity
+from ttus_opt.phantom.elasticity import ElasticBody, SkinPatch, skin_compliance
 
 
 def column(poisson, young=2e4):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from tests.kit import InputError, refuses
-from ttus_opt.phantom import EllipsoidProbe, Torso
 from ttus_opt.phantom.examination import push_handling, sweep_handling
 from ttus_opt.phantom.example_data import PROBE
+from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.phantom.torso import Torso
 
 TORSO = Torso()
 

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from ttus_opt.phantom import record
 from ttus_opt.phantom.example_data import (
     PROBE,
     RECORDINGS,
@@ -13,6 +12,7 @@ from ttus_opt.phantom.example_data import (
     true_surface,
     write_example,
 )
+from ttus_opt.phantom.recording import record
 
 
 def test_surface_is_the_torso_within_a_tenth_of_a_millimetre():

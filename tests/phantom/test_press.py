@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.kit import GeometryError, InputError, refuses
-from ttus_opt.phantom import CoulombDrag, EllipsoidProbe, Motion, press
 from ttus_opt.phantom.example_data import PROBE, poses
-from ttus_opt.phantom.press import solve_unilateral
+from ttus_opt.phantom.press import CoulombDrag, Motion, press, solve_unilateral
+from ttus_opt.phantom.probe import EllipsoidProbe
 
 REST = Motion(np.zeros(3), np.zeros(3))
 

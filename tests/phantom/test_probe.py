@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.kit import InputError, refuses
-from ttus_opt.phantom import EllipsoidProbe
+from ttus_opt.phantom.probe import EllipsoidProbe
 
 
 @settings(max_examples=25)

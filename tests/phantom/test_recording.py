@@ -3,9 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.kit import InputError, refuses
-from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
-from ttus_opt.phantom.recording import add_pose_noise
+from ttus_opt.phantom.press import CoulombDrag
+from ttus_opt.phantom.recording import add_noise, add_pose_noise, record
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 

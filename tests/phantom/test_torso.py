@@ -7,9 +7,17 @@ from hypothesis import strategies as st
 
 from tests.kit import GeometryError, InputError, refuses
 from tests.phantom.block import box_mesh
-from ttus_opt.phantom import Torso, TorsoMesh, press, skin_compliance, torso_body
+from ttus_opt.phantom.elasticity import skin_compliance
 from ttus_opt.phantom.example_data import PROBE, poses
-from ttus_opt.phantom.torso import ScannedTorso, graded, ring_mesh
+from ttus_opt.phantom.press import press
+from ttus_opt.phantom.torso import (
+    ScannedTorso,
+    Torso,
+    TorsoMesh,
+    graded,
+    ring_mesh,
+    torso_body,
+)
 from ttus_opt.scan.surface import Surface
 
 

@@ -86,11 +86,8 @@ COMMANDS: dict[Callable[..., None], dict[str, Any]] = {
     formulations: {"time_limit": None},
     warm_up: {"time_limit": None},
 }
-REGISTER: dict[Callable[..., None], dict[str, Any]] = {
-    board: {},
-    markers: {},
-    hand_eye: {},
-}
+REGISTER: dict[Callable[..., None], dict[str, Any]]
+REGISTER = {board: {}, markers: {}, hand_eye: {}}
 LIVE: dict[Callable[..., None], dict[str, Any]] = {
     live_commands.demo: {"time_limit": None, "folder": True},
     live_commands.page: {"time_limit": None},

@@ -244,11 +244,7 @@ def _run(suite: Suite, machine: dict[str, str]) -> None:
 
 
 def _export(suite: Suite, folder: Path) -> None:
-    """Write the solvers' problems, each once.
-
-    Raises:
-        InputError: No problem is asked for.
-    """
+    """Write the solvers' problems, each once."""
     from ttus_opt.benchmark.export import export_program
     from ttus_opt.benchmark.parts.base import SOLVERS
     from ttus_opt.benchmark.solver_run import declared, label

@@ -179,7 +179,6 @@ class AxisOptions:
                 "0,0,1"
             )
         z *= (-1.0 if self.flip_axis else 1.0) / length
-        at = np.array(numbers(origin, 3, "--axis-origin"))
         plane = find_supporting_plane(cloud, camera=camera) if self.support else None
         upward = None if camera is None else np.asarray(camera) - at
         if plane is not None:

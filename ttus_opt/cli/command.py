@@ -178,10 +178,6 @@ def _check_outputs(
         given: All options by name.
         names: Those of files that will be written, or pictures.
         force: Allow an output to replace an input.
-
-    Raises:
-        FileError: One cannot be written, replaces an input, or two are the same.
-        InputError: A picture whose name ends otherwise.
     """
     outputs = {name: given[name] for name in names if given[name] is not None}
     for name, file in outputs.items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, as_options, tell
-from ttus_opt.cli.examination import Asked, Found, examined
+from ttus_opt.cli.examination import Asked, examined
 from ttus_opt.cli.options import numbers
 from ttus_opt.core.errors import InputError, TtusError
 
@@ -53,27 +53,23 @@ def doctor(
     limits = None if box is None else numbers(box, 6, "--box")
     asked = Asked(columns, unit, stream, limits)
     facts, lines, drawn, unreadable, faulty = [], [], {}, False, False
-    outcomes: list[Found | TtusError] = []
     with Stages(len(files)) as begin:
         for file in files:
             begin(file.name)
             try:
-                outcomes.append(examined(file, asked))
+                found = examined(file, asked)
             except TtusError as error:
-                outcomes.append(error)
-    for file, found in zip(files, outcomes, strict=True):
-        if isinstance(found, TtusError):
-            unreadable = True
-            text = as_options(str(found))
-            facts.append({"file": str(file), "error": text})
-            lines += [f"{file}: cannot be used", _wrapped(text)]
-            continue
-        facts.append({"file": str(file), "kind": found.kind, **found.facts})
-        lines.append(f"{file}: {found.kind}")
-        lines += [_wrapped(line) for line in found.lines]
-        faulty |= any(s["faults"] for s in found.facts.get("streams", []))
-        for name, raw in found.streams.items():
-            drawn[f"{file.name} {name}".strip()] = raw
+                unreadable = True
+                text = as_options(str(error))
+                facts.append({"file": str(file), "error": text})
+                lines += [f"{file}: cannot be used", _wrapped(text)]
+                continue
+            facts.append({"file": str(file), "kind": found.kind, **found.facts})
+            lines.append(f"{file}: {found.kind}")
+            lines += [_wrapped(line) for line in found.lines]
+            faulty |= any(s["faults"] for s in found.facts.get("streams", []))
+            for name, raw in found.streams.items():
+                drawn[f"{file.name} {name}".strip()] = raw
     if picture is not None:
         _draw(picture, drawn)
         lines.append(f"picture: {picture}")

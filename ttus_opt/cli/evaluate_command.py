@@ -230,11 +230,7 @@ def _extrapolated(
     recorded: Trajectory,
     found: Evaluation,
 ) -> tuple[list[Bin], list[Bin]]:
-    """Errors by distance and by depth; empty where the fitted places are unknown.
-
-    Raises:
-        FileError: The field's provenance is damaged.
-    """
+    """Errors by distance and by depth; empty where the fitted places are unknown."""
     from ttus_opt.report import extrapolation
 
     text = potential.provenance.get("contacts")
@@ -278,11 +274,7 @@ def _draw(
     forces: Path | None,
     calibration: Path | None,
 ) -> None:
-    """Write the pictures that were asked for: all, or none.
-
-    Raises:
-        InputError: No recording has a stated uncertainty to draw.
-    """
+    """Write the pictures that were asked for: all, or none."""
     from ttus_opt.report import plots
 
     figures = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -55,10 +55,16 @@ def examined(file: Path, asked: Asked) -> Found:
     if file.name in NAMES or any((file / name).exists() for name in NAMES):
         return _session(file)
     suffix = file.suffix.lower()
-    for suffixes, examine in EXAMINERS:
-        if suffix in suffixes:
-            return examine(file, asked)
-    return _recording(file, asked)
+    first, *others = next((w for s, w in EXAMINERS if suffix in s), (_recording,))
+    if _motion in others and _bare(file):
+        first, *others = others if suffix not in TEXT else [_motion]
+    try:
+        return first(file, asked)
+    except FileError:
+        for other in others:
+            with contextlib.suppress(TtusError):
+                return other(file, asked)
+        raise
 
 
 def _recording(file: Path, asked: Asked) -> Found:
@@ -120,12 +126,6 @@ def _camera_lines(file: Path, topic: str | None = None) -> list[str]:
     return [*lines, f"distortion (k1, k2, p1, p2, k3, …): {bent}"]
 
 
-def _mapping(file: Path, asked: Asked) -> Found:
-    """Intrinsics, or else a rigid motion or pairs of poses."""
-    ways = (_motion, _pairs) if _bare(file) else (_intrinsics, _motion, _pairs)
-    return _first_of(ways, file, asked)
-
-
 def _bare(file: Path) -> bool:
     """Whether a file holds a list, or no more rows of numbers than a motion has."""
     from ttus_opt.core import io
@@ -134,20 +134,6 @@ def _bare(file: Path) -> bool:
         rows = stream.read(2000).strip().splitlines()
     pattern = rb"\[" if len(rows) > 4 else rb"[-+.\d\[]"
     return bool(rows and re.match(pattern, rows[0]))
-
-
-def _first_of(
-    ways: Sequence[Callable[[Path, Asked], Found]], file: Path, asked: Asked
-) -> Found:
-    """What the first way finds that can read a file; the error is the first one's."""
-    first, *others = ways
-    try:
-        return first(file, asked)
-    except FileError:
-        for other in others:
-            with contextlib.suppress(TtusError):
-                return other(file, asked)
-        raise
 
 
 def _intrinsics(file: Path, asked: Asked) -> Found:
@@ -253,12 +239,6 @@ def _cloud(file: Path, asked: Asked) -> Found:
     return Found("point cloud", lines, facts, {})
 
 
-def _text_or_cloud(file: Path, asked: Asked) -> Found:
-    """A table of poses or wrenches, a rigid motion, or points."""
-    ways = (_motion,) if _bare(file) else (_recording, _motion, _cloud)
-    return _first_of(ways, file, asked)
-
-
 def _depth(file: Path, asked: Asked) -> Found:
     from ttus_opt.sensors.depth_files import PictureError, read_depth
 
@@ -329,17 +309,23 @@ def _ply(file: Path, asked: Asked) -> Found:
     return found
 
 
-#: What is examined how, by suffix
-EXAMINERS: tuple[tuple[tuple[str, ...], Callable[[Path, Asked], Found]], ...] = (
-    ((".nc", ".nc4", ".cdf"), _netcdf),
-    ((".ply",), _ply),
-    ((".pcd", ".xyz", ".pts", ".asc"), _cloud),
-    ((".csv", ".txt"), _text_or_cloud),
-    ((".png", ".tif", ".tiff"), _depth),
-    ((".npy",), _array),
-    ((".stl", ".obj"), _mesh),
-    ((".json", ".yaml", ".yml", ".xml"), _mapping),
-    ((".jpg", ".jpeg", ".bmp"), _photo),
-    ((".msg",), _message),
-    ((".bag",), _bag),
+#: Tables, which hold a motion where they hold no more than its numbers
+TEXT = (".csv", ".txt")
+
+#: What is examined how, by suffix: the first way that can read it, whose error it is
+#: where none can; a file of few numbers alone holds neither table nor intrinsics
+EXAMINERS: tuple[
+    tuple[tuple[str, ...], tuple[Callable[[Path, Asked], Found], ...]], ...
+] = (
+    ((".nc", ".nc4", ".cdf"), (_netcdf,)),
+    ((".ply",), (_ply,)),
+    ((".pcd", ".xyz", ".pts", ".asc"), (_cloud,)),
+    (TEXT, (_recording, _motion, _cloud)),
+    ((".png", ".tif", ".tiff"), (_depth,)),
+    ((".npy",), (_array,)),
+    ((".stl", ".obj"), (_mesh,)),
+    ((".json", ".yaml", ".yml", ".xml"), (_intrinsics, _motion, _pairs)),
+    ((".jpg", ".jpeg", ".bmp"), (_photo,)),
+    ((".msg",), (_message,)),
+    ((".bag",), (_bag,)),
 )

@@ -11,15 +11,15 @@ if TYPE_CHECKING:
     from ttus_opt.solvers.base import Solver
 
 
-#: What a solver can take, by a letter
-TAKES = {
-    "A": "any terms (else Laplace and measured rows)",
-    "E": "equalities",
-    "I": "inequalities",
-    "P": "penalties other than squares",
-    "T": "a time limit",
-    "K": "keeps work for the next solve",
-}
+#: What a solver can take: a letter, the capability of that name, and its meaning
+TAKES = (
+    ("A", "any_terms", "any terms (else Laplace and measured rows)"),
+    ("E", "equalities", "equalities"),
+    ("I", "inequalities", "inequalities"),
+    ("P", "nonquadratic", "penalties other than squares"),
+    ("T", "time_limit", "a time limit"),
+    ("K", "keeps", "keeps work for the next solve"),
+)
 
 
 def solvers() -> None:
@@ -44,7 +44,7 @@ def solvers() -> None:
         for name, solver in known.items()
         if not solver.installed
     ]
-    meanings = ", ".join(f"{letter} {what}" for letter, what in TAKES.items())
+    meanings = ", ".join(f"{letter} {what}" for letter, _, what in TAKES)
     paragraphs = [
         meanings,
         f"Not installed, with the package to install: {', '.join(absent) or 'none'}",
@@ -83,15 +83,7 @@ def formulations() -> None:
 def _letters(solver: Solver) -> str:
     """What of `TAKES` a solver takes; a dot for what it does not."""
     can = solver.capabilities
-    able = {
-        "A": can.any_terms,
-        "E": can.equalities,
-        "I": can.inequalities,
-        "P": can.nonquadratic,
-        "T": can.time_limit,
-        "K": bool(can.keeps),
-    }
-    return "".join(letter if able[letter] else "·" for letter in TAKES)
+    return "".join(letter if getattr(can, name) else "·" for letter, name, _ in TAKES)
 
 
 def _solver(solver: Solver) -> dict[str, object]:

@@ -51,23 +51,18 @@ def encode(
         begin("encoding")
         message = encoded(what, max_error=max_error, base=before)
         begin("checking what will be decoded")
-        size = max(_size(what), 1)
-        error = _error(what, decoded(message, base=before, max_voxels=size))
-        with io.signals_deferred(), io.replacing(output) as temporary:
-            temporary.write_bytes(message)
+        most = max(_size(what), 1)
+        error = _error(what, decoded(message, base=before, max_voxels=most))
+        io.write_bytes(output, message)
     facts = {
         "output": str(output),
         "holds": _name(what),
         "bytes": len(message),
         "largest_error": error,
     }
-    unit = "mm" if _size(what) == 0 else "of the potential"
-    factor = 1e3 if _size(what) == 0 else 1.0
-    line = (
-        f"{output}: {_name(what)} in {len(message):,} bytes, largest error "
-        f"{factor * error:.3g} {unit}"
-    )
-    tell(facts, line)
+    told = f"{error:.3g} of the potential" if _size(what) else f"{1e3 * error:.3g} mm"
+    size = f"{len(message):,} bytes, largest error"
+    tell(facts, f"{output}: {_name(what)} in {size} {told}")
 
 
 def decode(
@@ -116,11 +111,7 @@ def _read(file: Path) -> Surface | PotentialField:
 
 
 def _bytes(file: Path) -> bytes:
-    """A message's bytes.
-
-    Raises:
-        FileError: No file, an empty one, one longer than a message may be, or another.
-    """
+    """A message's bytes."""
     from ttus_opt.message.envelope import LONGEST, MARK
 
     content = io.existing_file(file, "message", LONGEST).read_bytes()

@@ -73,11 +73,7 @@ class _Files:
     sensor: str | None
 
     def write(self, got: Received) -> tuple[dict[str, object], list[str], list[str]]:
-        """Write what came; facts, lines, and why a stream is missing.
-
-        Raises:
-            FileError: A file cannot be written.
-        """
+        """Write what came; facts, lines, and why a stream is missing."""
         facts: dict[str, object] = {"messages": got.count}
         facts |= {"dropped": dict(got.dropped), "ended": got.ended or None}
         lines, missing = [], []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -120,17 +120,11 @@ class RecordingOptions:
                 motion = as_rows(read_rigid_motion(self.base_to_scan))
             except TtusError as error:
                 raise InputError(f"--base-to-scan: {error}") from error
+        given = {each.name: getattr(self, each.name) for each in fields(Conventions)}
+        frame = self.frame or ("patient" if motion is None else "base")
+        given |= {"frame": frame, "base_to_scan": motion, "torque_about": about}
         try:
-            return Conventions(
-                quaternion=self.quaternion,
-                frame=self.frame or ("patient" if motion is None else "base"),
-                wrench_frame=self.wrench_frame,
-                base_to_scan=motion,
-                flip_wrench=self.flip_wrench,
-                torque_unit=self.torque_unit,
-                torque_about=about,
-                wrench_delay=self.wrench_delay,
-            )
+            return Conventions(**given)
         except InputError as error:
             name, _, rest = str(error).partition(" ")
             raise InputError(f"--{name.replace('_', '-')} {rest}") from error

@@ -144,11 +144,7 @@ def _versions() -> dict[str, str]:
 
 
 def _read(provenance: Mapping[str, str], key: str) -> dict[str, Any]:
-    """A JSON object of the provenance; empty where a file has none.
-
-    Raises:
-        FileError: It is damaged.
-    """
+    """A JSON object of the provenance; empty where a file has none."""
     try:
         found = json.loads(provenance.get(key, "{}"))
     except (ValueError, TypeError) as error:

@@ -120,17 +120,18 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if late and not stopped:
-        sys.stderr.write(
-            "\nerror: the time limit is over: nothing further was written\n"
-        )
-        sys.stderr.flush()
+        _tell("error: the time limit is over: nothing further was written")
         return BAD_INPUT
     if not stopped:
         return code if code >= 0 else _like_the_child(-code)
     if code == -signal.SIGKILL and stopped[0] == INTERRUPTED:
-        sys.stderr.write(f"\n{STOPPED}\n")
-        sys.stderr.flush()
+        _tell(STOPPED)
     return stopped[0] if code else 0
+
+
+def _tell(line: str) -> None:
+    sys.stderr.write(f"\n{line}\n")
+    sys.stderr.flush()
 
 
 def _like_the_child(number: int) -> int:

@@ -129,11 +129,7 @@ class _Place(NamedTuple):
     base_to_scan: str
 
     def depths(self, track: Trajectory, share: float) -> Signal:
-        """Contact by the poses, ``share`` of them.
-
-        Raises:
-            InputError: Options that do not go together.
-        """
+        """Contact by the poses, ``share`` of them."""
         from numpy import zeros
 
         from ttus_opt.cli.recording_options import RecordingOptions

@@ -151,12 +151,7 @@ def _read(
     tool: ProbeOptions,
     recordings: RecordingOptions,
 ) -> tuple[list[PotentialField], dict[str, Any]]:
-    """Fields, whose skin is drawn at once, and what else is shown, from files.
-
-    Raises:
-        FileError: A file is not usable.
-        InputError: Recordings without a probe, or whatever is wrong with them.
-    """
+    """Fields, whose skin is drawn at once, and what else is shown, from files."""
     from ttus_opt.viewer.patient_nodes import patients_on
     from ttus_opt.voxmap.field import PotentialField
 

@@ -265,17 +265,6 @@ def _remove_abandoned(folder: Path, begin: str) -> None:
                 file.unlink()
 
 
-def whole_file(path: str | os.PathLike[str], what: str) -> tuple[Path, bool]:
-    """As `existing_file`, and whether the file ends in a checksum, which is compared.
-
-    Raises:
-        FileError: As `existing_file`, or it is damaged.
-    """
-    file = existing_file(path, what)
-    with located(file, FileError):
-        return file, check_seal(file)
-
-
 def seal(file: Path) -> None:
     """Append the checksum of all bytes."""
     digits = _crc(file, file.stat().st_size)
@@ -381,7 +370,9 @@ def content_of(
     """
     from ttus_opt.core import netcdf_file
 
-    file, sealed = whole_file(path, what)
+    file = existing_file(path, what)
+    with located(file, FileError):
+        sealed = check_seal(file)
     try:
         if sealed:
             with signals_deferred():  # the library swallows what is raised within it

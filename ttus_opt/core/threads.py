@@ -13,7 +13,6 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -101,16 +100,9 @@ def _libraries() -> Any:
     return ThreadpoolController().select(user_api="blas")
 
 
-@dataclass
-class _Users:
-    """Who wants one thread: the number is that of the process, not of a thread."""
-
-    count: int = 0
-    limit: Any = None
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-
-_users = _Users()
+#: Who wants one thread now; the number of threads is the process's, not a thread's
+_USERS: list[Any] = []
+_COUNTING = threading.Lock()
 
 
 @contextlib.contextmanager
@@ -119,14 +111,12 @@ def one_blas_thread() -> Iterator[None]:
 
     The number of threads before is restored when the last user leaves.
     """
-    with _users.lock:
-        if not _users.count:
-            _users.limit = _libraries().limit(limits=1)
-        _users.count += 1
+    with _COUNTING:
+        _USERS.append(_USERS[0] if _USERS else _libraries().limit(limits=1))
     try:
         yield
     finally:
-        with _users.lock:
-            _users.count -= 1
-            if not _users.count:
-                _users.limit.restore_original_limits()
+        with _COUNTING:
+            limit = _USERS.pop()
+            if not _USERS:
+                limit.restore_original_limits()

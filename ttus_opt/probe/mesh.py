@@ -146,16 +146,6 @@ class TriangleMesh:
         return mesh.flipped((mesh.vector_areas * outward).sum(axis=1) < 0)
 
 
-def metres_per(unit: str) -> float:
-    """Metres per unit of length.
-
-    Raises:
-        InputError: The unit is not known.
-    """
-    expect_one_of(unit, METRES, "unit")
-    return METRES[unit]
-
-
 def require_plausible_extent(
     extent: float, given: str, *, in_a_unit: bool = True
 ) -> None:
@@ -195,7 +185,7 @@ def read_mesh(path: str | os.PathLike[str], *, unit: str = "mm") -> TriangleMesh
         InputError: An unknown unit, or coordinates that are not finite.
         GeometryError: No faces, no area, or not the size of a probe.
     """
-    scale = metres_per(unit)
+    expect_one_of(unit, METRES, "unit")
     file = io.existing_file(path, "probe mesh")
     if file.suffix.lower() not in SUFFIXES:
         raise FileError(
@@ -216,7 +206,7 @@ def read_mesh(path: str | os.PathLike[str], *, unit: str = "mm") -> TriangleMesh
             f"not a triangle mesh in {file.suffix[1:].upper()} format?"
         ) from error
     try:
-        mesh = TriangleMesh(vertices * scale, faces.reshape(-1, 3)).cleaned()
+        mesh = TriangleMesh(vertices * METRES[unit], faces.reshape(-1, 3)).cleaned()
     except InputError as error:  # or the GeometryError that it may be
         raise type(error)(f"{file}: {error}") from error
     require_plausible_extent(mesh.extent, f"{file} in unit '{unit}'")

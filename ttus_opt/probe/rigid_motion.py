@@ -192,11 +192,7 @@ def read_numbers(
 
 
 def _numbers(text: str) -> Array:
-    """Numbers as JSON, or separated by commas, semicolons or blanks.
-
-    Raises:
-        ValueError: The text is neither.
-    """
+    """Numbers as JSON, or between commas, semicolons or blanks; else `ValueError`."""
     if text.lstrip().startswith("["):
         return np.array(json.loads(text), dtype=np.float64)
     lines = [line.partition("#")[0] for line in text.splitlines()]

@@ -136,10 +136,7 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
 
     if len(path) < LEAST_FRAMES or np.ptp(path, axis=0).max() < EXACT:
         return None
-    unit = float(np.median(np.diff(time)))
-    steps = np.ascontiguousarray(np.diff(time) / unit)
-    path = np.ascontiguousarray(path - path[0])
-    starts = _starts(path, steps)
+    path, unit, steps, starts = _in_steps(path, time)
 
     def cost(place: Array) -> float:
         """Minus log likelihood, at the best scale of all three."""
@@ -195,13 +192,11 @@ def velocity_of(
     Returns:
         Shapes (T, 3) and (T,), the latter up to a factor: larger near the ends.
     """
-    unit = float(np.median(np.diff(time)))
-    steps = np.ascontiguousarray(np.diff(time) / unit)
-    path = np.ascontiguousarray(path - path[0])
+    path, unit, steps, starts = _in_steps(path, time)
     drift, white = like.drift**2 * unit, like.jitter**2 * step / unit
     noise = drift + white
     ratios = like.jerk**2 * unit**5 / noise, drift / noise, white / noise
-    found = _estimated(path, steps, _starts(path, steps), ratios)
+    found = _estimated(path, steps, starts, ratios)
     return found[0] / unit, np.sqrt(found[1])
 
 
@@ -227,10 +222,17 @@ def _most_noise(path: Array) -> float:
     return float(np.quantile(third, 0.9) / 2.5 / math.sqrt(12.0))
 
 
-def _starts(path: Array, steps: Array) -> Mask:
-    """Frames at which a path restarts: the first, and after a jump, shape (T,)."""
+def _in_steps(path: Array, time: Array) -> tuple[Array, float, Array, Mask]:
+    """A path from its first point, the median step [s], and the steps in it (T − 1,).
+
+    Last the frames at which it restarts: the first, and after a jump, shape (T,).
+    """
+    unit = float(np.median(np.diff(time)))
+    steps = np.ascontiguousarray(np.diff(time) / unit)
+    path = np.ascontiguousarray(path - path[0])
     off = unlike_neighbours(path, steps)
-    return np.concatenate([[True], off > np.maximum(JUMP, JUMPS * np.median(off))])
+    starts = np.concatenate([[True], off > np.maximum(JUMP, JUMPS * np.median(off))])
+    return path, unit, steps, starts
 
 
 def _ratios(place: Array) -> tuple[float, float, float]:

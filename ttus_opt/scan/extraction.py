@@ -28,7 +28,7 @@ from ttus_opt.scan.contour_filter import (
 )
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.supporting_plane import SupportingPlane
+from ttus_opt.scan.supporting_plane import SupportingPlane, check_shape
 from ttus_opt.scan.surface import Surface
 
 LOG = logging.getLogger(__name__)
@@ -177,8 +177,7 @@ def _check(cloud: Array, n_theta: int, n_z: int, point_std: Array | None) -> Non
     for name, value, least in (("n_theta", n_theta, 8), ("n_z", n_z, 2)):
         if int(value) != value or value < least:
             raise InputError(f"{name} must be a whole number >= {least}, got {value}")
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
+    check_shape(cloud)
     if len(cloud) < _LEAST_POINTS:
         raise InputError(
             f"a cloud of {len(cloud)} points is too small: give {_LEAST_POINTS} or more"

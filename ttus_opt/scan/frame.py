@@ -104,16 +104,7 @@ class Axis:
                 direction that is zero, or a camera at no place.
             GeometryError: The scan shows no body, or ``head`` points across it.
         """
-        frame = estimate_frame(
-            cloud,
-            head=head,
-            flip=flip,
-            prone=prone,
-            camera=camera,
-            support=support,
-            rng=rng,
-        )
-        return cls(*frame)
+        return cls(*estimate_frame(cloud, head, flip, prone, camera, support, rng))
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
         """The stored plane; if unknown, the one found in the scan (n, 3) [m].

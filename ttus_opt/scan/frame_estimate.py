@@ -109,13 +109,12 @@ class FrameEstimate(NamedTuple):
 
 def estimate_frame(
     cloud: Array,
-    *,
-    head: ArrayLike | None = None,
-    flip: bool = False,
-    prone: bool = False,
-    camera: ArrayLike | None = None,
-    support: bool = True,
-    rng: np.random.Generator | None = None,
+    head: ArrayLike | None,
+    flip: bool,
+    prone: bool,
+    camera: ArrayLike | None,
+    support: bool,
+    rng: np.random.Generator | None,
 ) -> FrameEstimate:
     """Estimate the patient frame from a scan; all else as `Axis.from_cloud`."""
     towards = None if head is None else checked_direction(np.asarray(head, float))

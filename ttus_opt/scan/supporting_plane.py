@@ -71,8 +71,7 @@ def find_supporting_plane(
     Raises:
         InputError: The cloud is not (n, 3) or has fewer than 100 points.
     """
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
+    check_shape(cloud)
     if len(cloud) < 100:
         raise InputError(f"a cloud of {len(cloud)} points is too small: 100 at least")
     rng = rng or np.random.default_rng(0)
@@ -82,6 +81,12 @@ def find_supporting_plane(
         if best is not None:
             return _finish(cloud, *best)
     return None
+
+
+def check_shape(cloud: Array) -> None:
+    """`InputError` for a cloud that is not (n, 3)."""
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
 
 
 def across(direction: Array) -> Array:

@@ -30,11 +30,7 @@ FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 
 
 def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
-    """The log's wrenches.
-
-    Raises:
-        FileError: No sample rate, unknown units, or no such columns.
-    """
+    """The log's wrenches."""
     table = read_text_table(file, (SEQUENCE, *FORCE, *TORQUE))
     preamble = "\n".join(table.preamble)
     rate = _number(file, preamble, "RDT Sample Rate")

@@ -216,11 +216,7 @@ def clock_offset(
 
 
 def _slope(time: Array, values: Array) -> Signal:
-    """Norm of the slope of vectors (T, 3) over `SPAN`, where both halves have samples.
-
-    Raises:
-        InputError: The recording is shorter than `SPAN`.
-    """
+    """Norm of the slope of (T, 3) over `SPAN`, where both halves have samples."""
     before = np.searchsorted(time, time - 0.5 * SPAN)
     after = np.searchsorted(time, time + 0.5 * SPAN, side="right")
     here = np.arange(len(time))
@@ -249,11 +245,7 @@ def _require_length(time: Array) -> None:
 
 
 def _step(signal: Signal) -> float:
-    """The median step of a signal [s].
-
-    Raises:
-        InputError: The signal is too short, not finite or constant.
-    """
+    """The median step of a signal [s]."""
     _require_length(signal.time)
     if not (np.isfinite(signal.time).all() and np.isfinite(signal.values).all()):
         raise InputError("a signal contains NaN or infinity: drop those frames")

@@ -8,9 +8,8 @@ image is taken, by default the one in the middle. Needs the extra ``sensors`` (r
 
 from __future__ import annotations
 
-import contextlib
 import posixpath
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.core.errors import FileError, InputError
-from ttus_opt.core.optional import load
-from ttus_opt.sensors.ros_bag import reading
+from ttus_opt.sensors.ros_bag import opened, reading
 from ttus_opt.sensors.stream_format import one_of
 
 SUFFIX = ".bag"
@@ -69,7 +67,7 @@ def depth_topics(path: Path) -> list[str]:
         FileError: Damaged.
         MissingPackageError: rosbags is not installed.
     """
-    with _opened(path) as (reader, _):
+    with opened(path) as (reader, _):
         return _topics(reader)
 
 
@@ -89,11 +87,11 @@ def read_bag_depth(
         InputError: A time outside the recording.
         MissingPackageError: rosbags is not installed.
     """
-    with _opened(path) as (reader, known):
+    with opened(path) as (reader, decode):
         own = _images(path, reader, topic)
         which, raw = _taken(reader, own, at)
-        message = known.deserialize_ros1(raw, IMAGE)
-        stated = _option(reader, known)
+        message = decode(raw, IMAGE)
+        stated = _option(reader, decode)
     if message.encoding not in ENCODINGS:
         raise FileError(
             f"{path} has images of {message.encoding} in {own[0].topic}: 16 bits are "
@@ -120,7 +118,7 @@ def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]
         FileError: Damaged, or without a camera_info of depth images.
         MissingPackageError: rosbags is not installed.
     """
-    with _opened(path) as (reader, known):
+    with opened(path) as (reader, decode):
         image = _images(path, reader, topic)[0].topic
         own = [c for c in reader.connections if c.msgtype == INFO and _depth(c)]
         if not own:
@@ -128,7 +126,7 @@ def read_bag_camera_info(path: Path, topic: str | None = None) -> dict[str, Any]
         # the one of the images has the most of their name
         own.sort(key=lambda c: -len(posixpath.commonpath([c.topic, image])))
         _, _, raw = next(iter(reader.messages(connections=own[:1])))
-        info = known.deserialize_ros1(raw, INFO)
+        info = decode(raw, INFO)
     return {
         "K": info.K.tolist(),
         "D": info.D.tolist(),
@@ -143,11 +141,7 @@ def _depth(connection: Any) -> bool:
 
 
 def _images(path: Path, reader: Any, topic: str | None) -> list[Any]:
-    """Connections of the topic of depth images.
-
-    Raises:
-        FileError: None, or several to choose from.
-    """
+    """Connections of the topic of depth images."""
     names = _topics(reader)
     if not names:
         topics = ", ".join(sorted(c.topic for c in reader.connections))
@@ -168,9 +162,6 @@ def _taken(
 
     Returns:
         Its number, how many there are and its time [s]; its content.
-
-    Raises:
-        InputError: A time outside the recording.
     """
     count = sum(c.msgcount for c in own)
     best, first, seconds = None, None, 0.0
@@ -190,27 +181,11 @@ def _taken(
     return best[1], best[2]
 
 
-def _option(reader: Any, known: Any) -> float | None:
+def _option(reader: Any, decode: Callable[[bytes, str], Any]) -> float | None:
     """The unit that the SDK states [m]."""
     own = [c for c in reader.connections if c.topic.endswith(UNITS)]
     for _, _, raw in reader.messages(connections=own) if own else ():
-        value = float(known.deserialize_ros1(raw, "std_msgs/msg/Float32").data)
+        value = float(decode(raw, "std_msgs/msg/Float32").data)
         if 0.0 < value < 1.0:
             return value
     return None
-
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The reader of a recording, and ROS's types.
-
-    Raises:
-        FileError: It cannot be read.
-        MissingPackageError: rosbags is not installed.
-    """
-    load("rosbags", "sensors")
-    rosbag: Any = load("rosbags.rosbag1", "sensors")
-    types: Any = load("rosbags.typesys", "sensors")
-    known = types.get_typestore(types.Stores.ROS1_NOETIC)
-    with reading(path), rosbag.Reader(path) as reader:
-        yield reader, known

@@ -14,7 +14,6 @@ ray, as the manufacturer states it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -47,14 +46,6 @@ class Pixels:
     distance: Array
     incidence: Array
     focal: float
-
-
-class NoiseModel(Protocol):
-    """A model of a depth camera's noise."""
-
-    def along_ray(self, pixels: Pixels) -> Array:
-        """Standard deviation of the distance along the ray, the pixels' shape [m]."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -131,6 +122,9 @@ class TimeOfFlight:
         """The same deviation everywhere [m]."""
         return np.full_like(pixels.distance, self.std)
 
+
+#: Standard deviation of the distance along the ray, by ``along_ray`` [m]
+NoiseModel = StructuredLight | Stereo | TimeOfFlight
 
 NAMES = (
     "structured-light",

@@ -35,11 +35,7 @@ class _Link:
     rows: list[Sequence[float]] = field(default_factory=list)
 
     def poses(self) -> Trajectory:
-        """By time, one for each stamp.
-
-        Raises:
-            InputError: A pose that is none.
-        """
+        """By time, one for each stamp."""
         time, first = np.unique(np.array(self.time), return_index=True)
         values = np.array(self.rows)[first]
         return Trajectory(

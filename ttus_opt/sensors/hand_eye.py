@@ -220,11 +220,7 @@ def hand_eye(
 
 
 def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
-    """Poses (n, 4, 4), each validated as a rigid motion.
-
-    Raises:
-        InputError: One is not rigid; the message has its number.
-    """
+    """Poses (n, 4, 4), each validated as a rigid motion."""
     given = np.asarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
         raise InputError(f"{name} must be (n, 4, 4), got {given.shape}")

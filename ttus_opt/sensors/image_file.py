@@ -62,9 +62,6 @@ def _check_png(file: Path, content: bytes, most: int) -> None:
         file: Where it is, for messages.
         content: Its bytes.
         most: Most pixels it may announce.
-
-    Raises:
-        FileError: A wrong checksum, missing chunks, or too many pixels announced.
     """
     from PIL.PngImagePlugin import PngImageFile
 

@@ -208,11 +208,7 @@ def marker_poses(
 
 
 def _check_length(name: str, length: float) -> None:
-    """Validate a length of a board.
-
-    Raises:
-        InputError: It is implausible, for instance in millimetres.
-    """
+    """Validate a length of a board."""
     if not SHORTEST < length < LONGEST:
         hint = ": is it in millimetres? Divide by 1000" if length >= LONGEST else ""
         raise InputError(
@@ -226,11 +222,7 @@ def _listed(numbers: NDArray[np.integer]) -> str:
 
 
 def _dictionary(name: str) -> Any:
-    """OpenCV's dictionary of that name.
-
-    Raises:
-        InputError: The name is unknown.
-    """
+    """OpenCV's dictionary of that name."""
     import cv2
 
     known = [word[5:] for word in dir(cv2.aruco) if word.startswith("DICT_")]
@@ -247,11 +239,7 @@ def _dictionary(name: str) -> Any:
 def _detected(
     image: NDArray[np.uint8], dictionary: str
 ) -> tuple[list[Any], NDArray[np.int64]]:
-    """Corners of the markers seen, and their numbers.
-
-    Raises:
-        InputError: None is seen, or the dictionary is unknown.
-    """
+    """Corners of the markers seen, and their numbers."""
     import cv2
 
     settings = cv2.aruco.DetectorParameters()

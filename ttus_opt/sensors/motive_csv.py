@@ -20,12 +20,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
-from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, read_cells, streams
+from ttus_opt.sensors.tracker_sheet import (
+    Sheet,
+    numbers,
+    read_cells,
+    rows_below,
+    streams,
+)
 
 #: Words in the first column of the last line of the header
 FRAME, TIME = "Frame", "Time"
@@ -33,23 +38,16 @@ FRAME, TIME = "Frame", "Time"
 POSITION, TURN = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 
 
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """One stream a rigid body, and one for the markers of each set.
-
-    Raises:
-        FileError: Another header, an unknown unit or rotation, or no rows.
-    """
-    file = io.existing_file(path, "Motive CSV")
+def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
+    """One stream a rigid body, and one for the markers of each set."""
     rows = read_cells(file)
     facts = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     last = next((i for i, row in enumerate(rows) if row[:1] == [FRAME]), None)
     if last is None:
         raise FileError(f"{file} has no line that begins with {FRAME}: export it again")
     header = _header(file, rows[: last + 1])
-    lines = [i for i, row in enumerate(rows) if i > last and any(row)]
-    if not lines:
-        raise no_rows(file)
-    values = numbers([rows[i] for i in lines], range(len(rows[last])))
+    below, line = rows_below(file, rows, last)
+    values = numbers(below, range(len(rows[last])))
     time = next(
         (i for i, w in enumerate(header["axis"]) if w.startswith(f"{TIME} ")), -1
     )
@@ -71,7 +69,7 @@ def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
         [facts.get("Length Units", "")] * values.shape[1],
         things,
         f"{space} axes, y upwards unless it was exported otherwise",
-        np.array(lines, np.int64) + 1,
+        line,
     )
     return streams(sheet)
 
@@ -112,11 +110,7 @@ def _things(
 def _turned(
     file: Path, facts: Mapping[str, str], values: Array, own: Mapping[str, int]
 ) -> tuple[Array, dict[str, int]]:
-    """The values, with a body's quaternions where they were not, and their columns.
-
-    Raises:
-        FileError: An unknown type of rotation.
-    """
+    """The values, with a body's quaternions where they were not, and their columns."""
     kind = facts.get("Rotation Type", "Quaternion")
     if kind.lower() == "quaternion" and set(TURN) <= set(own):
         return values, {k: own[k] for k in TURN}

@@ -16,12 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
-from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, read_cells, streams
+from ttus_opt.sensors.tracker_sheet import (
+    Sheet,
+    numbers,
+    read_cells,
+    rows_below,
+    streams,
+)
 
 POSE = ("q0", "qx", "qy", "qz", "tx", "ty", "tz")
 OURS = ("qw", "qx", "qy", "qz", "px", "py", "pz")
@@ -40,24 +45,14 @@ Columns = Sequence[tuple[str, int]]
 HEADER = re.compile(r"^.*q0\"?,\"?qx\"?,\"?qy\"?,\"?qz\"?,\"?tx\"?,", re.I | re.M)
 
 
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """One stream a tool.
-
-    Raises:
-        FileError: No rows.
-    """
-    file = io.existing_file(path, "NDI recording")
+def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
+    """One stream a tool."""
     table = read_cells(file)
     head = next((i for i, row in enumerate(table) if _poses(row)), None)
     if head is None:
         raise FileError(f"{file} has no line Q0,Qx,Qy,Qz,Tx,Ty,Tz: export it again")
-    rows = [row for row in table[head + 1 :] if any(row)]
-    if not rows:
-        raise no_rows(file)
+    rows, line = rows_below(file, table, head)
     starts = _poses(table[head])
-    line = np.array(
-        [i for i, row in enumerate(table, 1) if i > head + 1 and any(row)], np.int64
-    )
     blocks = zip([0, *(at + len(POSE) for at in starts[:-1])], starts, strict=True)
     return [
         _tool(file, table[head], rows, line, begin, at, number)

@@ -29,11 +29,7 @@ from ttus_opt.sensors.streams import WrenchStream
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The file's one stream.
-
-    Raises:
-        FileError: Missing, damaged, or without such variables, units or order.
-    """
+    """The file's one stream."""
     names = wanted.columns
     single = [name for name in names if name not in ("t", ORDER, *UNITS)]
     if single:
@@ -95,11 +91,7 @@ class _File(NamedTuple):
     names: Mapping[str, str]
 
     def find(self, name: str) -> tuple[str, Variable]:
-        """A variable by the package's name, and the file's name.
-
-        Raises:
-            InputError: The file does not have it.
-        """
+        """A variable by the package's name, and the file's name."""
         ours = "t" if name == "time" else name
         theirs = self.names.get(ours, name)
         if theirs not in self.variables:
@@ -111,11 +103,7 @@ class _File(NamedTuple):
         return theirs, self.variables[theirs]
 
     def in_si(self, name: str) -> Array:
-        """A variable's numbers in SI units; in "seconds since …" by Unix time.
-
-        Raises:
-            InputError: They are not numbers, or have no unit, or an unknown one.
-        """
+        """A variable's numbers in SI units; in "seconds since …" by Unix time."""
         theirs, found = self.find(name)
         given = found.attrs.get("units", "1" if name == "quaternion" else None)
         word, _, origin = str(given).partition(" since ")
@@ -130,11 +118,7 @@ class _File(NamedTuple):
         return np.asarray(scale * found.values.astype(np.float64) + _unix(origin))
 
     def time(self) -> Array:
-        """Times [s].
-
-        Raises:
-            InputError: Not one dimension, or as `in_si`.
-        """
+        """Times [s]."""
         theirs, found = self.find("time")
         if len(found.dims) != 1:
             raise InputError(
@@ -143,11 +127,7 @@ class _File(NamedTuple):
         return self.in_si("time")
 
     def vector(self, name: str, order: str) -> Array:
-        """A vector over time, shape (T, len(order)).
-
-        Raises:
-            InputError: Other dimensions, components in another order, or as `in_si`.
-        """
+        """A vector over time, shape (T, len(order))."""
         theirs, found = self.find(name)
         along, shape = self.find("time")[1].dims, found.values.shape
         if len(shape) != 2 or found.dims[:1] != along or shape[1] != len(order):
@@ -176,11 +156,7 @@ class _File(NamedTuple):
         return "".join(word[-1:] for word in words)
 
     def order(self) -> str:
-        """The order of a quaternion, from its labels, its attribute or the column map.
-
-        Raises:
-            InputError: None of these states it, or two differ.
-        """
+        """Its order, from the labels, the attribute or the column map."""
         theirs, found = self.find("quaternion")
         stated = str(found.attrs.get("order", ""))
         said = {self.labels(found), stated, self.names.get(ORDER, "")} - {""}
@@ -198,11 +174,7 @@ class _File(NamedTuple):
 
 
 def _unix(origin: str) -> float:
-    """Unix time of an origin of times, 0 for none [s]: files of one clock keep it.
-
-    Raises:
-        InputError: Not a date and time.
-    """
+    """Unix time of an origin of times, 0 for none [s]: files of one clock keep it."""
     if not origin:
         return 0.0
     try:

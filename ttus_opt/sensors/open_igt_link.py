@@ -226,11 +226,7 @@ def _taken(connection: socket.socket, received: Received) -> Iterator[float]:
 
 
 def _check(received: Received, server: str) -> None:
-    """Warn of a recording that broke off and of messages that were dropped.
-
-    Raises:
-        InputError: There are no messages.
-    """
+    """Warn of a recording that broke off and of messages that were dropped."""
     if received.count == 0:
         raise InputError(
             f"{server} {received.ended}: another server or port?"
@@ -258,11 +254,7 @@ def _stream(
     kind: str,
     others: dict[str, str],
 ) -> tuple[str, Array, Array]:
-    """Messages of a device by time, one per time stamp; a warning where some had one.
-
-    Raises:
-        InputError: No such device, or several to choose from.
-    """
+    """Messages of a device by time, one per stamp; a warning where some had one."""
     if not kept:
         listed = ", ".join(f"{name} ({what})" for name, what in others.items())
         came = f", but {listed}" if listed else ""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,9 @@ LARGEST_BODY = 2**28
 
 #: Largest translation of a pose that is believed [mm]
 FARTHEST = 1e6
+
+#: Poses or readings, each with the name of its tool, empty for the sender's
+Named = Iterable[tuple[str, Array]]
 
 
 @dataclass(frozen=True)
@@ -81,15 +84,8 @@ class MessageReader:
                 return
             body = bytes(self._unread[HEADER.size : end])
             del self._unread[:end]
-            at = second + fraction / 2**32
-            if word == "TDATA":
-                yield from _tools(name, at, version, body, checksum)
-                continue
-            try:
-                values, fault = _values(word, version, body, checksum), ""
-            except InputError as error:
-                values, fault = np.empty(0), str(error)
-            yield Message(word, name, at, values, fault)
+            sent = Message(word, name, second + fraction / 2**32, np.empty(0))
+            yield from _read(sent, version, body, checksum)
 
 
 def _text(padded: bytes) -> str:
@@ -98,47 +94,31 @@ def _text(padded: bytes) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
-def _tools(
-    device: str, at: float, version: int, body: bytes, checksum: int
-) -> Iterator[Message]:
-    """One message for every tool of a TDATA message, or one with its fault."""
-    try:
-        found = list(_tracked(_content(version, body, checksum)))
-    except (InputError, struct.error) as error:
-        fault = str(error) or "body of another size"
-        yield Message("TDATA", device, at, np.empty(0), fault)
-        return
-    for tool, pose in found:
-        try:
-            yield Message("TDATA", tool or device, at, _checked(pose))
-        except InputError as error:
-            yield Message("TDATA", tool or device, at, np.empty(0), str(error))
+def _read(sent: Message, version: int, body: bytes, checksum: int) -> Iterator[Message]:
+    """A message with its values or its fault; of TDATA one for every tool.
 
-
-def _values(kind: str, version: int, body: bytes, checksum: int) -> Array:
-    """Numbers of a body of a type that is wanted.
-
-    Raises:
-        InputError: They cannot be used; a few words that do not depend on the numbers.
+    A fault is a few words that do not depend on the numbers.
     """
-    read = READ.get(kind)
+    read = READ.get(sent.kind)
     if read is None:
-        return np.empty(0)
+        yield sent
+        return
     try:
-        return _checked(read(_content(version, body, checksum)))
+        found = list(read(_content(version, body, checksum)))
     except (struct.error, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError("body of another size") from error
+        told = str(error) if isinstance(error, InputError) else "body of another size"
+        yield replace(sent, fault=told)
+        return
+    for tool, values in found:
+        own = replace(sent, device=tool or sent.device)
+        try:
+            yield replace(own, values=_checked(values))
+        except InputError as error:
+            yield replace(own, fault=str(error))
 
 
 def _content(version: int, body: bytes, checksum: int) -> bytes:
-    """A body without its extended header and metadata.
-
-    Raises:
-        InputError: A wrong checksum.
-        struct.error: Too short.
-    """
+    """A body without its extended header and metadata."""
     if crc64(body) != checksum:
         raise InputError("wrong checksum")
     if version == 1:
@@ -148,11 +128,7 @@ def _content(version: int, body: bytes, checksum: int) -> bytes:
 
 
 def _checked(values: Array) -> Array:
-    """The numbers, a pose with its rotation made orthonormal.
-
-    Raises:
-        InputError: Not finite, too far, or no rigid motion.
-    """
+    """The numbers, a pose with its rotation made orthonormal."""
     if not np.isfinite(values).all():
         raise InputError("NaN or infinite")
     if values.ndim == 1:
@@ -173,11 +149,7 @@ def _pose(content: bytes) -> Array:
 
 
 def _position(content: bytes) -> Array:
-    """Three numbers, and a quaternion x, y, z, w or its first three, (4, 4).
-
-    Raises:
-        InputError: A position without orientation, or a quaternion that is none.
-    """
+    """Three numbers, and a quaternion x, y, z, w or its first three, (4, 4)."""
     count = len(content) // 4
     if count not in (6, 7):
         raise InputError("a position without orientation")
@@ -200,11 +172,7 @@ def _readings(content: bytes) -> Array:
 
 
 def _array(content: bytes) -> Array:
-    """Type, dimensions and sizes, then the numbers, 3 or 6 of them.
-
-    Raises:
-        InputError: Another number or type of them.
-    """
+    """Type, dimensions and sizes, then the numbers, 3 or 6 of them."""
     kind, n_dims = struct.unpack_from(">BB", content)
     sizes = struct.unpack_from(f">{n_dims}H", content, 2)
     if kind not in ARRAY_TYPES:
@@ -218,15 +186,14 @@ def _array(content: bytes) -> Array:
 
 
 def _tracked(body: bytes) -> Iterator[tuple[str, Array]]:
-    """Name and pose (4, 4) of every tool of a TDATA message.
-
-    Raises:
-        struct.error: A body of another size.
-    """
-    if len(body) % TOOL.size:
-        raise struct.error
+    """Name and pose (4, 4) of every tool of a TDATA message."""
     for name, _, _, pose in TOOL.iter_unpack(body):
         yield _text(name), _pose(pose)
+
+
+def _alone(read: Callable[[bytes], Array]) -> Callable[[bytes], Named]:
+    """A reader of one pose or reading, which has its device's name."""
+    return lambda content: [("", read(content))]
 
 
 #: Element of a TDATA message: name, type, reserved, a pose column by column
@@ -238,12 +205,13 @@ ARRAY_TYPES = {
     **{10: ">f4", 11: ">f8"},
 }
 
-#: Readers of the types that hold one pose or one reading
-READ: dict[str, Callable[[bytes], Array]] = {
-    "TRANSFORM": _pose,
-    "POSITION": _position,
-    "SENSOR": _readings,
-    "NDARRAY": _array,
+#: Readers of the types that are wanted
+READ: dict[str, Callable[[bytes], Named]] = {
+    "TRANSFORM": _alone(_pose),
+    "POSITION": _alone(_position),
+    "TDATA": _tracked,
+    "SENSOR": _alone(_readings),
+    "NDARRAY": _alone(_array),
 }
 
 #: Types that hold poses, the tools of TDATA included, and those that hold readings

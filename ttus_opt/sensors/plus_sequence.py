@@ -45,11 +45,7 @@ TRANSFORM = "Transform"
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The file's transforms, or the one wanted.
-
-    Raises:
-        FileError: Missing, damaged, or not such a sequence.
-    """
+    """The file's transforms, or the one wanted."""
     file = io.existing_file(path, "PLUS sequence")
     frames, rate = _frames(file)
     names = {name for frame in frames.values() for name in frame}
@@ -75,11 +71,7 @@ _NOTHING = (np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
 
 
 def _frames(file: os.PathLike[str]) -> tuple[dict[int, dict[str, str]], float | None]:
-    """Fields of every frame, by its number, and the rate that the file states [Hz].
-
-    Raises:
-        FileError: Not a MetaImage or NRRD file.
-    """
+    """Fields of every frame, by its number, and the rate that the file states [Hz]."""
     frames: dict[int, dict[str, str]] = {}
     read, nrrd, rate = 0, False, None
     with open(file, "rb") as stream:
@@ -107,12 +99,7 @@ def _frames(file: os.PathLike[str]) -> tuple[dict[int, dict[str, str]], float | 
 def _times(
     frames: dict[int, dict[str, str]], rate: float | None
 ) -> tuple[dict[int, float], str]:
-    """Time of each frame by its number [s], and what was taken for it; empty as usual.
-
-    Raises:
-        InputError: Frames have neither times nor a rate.
-        ValueError: Text where numbers are expected.
-    """
+    """Time of each frame by its number [s], and what was taken for it, if anything."""
     for field in TIMES:
         if all(field in frame for frame in frames.values()):
             said = "" if field == TIMES[0] else f"times are the {field} of the frames"
@@ -130,12 +117,7 @@ def _times(
 def _poses(
     file: Path, frames: dict[int, dict[str, str]], name: str, rate: float | None
 ) -> RawRecording:
-    """Poses of the frames with a valid transform.
-
-    Raises:
-        InputError: A transform is not rigid, or frames have no times.
-        ValueError: Text where numbers are expected.
-    """
+    """Poses of the frames with a valid transform."""
     key = f"{name}{TRANSFORM}"
     time, matrices = np.zeros(len(frames)), np.tile(np.eye(4), (len(frames), 1, 1))
     lost = np.zeros(len(frames), bool)

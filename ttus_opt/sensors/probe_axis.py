@@ -106,11 +106,7 @@ def read_axis(
 
 
 def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
-    """Mean rotation (3, 3) and median position (3,) of a probe held still.
-
-    Raises:
-        InputError: It moved.
-    """
+    """Mean rotation (3, 3) and median position (3,) of a probe held still."""
     turns = Rotation.from_matrix(poses.rotation)
     mean = turns.mean()
     at = np.median(poses.position, axis=0)
@@ -127,11 +123,7 @@ def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
 
 
 def _skin_below(body: Array, at: Array, inward: Array) -> float:
-    """Distance from the probe to the skin along the line into the patient [m].
-
-    Raises:
-        GeometryError: No skin is there.
-    """
+    """Distance from the probe to the skin along the line into the patient [m]."""
     away = body - at
     along = away @ inward
     beside = np.linalg.norm(away - along[:, None] * inward, axis=1)
@@ -146,12 +138,7 @@ def _skin_below(body: Array, at: Array, inward: Array) -> float:
 
 
 def _half_way(plane: SupportingPlane | None, skin: Array, inward: Array) -> float:
-    """Half the distance from the skin to the supporting plane along a line [m].
-
-    Raises:
-        InputError: There is no supporting plane.
-        GeometryError: The line is too oblique to it.
-    """
+    """Half the distance from the skin to the supporting plane along a line [m]."""
     if plane is None:
         raise InputError(
             "the scan shows no plane that the body lies on: give the origin's depth "

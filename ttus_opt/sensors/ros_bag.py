@@ -88,12 +88,7 @@ def reading(place: Path) -> Iterator[None]:
 
 
 def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
-    """All streams of the wanted kind, those of ``/tf`` last.
-
-    Raises:
-        FileError: Missing or damaged.
-        MissingPackageError: rosbags is not installed.
-    """
+    """All streams of the wanted kind, those of ``/tf`` last."""
     if place.is_dir() and not (place / "metadata.yaml").exists():
         raise FileError(
             f"{place} is a folder without a recording of ROS 2 (metadata.yaml): name a "
@@ -121,18 +116,22 @@ def _streams(
     of: dict[str, str] = {}
     frames: dict[str, str] = {}
     tree = FrameTree()
-    for topic, kind, message in _messages(place, kinds):
-        if kind in TREES:
-            for each in message.transforms:
-                pose = POSES["geometry_msgs/msg/TransformStamped"](each)
-                link = each.header.frame_id, each.child_frame_id
-                tree.add(*link, _stamp(each), pose, static=topic.endswith(STATIC))
-            continue
-        times.setdefault(topic, []).append(_stamp(message))
-        rows.setdefault(topic, []).append(types[kind](message))
-        of[topic], frames[topic] = kind, message.header.frame_id
-        if len(times[topic]) > MOST_MESSAGES:
-            raise FileError(f"{place} has too many messages of {topic}: shorten it")
+    with opened(place) as (reader, decode):
+        own = [c for c in reader.connections if c.msgtype in kinds]
+        for connection, _, content in reader.messages(connections=own) if own else ():
+            topic, kind = connection.topic, connection.msgtype
+            message = decode(content, kind)
+            if kind in TREES:
+                for each in message.transforms:
+                    pose = POSES["geometry_msgs/msg/TransformStamped"](each)
+                    link = each.header.frame_id, each.child_frame_id
+                    tree.add(*link, _stamp(each), pose, static=topic.endswith(STATIC))
+                continue
+            times.setdefault(topic, []).append(_stamp(message))
+            rows.setdefault(topic, []).append(types[kind](message))
+            of[topic], frames[topic] = kind, message.header.frame_id
+            if len(times[topic]) > MOST_MESSAGES:
+                raise FileError(f"{place} has too many messages of {topic}: shorten it")
     out = [
         _recording(place, topic, times[topic], rows[topic], of[topic], frames[topic])
         for topic in times
@@ -182,25 +181,25 @@ def _by_time(raw: RawRecording) -> RawRecording:
     return raw.select(first)
 
 
-def _messages(place: Path, kinds: list[str]) -> Iterator[tuple[str, str, Any]]:
-    """Topic, type and decoded content of messages of some types."""
+@contextlib.contextmanager
+def opened(place: Path) -> Iterator[tuple[Any, Callable[[bytes, str], Any]]]:
+    """The reader of a recording, and what decodes messages by their type.
+
+    Raises:
+        FileError: It cannot be read.
+        MissingPackageError: rosbags is not installed.
+    """
     load("rosbags", "sensors")
-    ros1 = place.suffix == ".bag"
+    ros1 = place.suffix.lower() == ".bag"
     types: Any = load("rosbags.typesys", "sensors")
     stores = types.Stores
     known = types.get_typestore(stores.ROS1_NOETIC if ros1 else stores.ROS2_HUMBLE)
     for kind in TREES:  # rosbags knows neither of ROS 1
         if kind not in known.types:
             known.register(types.get_types_from_msg(TREE_FIELDS, kind))
-    decode = known.deserialize_ros1 if ros1 else known.deserialize_cdr
     of_version: Any = load(f"rosbags.rosbag{1 if ros1 else 2}", "sensors")
-    with of_version.Reader(place) as reader:
-        own = [c for c in reader.connections if c.msgtype in kinds]
-        if not own:
-            return
-        for connection, _, content in reader.messages(connections=own):
-            kind = connection.msgtype
-            yield connection.topic, kind, decode(content, kind)
+    with reading(place), of_version.Reader(place) as reader:
+        yield reader, known.deserialize_ros1 if ros1 else known.deserialize_cdr
 
 
 ROS = StreamFormat(

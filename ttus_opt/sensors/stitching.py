@@ -260,11 +260,7 @@ def _one_refined(
     measured: Array,
     uncertainty: PoseUncertainty,
 ) -> tuple[Array, Refinement]:
-    """The refined pose of scan k, and how it was refined.
-
-    Raises:
-        InputError: The refinement is refused.
-    """
+    """The refined pose of scan k, and how it was refined."""
     scan = f"scan {k + 1}"
     if share < LEAST_OVERLAP or share * len(source.points) < LEAST_PAIRS:
         raise InputError(
@@ -348,11 +344,7 @@ class _Pairs:
 
 
 def _held(scan: str, source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
-    """The pairs of a scan at a pose.
-
-    Raises:
-        InputError: They leave a direction undetermined.
-    """
+    """The pairs of a scan at a pose."""
     pairs = _pairs(source, target, pose)
     condition = pairs.condition()
     if condition > LARGEST_CONDITION:
@@ -365,11 +357,7 @@ def _held(scan: str, source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
 
 
 def _pairs(source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
-    """Each point of a scan with the nearest plane of the others.
-
-    Raises:
-        InputError: Too few points have one.
-    """
+    """Each point of a scan with the nearest plane of the others."""
     placed = moved(source.points, pose)
     gap, index = cKDTree(target.points).query(placed, distance_upper_bound=LARGEST_GAP)
     near = np.isfinite(gap)

@@ -35,11 +35,7 @@ POSES, WRENCHES = ("p", "q", "rv"), ("f", "t")
 
 
 def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The table's stream of the wanted kind; of any kind, poses if it has them.
-
-    Raises:
-        FileError: Not such a table.
-    """
+    """The table's stream of the wanted kind; of any kind, poses if it has them."""
     columns = table_columns(wanted.columns)
     if wanted.kind == "wrenches":
         return [raw_wrenches(io.existing_file(path, "wrench"), _of(columns, WRENCHES))]
@@ -137,10 +133,8 @@ def raw_stream(
         FileError: The file cannot be read, or has no such stream.
         InputError: Such a file has no names or no columns.
     """
-    file = Path(path)
-    kind = format_of(file)
-    _require_none(file, kind, wanted)
-    raw = chosen(file, kind.read(file, wanted), wanted, kind.word)
+    file, kind, found = _found(path, wanted)
+    raw = chosen(file, found, wanted, kind.word)
     LOG.info("%s, %s: %s", raw.title, kind.title, "; ".join(raw.notes) or "SI units")
     if raw.cautions:
         warn(f"{raw.title}: {'; '.join(raw.cautions)}", 2)
@@ -153,11 +147,7 @@ def raw_recordings(
     name: str | None = None,
 ) -> Sequence[RawRecording]:
     """All streams of a file, or those of a name; errors as `raw_stream`."""
-    file = Path(path)
-    kind = format_of(file)
-    wanted = Wanted(name, columns or {})
-    _require_none(file, kind, wanted)
-    found = kind.read(file, wanted)
+    file, kind, found = _found(path, Wanted(name, columns or {}))
     if name is None:
         return found
     own = [raw for raw in found if raw.name == name]
@@ -183,11 +173,16 @@ def format_of(file: Path) -> StreamFormat:
     return next(kind for kind in FORMATS if kind.recognises(file, head))
 
 
-def _require_none(file: Path, kind: StreamFormat, wanted: Wanted) -> None:
-    """Refuse columns and names for a file that has none."""
+def _found(
+    path: str | os.PathLike[str], wanted: Wanted
+) -> tuple[Path, StreamFormat, Sequence[RawRecording]]:
+    """A file, its format, and its streams; columns and names where it has such."""
+    file = Path(path)
+    kind = format_of(file)
     if wanted.columns and not kind.has_columns:
         raise InputError(f"{file.name} has no columns: leave the column map out")
     if wanted.name is not None and not kind.word:
         raise InputError(
             f"{file.name} has no transform or topic {wanted.name}: leave the name out"
         )
+    return file, kind, kind.read(file, wanted)

@@ -201,12 +201,7 @@ def _inverted(
 def _paired(
     seen: Trajectory, carried: Trajectory, offset: float, rng: np.random.Generator
 ) -> tuple[Array, _Path, int]:
-    """A (n, 4, 4) and B of pairs spread over rotations, and frames that disagree.
-
-    Raises:
-        InputError: The streams do not overlap, or turn differently.
-        GeometryError: They turn too little.
-    """
+    """A (n, 4, 4) and B of pairs spread over rotations, and frames that disagree."""
     time, A, B = aligned(seen, carried, offset)
     agree = agreeing(A, B, rng)
     pairs = np.flatnonzero(agree)
@@ -235,18 +230,14 @@ class _Path:
     def __init__(self, carried: Trajectory, at: Array) -> None:
         self.at = at
         step = np.median(np.diff(carried.time)[np.diff(carried.segment) == 0])
-        self._step = float(step)
-        lead = [self._pose(carried, at + d) for d in (-self._step, 0.0, self._step)]
-        before, self._now, after = lead
+        path = carried.select(np.unique(carried.time, return_index=True)[1])
+        before, self._now, after = (
+            homogeneous(*placed(path, np.clip(at + d, path.time[0], path.time[-1])))
+            for d in (-step, 0.0, step)
+        )
         turn = Rotation.from_matrix(after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2))
-        self._turning = turn.as_rotvec() / (2.0 * self._step)
-        self._moving = (after[:, :3, 3] - before[:, :3, 3]) / (2.0 * self._step)
-
-    def _pose(self, carried: Trajectory, at: Array) -> Array:
-        """Poses at times, held at the ends, shape (n, 4, 4)."""
-        carried = carried.select(np.unique(carried.time, return_index=True)[1])
-        held = np.clip(at, carried.time[0], carried.time[-1])
-        return homogeneous(*placed(carried, held))
+        self._turning = turn.as_rotvec() / (2.0 * step)
+        self._moving = (after[:, :3, 3] - before[:, :3, 3]) / (2.0 * step)
 
     def poses(self, later: float) -> Array:
         """Poses at a small shift of the clock [s], shape (n, 4, 4)."""
@@ -287,11 +278,7 @@ class _Problem:
 
 
 def _start(problem: _Problem, rng: np.random.Generator) -> Array:
-    """X and Z (12,) whose median loop is best among random sets of pairs.
-
-    Raises:
-        InputError: No solver has an answer.
-    """
+    """X and Z (12,) whose median loop is best among random sets of pairs."""
     G, best, least = problem.G(), None, np.inf
     for _ in range(STARTS):
         own = rng.choice(len(G), START_PAIRS, replace=False)
@@ -314,14 +301,12 @@ class _Fit:
     Attributes:
         parameters: Shape (13,).
         residuals: Shape (n, 6) [rad, m].
-        scale: Robust standard deviation of each, shape (6,).
         covariance: Shape (13, 13).
         used: Pairs that are no outliers, shape (n,).
     """
 
     parameters: Array
     residuals: Array
-    scale: Array
     covariance: Array
     used: Mask
 
@@ -362,7 +347,7 @@ def _fitted(problem: _Problem, start: Array, *, free_offset: bool) -> _Fit:
     covariance[np.ix_(free, free)] = model * _dependence(
         last.jac, off, model, problem.path.at[used]
     )
-    return _Fit(parameters, residuals, scale * spread, covariance, used)
+    return _Fit(parameters, residuals, covariance, used)
 
 
 def _scale(residuals: Array) -> Array:

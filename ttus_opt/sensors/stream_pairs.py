@@ -67,8 +67,7 @@ def aligned(
         InputError: They do not overlap.
     """
     times, own, other = [], [], []
-    for part in np.unique(carried.segment):
-        stretch = carried.select(carried.segment == part)
+    for stretch in carried.recordings:
         if len(stretch) < 2:
             continue
         at = seen.time - offset

@@ -208,9 +208,6 @@ def _check_axes(force: Array, u: Array, spans_all: bool, sensor: ForceSensor) ->
         u: Gravity in the stated axes, shape (T, 3) [m/s²].
         spans_all: Whether the tilts span all three axes.
         sensor: The stated mounting.
-
-    Raises:
-        InputError: The readings contradict it.
     """
     centred, by = force - force.mean(axis=0), u - u.mean(axis=0)
     # f ≈ m M u with M orthogonal: the Procrustes problem

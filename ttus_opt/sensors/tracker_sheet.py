@@ -134,7 +134,7 @@ def _of_markers(
     return out
 
 
-def read_cells(file: Path) -> list[list[str]]:
+def read_cells(file: Path, mark: str = ",") -> list[list[str]]:
     """The cells of every line, without blanks around them.
 
     Raises:
@@ -142,14 +142,26 @@ def read_cells(file: Path) -> list[list[str]]:
     """
     try:
         with file.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-            return [[cell.strip() for cell in row] for row in csv.reader(stream)]
+            rows = csv.reader(stream, delimiter=mark)
+            return [[cell.strip() for cell in row] for row in rows]
     except csv.Error as error:
         raise FileError(f"{file} is no CSV file ({error}): export it again") from error
 
 
-def no_rows(file: Path) -> FileError:
-    """The error of a file that ends with its header."""
-    return FileError(f"{file} is empty, it has a header and no rows: record it again")
+def rows_below(
+    file: Path, cells: Sequence[Sequence[str]], head: int
+) -> tuple[list[Sequence[str]], IntArray]:
+    """Rows that hold something below the header's last line, and their lines, from 1.
+
+    Raises:
+        FileError: There are none.
+    """
+    at = [i for i in range(head + 1, len(cells)) if any(cells[i])]
+    if not at:
+        raise FileError(
+            f"{file} is empty, it has a header and no rows: record it again"
+        )
+    return [cells[i] for i in at], np.array(at, np.int64) + 1
 
 
 def number(cell: str) -> float:

@@ -14,39 +14,32 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.core import io
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
-from ttus_opt.sensors.tracker_sheet import Sheet, no_rows, numbers, streams
+from ttus_opt.sensors.tracker_sheet import (
+    Sheet,
+    numbers,
+    read_cells,
+    rows_below,
+    streams,
+)
 
 
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """One stream a set of three or more markers.
-
-    Raises:
-        FileError: Another header, an unknown unit, no rows, or fewer than 3 markers.
-    """
-    file = io.existing_file(path, "TRC file")
-    text = file.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [[c.strip() for c in line.split("\t")] for line in text.splitlines()]
-    rows = [line for line in lines[5:] if line[0]]
-    if not rows:
-        raise no_rows(file)
+def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
+    """One stream a set of three or more markers."""
+    lines = read_cells(file, "\t")
+    rows, _ = rows_below(file, lines, 4)
     facts = dict(zip(lines[1], lines[2], strict=False))
     names = [word for word in lines[3][2:] if word]
     values = numbers(rows, range(2 + 3 * len(names)))
     things = {
-        name: dict(
-            zip(COMPONENTS["position"], range(2 + 3 * k, 5 + 3 * k), strict=True)
-        )
+        name: {x: 2 + 3 * k + i for i, x in enumerate(COMPONENTS["position"])}
         for k, name in enumerate(names)
     }
     units = [facts.get("Units", "")] * values.shape[1]
-    found = streams(
-        Sheet(file, values[:, 1], values, units, things, "axes of the file")
-    )
-    if not found:
+    sheet = Sheet(file, values[:, 1], values, units, things, "axes of the file")
+    if not (found := streams(sheet)):
         raise FileError(
             f"{file} has no three markers of one body that are seen at once and off "
             "one line: a pose needs them"

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.core import io
 from ttus_opt.core.errors import FileError
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
@@ -38,13 +37,8 @@ NAMES = {
 }
 
 
-def _read(path: Path, wanted: Wanted) -> list[RawRecording]:
-    """The streams of all sections.
-
-    Raises:
-        FileError: A damaged section, angles of an unstated kind, or no stream.
-    """
-    file = io.existing_file(path, "Vicon CSV")
+def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
+    """The streams of all sections."""
     out: list[RawRecording] = []
     angles = ""
     for sheet in _sections(file):

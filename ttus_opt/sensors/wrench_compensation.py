@@ -67,9 +67,6 @@ def _acceleration(raw: Trajectory, centre: Array) -> Array:
 
     Twice the leading coefficient of the least-squares parabola through `WINDOW` frames
     (Savitzky and Golay 1964), for uneven steps too.
-
-    Raises:
-        InputError: A segment has fewer frames.
     """
     place = raw.position + raw.rotation @ centre
     out = np.empty_like(place)
