@@ -8,14 +8,10 @@ import scipy.sparse as sp
 
 from tests.kit import small_scene
 from ttus_opt.gaussian.matern import SeparableCovariance
-from ttus_opt.gaussian.prior import KnownPrior, LaplacePrior, Multiples, Sum
+from ttus_opt.gaussian.prior import LaplacePrior
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
 V = SCENE.n_voxels
-
-
-def multiples():
-    return Multiples(np.random.default_rng(3).normal(size=(V, 2)))
 
 
 def matern():
@@ -28,14 +24,8 @@ def laplace():
     return LaplacePrior(SCENE.laplace, compliance)
 
 
-PRIORS = {
-    "laplace": laplace,
-    "matern": matern,
-    "multiples": multiples,
-    "sum": lambda: Sum((matern(), multiples(), multiples())),
-}
+PRIORS = {"laplace": laplace, "matern": matern}
 every = pytest.mark.parametrize("name", PRIORS)
-known = pytest.mark.parametrize("name", ["matern", "multiples", "sum"])
 
 
 @functools.cache
@@ -49,12 +39,8 @@ def dense(name):
     if name == "laplace":
         inverse = np.linalg.inv(SCENE.L.toarray())
         return np.asarray(inverse * laplace().compliance @ inverse.T)
-    H = multiples().fields
-    if name == "multiples":
-        return np.asarray(H @ H.T)
     R = matern().rows.toarray()
-    C = np.linalg.inv(R.T @ R)
-    return np.asarray(C if name == "matern" else C + 2.0 * H @ H.T)
+    return np.linalg.inv(R.T @ R)
 
 
 def close(found, expected):
@@ -112,11 +98,9 @@ def test_draws_have_its_covariance(name):
     assert np.abs((found - expected) / np.outer(size, size)).max() < 0.1
 
 
-@known
-def test_columns_are_those_of_the_covariance(name):
-    prior, voxels = prior_of(name), np.array([3, 17, 18, 90, V - 1])
-    assert isinstance(prior, KnownPrior)
-    columns, values = prior.columns(voxels), np.arange(5.0)
-    close(columns.among, dense(name)[np.ix_(voxels, voxels)])
-    close(columns.times(values), dense(name)[:, voxels] @ values)
-    close(columns.of_rows(some_rows()), some_rows() @ dense(name)[:, voxels])
+def test_columns_are_those_of_the_covariance():
+    C, voxels = dense("matern"), np.array([3, 17, 18, 90, V - 1])
+    columns, values = prior_of("matern").columns(voxels), np.arange(5.0)
+    close(columns.among, C[np.ix_(voxels, voxels)])
+    close(columns.times(values), C[:, voxels] @ values)
+    close(columns.of_rows(some_rows()), some_rows() @ C[:, voxels])

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.gaussian.prior import Columns, KnownPrior
+from ttus_opt.gaussian.prior import Prior
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Columns of the surface's covariance computed at once
@@ -155,7 +155,7 @@ class MaternFactor:
 
 
 @dataclass(frozen=True)
-class SeparableCovariance(KnownPrior):
+class SeparableCovariance(Prior):
     """Covariance of s_v g_v over voxels, with g separable in depth and spoke.
 
     Every spoke is turned by whole layers, so that the skin lies in the same one: places
@@ -223,9 +223,9 @@ class SeparableCovariance(KnownPrior):
         return sp.csr_array((data, columns, both.indptr), shape=both.shape)
 
     def columns(self, voxels: IntArray) -> VoxelColumns:
-        """Implements `KnownPrior`."""
+        """Its columns at some voxels, in factored form."""
         n_spokes = len(self.surface.volumes)
-        layers, layer = np.unique(self._layer(voxels), return_inverse=True)
+        layers, layer = np.unique(self.layers(voxels), return_inverse=True)
         spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
         radial, surface = (
             self.radial.covariance(layers),
@@ -235,11 +235,9 @@ class SeparableCovariance(KnownPrior):
         among = radial[layers][np.ix_(layer, layer)]
         among *= surface[spokes][np.ix_(spoke, spoke)]
         among *= own[:, None] * own
-        return VoxelColumns(
-            voxels, self.scale, self.turned, radial, surface, layer, spoke, among
-        )
+        return VoxelColumns(self, voxels, radial, surface, layer, spoke, among)
 
-    def _layer(self, voxels: IntArray) -> IntArray:
+    def layers(self, voxels: IntArray) -> IntArray:
         """Layers of voxels when spokes are turned."""
         return self.turned[voxels] // len(self.surface.volumes)
 
@@ -279,7 +277,7 @@ class SeparableCovariance(KnownPrior):
             ends = rows.indptr[k * height : (k + 1) * height + 1] - part.start
             scaled = rows.data[part] * self.scale[rows.indices[part]]
             own_rows = sp.csr_array((scaled, column, ends), (height, len(voxels)))
-            place, layer = spoke[part][at], self._layer(voxels.astype(np.int64))
+            place, layer = spoke[part][at], self.layers(voxels.astype(np.int64))
             cov = between[np.ix_(place, place)] * radial[np.ix_(layer, layer)]
             out[k] = own_rows @ (own_rows @ cov).T
         return out
@@ -288,7 +286,7 @@ class SeparableCovariance(KnownPrior):
         """The same of all rows, a mode of the radial part at a time."""
         n_spokes, k = len(self.surface.volumes), rows.shape[0]
         touched = rows.indices.astype(np.int64)
-        layers, layer = np.unique(self._layer(touched), return_inverse=True)
+        layers, layer = np.unique(self.layers(touched), return_inverse=True)
         values, modes = np.linalg.eigh(self.radial.covariance(layers)[layers])
         out = np.zeros((k, k))
         for value, mode in zip(values, modes.T, strict=True):
@@ -301,13 +299,12 @@ class SeparableCovariance(KnownPrior):
 
 
 @dataclass(frozen=True)
-class VoxelColumns(Columns):
+class VoxelColumns:
     """Columns of a separable covariance at n voxels.
 
     Attributes:
+        covariance: The covariance.
         voxels: Shape (n,).
-        scale: s of all voxels, shape (V,).
-        turned: As in `SeparableCovariance`.
         radial: Columns of the radial part at the layers that occur, (n_r, k_r).
         surface: Columns of the surface part at the spokes that occur, (n_s, k_s).
         layer: Which of those layers, shape (n,).
@@ -315,9 +312,8 @@ class VoxelColumns(Columns):
         among: The covariance between the voxels, shape (n, n).
     """
 
+    covariance: SeparableCovariance = field(repr=False)
     voxels: IntArray
-    scale: Array = field(repr=False)
-    turned: IntArray = field(repr=False)
     radial: Array = field(repr=False)
     surface: Array = field(repr=False)
     layer: IntArray = field(repr=False)
@@ -325,21 +321,22 @@ class VoxelColumns(Columns):
     among: Array = field(repr=False)
 
     def of_rows(self, rows: sp.csr_array) -> Array:
-        """Implements `Columns`."""
+        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
         voxels, column = np.unique(rows.indices, return_inverse=True)
-        n_spokes = self.surface.shape[0]
-        cov = self.radial[self.turned[voxels] // n_spokes][:, self.layer]
-        cov *= self.surface[voxels % n_spokes][:, self.spoke]
-        cov *= self.scale[voxels][:, None] * self.scale[self.voxels]
+        scale = self.covariance.scale
+        cov = self.radial[self.covariance.layers(voxels)][:, self.layer]
+        cov *= self.surface[voxels % len(self.surface)][:, self.spoke]
+        cov *= scale[voxels][:, None] * scale[self.voxels]
         few = (rows.shape[0], len(voxels))
         return np.asarray(sp.csr_array((rows.data, column, rows.indptr), few) @ cov)
 
     def times(self, values: Array) -> Array:
-        """Implements `Columns`."""
+        """The columns times values of shape (n,), shape (V,)."""
+        scale = self.covariance.scale
         w = np.zeros((self.radial.shape[1], self.surface.shape[1]))
-        np.add.at(w, (self.layer, self.spoke), self.scale[self.voxels] * values)
+        np.add.at(w, (self.layer, self.spoke), scale[self.voxels] * values)
         g = (self.radial @ w @ self.surface.T).ravel()
-        return np.asarray(self.scale * g[self.turned])
+        return np.asarray(scale * g[self.covariance.turned])
 
 
 def kronecker(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:

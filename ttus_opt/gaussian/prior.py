@@ -1,7 +1,7 @@
 """Gaussian priors of a field over the voxels: N(0, C) about a mean of their own.
 
 C is a matrix over all voxels and never formed: a prior multiplies by it, evaluates it
-among rows of a field, and draws fields. Priors of independent fields add up.
+among rows of a field, and draws fields.
 """
 
 from __future__ import annotations
@@ -97,115 +97,6 @@ class LaplacePrior(Prior):
         """Implements `Prior`, by a solve."""
         noise = np.sqrt(self.compliance) * rng.standard_normal(len(self.compliance))
         return self.laplace.solve(noise, rtol=self.rtol)
-
-
-class Columns(abc.ABC):
-    """Columns of a covariance at n voxels, in factored form.
-
-    Attributes:
-        voxels: The voxels, shape (n,).
-        among: The covariance between them, shape (n, n).
-    """
-
-    voxels: IntArray
-    among: Array
-
-    @abc.abstractmethod
-    def times(self, values: Array) -> Array:
-        """The columns times values of shape (n,), shape (V,)."""
-
-    @abc.abstractmethod
-    def of_rows(self, rows: sp.csr_array) -> Array:
-        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
-
-
-class KnownPrior(Prior):
-    """A prior whose covariance is known at single voxels."""
-
-    @abc.abstractmethod
-    def columns(self, voxels: IntArray) -> Columns:
-        """Its columns at some voxels."""
-
-
-@dataclass(frozen=True)
-class Multiples(KnownPrior):
-    """Random multiples of a few fields: p = H β, β ~ N(0, 1).
-
-    Attributes:
-        fields: H, shape (V, k).
-    """
-
-    fields: Array = field(repr=False)
-
-    def times(self, values: Array) -> Array:
-        """Implements `Prior`."""
-        return np.asarray(self.fields @ (self.fields.T @ values))
-
-    def among_rows(self, rows: sp.csr_array, height: int) -> Array:
-        """Implements `Prior`."""
-        seen = np.asarray(rows @ self.fields).reshape(-1, height, self.fields.shape[1])
-        return np.asarray(seen @ seen.transpose(0, 2, 1))
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Implements `Prior`."""
-        return np.asarray(self.fields @ rng.standard_normal(self.fields.shape[1]))
-
-    def columns(self, voxels: IntArray) -> Columns:
-        """Implements `KnownPrior`."""
-        return _MultiplesColumns(voxels, self.fields)
-
-
-@dataclass(frozen=True)
-class Sum(KnownPrior):
-    """The sum of independent fields.
-
-    Attributes:
-        parts: Their priors.
-    """
-
-    parts: tuple[KnownPrior, ...]
-
-    def times(self, values: Array) -> Array:
-        """Implements `Prior`."""
-        return np.asarray(np.sum([p.times(values) for p in self.parts], axis=0))
-
-    def among_rows(self, rows: sp.csr_array, height: int) -> Array:
-        """Implements `Prior`."""
-        return np.asarray(
-            np.sum([part.among_rows(rows, height) for part in self.parts], axis=0)
-        )
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Implements `Prior`."""
-        return np.asarray(np.sum([part.draw(rng) for part in self.parts], axis=0))
-
-    def columns(self, voxels: IntArray) -> Columns:
-        """Implements `KnownPrior`."""
-        return _SumColumns(voxels, tuple(p.columns(voxels) for p in self.parts))
-
-
-class _MultiplesColumns(Columns):
-    def __init__(self, voxels: IntArray, fields: Array) -> None:
-        self.voxels, self._fields = voxels, fields
-        self.among = fields[voxels] @ fields[voxels].T
-
-    def times(self, values: Array) -> Array:
-        return np.asarray(self._fields @ (self._fields[self.voxels].T @ values))
-
-    def of_rows(self, rows: sp.csr_array) -> Array:
-        return np.asarray((rows @ self._fields) @ self._fields[self.voxels].T)
-
-
-class _SumColumns(Columns):
-    def __init__(self, voxels: IntArray, parts: tuple[Columns, ...]) -> None:
-        self.voxels, self._parts = voxels, parts
-        self.among = np.sum([part.among for part in parts], axis=0)
-
-    def times(self, values: Array) -> Array:
-        return np.asarray(np.sum([part.times(values) for part in self._parts], axis=0))
-
-    def of_rows(self, rows: sp.csr_array) -> Array:
-        return np.asarray(np.sum([part.of_rows(rows) for part in self._parts], axis=0))
 
 
 def square_root(matrix: Array, neglected: float = 0.0) -> Array:

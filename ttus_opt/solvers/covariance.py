@@ -25,7 +25,8 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import conditioned
-from ttus_opt.gaussian.prior import Columns, square_root
+from ttus_opt.gaussian.matern import VoxelColumns
+from ttus_opt.gaussian.prior import square_root
 from ttus_opt.problem.members import ProgramTerm, StackedTerms, nonempty_columns
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.structure import KnownCovariance
@@ -49,7 +50,7 @@ ACCURACY, MOST_STEPS = 1e-14, 60
 
 
 class _Loaded(Prepared):
-    _columns: Columns
+    _columns: VoxelColumns
     _tag: KnownCovariance | None = None
 
     def update(self, program: Program) -> None:

@@ -27,7 +27,6 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByCovariance
 from ttus_opt.gaussian.matern import SeparableCovariance
-from ttus_opt.gaussian.prior import KnownPrior, Multiples, Sum
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.problem.terms.depth_map import voxel_profile
 from ttus_opt.problem.terms.depth_map_estimate import (
@@ -248,7 +247,7 @@ class FieldPrior:
         rows: D, shape (m, V).
         changes: Change of these rows per component of ξ, over the touched voxels.
         mean: φ, shape (V,).
-        covariance: C, with the spread of the whole profile.
+        varied: C, less the spread of the whole profile.
         columns: D C over the touched voxels, shape (m, n).
         of_rows: D C Dᵀ, shape (m, m).
         noise: Σ, with errors that frames of a press share, shape (m, m) [N²].
@@ -257,7 +256,7 @@ class FieldPrior:
     rows: sp.csr_array = field(repr=False)
     changes: list[sp.csr_array] = field(repr=False)
     mean: Array = field(repr=False)
-    covariance: KnownPrior = field(repr=False)
+    varied: SeparableCovariance = field(repr=False)
     columns: Array = field(repr=False)
     of_rows: Array = field(repr=False)
     noise: Array = field(repr=False)
@@ -281,15 +280,15 @@ class FieldPrior:
             depth_map.depth_length,
             depth_map.length_ratio,
         )
-        covariance = Sum((varied, Multiples(PROFILE_SPREAD * mean[:, None])))
         touched = np.unique(np.concatenate([m.indices for m in (normal, *moved)]))
         few = sp.csr_array(normal[:, touched])
-        columns = few @ covariance.columns(touched).among
+        common = PROFILE_SPREAD * mean[touched]
+        columns = few @ (varied.columns(touched).among + np.outer(common, common))
         return cls(
             normal,
             [sp.csr_array(each[:, touched]) for each in moved],
             mean,
-            covariance,
+            varied,
             columns,
             columns @ few.T,
             _noise(problem, depth_map, normal @ mean),
@@ -308,7 +307,8 @@ class FieldPrior:
 
     def field(self, dual: Array) -> Array:
         """φ + C Dᵀ y, shape (V,)."""
-        return np.asarray(self.mean + self.covariance.times(self.rows.T @ dual))
+        loads, common = self.rows.T @ dual, PROFILE_SPREAD * self.mean
+        return self.mean + self.varied.times(loads) + (common @ loads) * common
 
 
 def _noise(problem: PoseErrorProblem, model: DepthMapEstimate, force: Array) -> Array:

@@ -25,7 +25,8 @@ from scipy.sparse.linalg import spsolve
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.fitting.uncertainty.posterior import Float32Array, Posterior
 from ttus_opt.gaussian.conditioned import conditioned
-from ttus_opt.gaussian.prior import Columns, square_root
+from ttus_opt.gaussian.matern import VoxelColumns
+from ttus_opt.gaussian.prior import square_root
 from ttus_opt.problem.members import ProgramTerm, StackedTerms
 
 #: Rows whose covariance with all measured voxels is formed at once
@@ -49,7 +50,7 @@ class CovariancePosterior(Posterior):
         row_factor: Its mean over the voxels of every row of D, shape (rows,).
     """
 
-    columns: Columns = field(repr=False)
+    columns: VoxelColumns = field(repr=False)
     touching: sp.csr_array = field(repr=False)
     drift: Array = field(repr=False)
     drift_rows: Array = field(repr=False)

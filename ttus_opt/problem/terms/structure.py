@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.gaussian.prior import KnownPrior
+from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.laplace.system import LaplaceSystem
 
 #: Relative difference of two products up to rounding
@@ -63,7 +63,7 @@ class KnownCovariance:
         mean: What is uncertain about the mean of the prior; None for nothing.
     """
 
-    covariance: KnownPrior = field(repr=False)
+    covariance: SeparableCovariance = field(repr=False)
     mean: UncertainMean | None = field(default=None, repr=False)
 
 
