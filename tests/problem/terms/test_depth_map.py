@@ -72,7 +72,13 @@ def test_bad_options_are_refused(name, value):
         term(**{name: value})
 
 
-ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 0.0, length_ratio=2.0)
+ESTIMATED = DepthMapEstimate(
+    *(1.0, 0.02, 0.3, 0.011),
+    length_ratio=2.0,
+    profile=PROFILE,
+    noise=0.1,
+    log_evidence=0.0,
+)
 
 
 def test_a_term_has_the_estimated_values():

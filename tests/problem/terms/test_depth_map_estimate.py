@@ -13,7 +13,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.gaussian.posterior_mode import PosteriorMode
 from ttus_opt.problem.terms import depth_map_estimate
 from ttus_opt.problem.terms.depth_map_estimate import (
-    _Chosen,
+    Hyperparameters,
     _coarser,
     _Problem,
     estimate_depth_map,
@@ -51,7 +51,7 @@ def matern(distance, length):
     return (1.0 + scaled) * np.exp(-scaled)
 
 
-CHOSEN = _Chosen(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04, 3e-4)
+CHOSEN = Hyperparameters(1.2, 0.03, 0.3, 0.015, 0.1, 0.05, 1.5, 0.04, 3e-4)
 
 
 def dense(scene, chosen):
@@ -89,7 +89,7 @@ def dense(scene, chosen):
     time, recording = scene.trajectory.time[frames], scene.trajectory.segment[frames]
     late = np.exp(-np.abs(time[:, None] - time)) * (recording[:, None] == recording)
     cov += chosen.depth_error**2 * late * np.outer(slope, slope)
-    cov += np.diag(chosen.noise**2 + (chosen.relative_noise * mean) ** 2)
+    cov += np.diag(chosen.sensor_noise**2 + (chosen.relative_noise * mean) ** 2)
     density = multivariate_normal(mean, cov).logpdf(f)
     return float(density) + 0.5 * len(f) * np.log(2.0 * np.pi)
 
@@ -106,7 +106,7 @@ def test_evidence_is_the_log_density_of_the_normal_forces(monkeypatch):
 
 def test_fewer_nodes_tell_nearly_the_same(monkeypatch):
     """A bilinear interpolation, whose weights are 1 and which leaves planes alone."""
-    scene, smooth = drawn(0, 40), CHOSEN._replace(surface_length=0.15, noise=1.0)
+    scene, smooth = drawn(0, 40), replace(CHOSEN, surface_length=0.15, sensor_noise=1.0)
     exact = dense(scene, smooth)
     off = []
     for most in (20, 60):
@@ -138,7 +138,7 @@ def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(power):
     expected = 0.7 * (np.array(found.exponents) == power)
     assert expected.any()
     np.testing.assert_allclose(found.coefficients, expected, atol=1e-6)
-    c, mean = _Problem.of(grown, grown.N).mean(_Chosen(power))
+    c, mean = _Problem.of(grown, grown.N).mean(Hyperparameters(power))
     assert c == pytest.approx(0.7)
     np.testing.assert_allclose(mean, _Problem.of(grown, grown.N).force, rtol=1e-9)
 
@@ -161,7 +161,7 @@ def test_the_posterior_has_the_priors_of_the_method(monkeypatch):
     assert found.profile.exponents == (1.3,)
     assert found.surface_length == pytest.approx(medians[1])
     assert (found.deviation, found.depth_length) == pytest.approx((0.4, 0.01))
-    mean = _Problem.of(scene, scene.N).mean(_Chosen(1.3))[1]
+    mean = _Problem.of(scene, scene.N).mean(Hyperparameters(1.3))[1]
     noise = np.sqrt(np.mean(0.05**2 + 2.0 * (0.03 * mean) ** 2))
     assert found.noise == pytest.approx(noise)
     (evidence, n), problem = asked[0], _Problem.of(scene, scene.N)
@@ -169,7 +169,7 @@ def test_the_posterior_has_the_priors_of_the_method(monkeypatch):
     for steps in (np.zeros(9), *np.eye(9)):
         values = medians * factors**steps
         values[5] = np.hypot(0.03, values[5])
-        chosen = _Chosen(*values)
+        chosen = Hyperparameters(*values)
         assert evidence(steps) == pytest.approx(problem.evidence(chosen))
     estimate_depth_map(scene, depth_length=0.02)
     assert asked[1][1] == 8
@@ -196,7 +196,7 @@ def test_another_length_of_contacts_is_another_assembly(sampling):
     """Whatever the rows, evidence and coefficient are those of rows with ℓ₀."""
     scene, chosen = (
         drawn(0, 40).resampled(sampling),
-        CHOSEN._replace(least_length=0.02),
+        replace(CHOSEN, least_length=0.02),
     )
     other = scene.resampled("contact-size:0.02")
     problem = _Problem.of(scene, scene.N)
@@ -288,7 +288,7 @@ def test_further_errors_count_along_the_contact_alone():
     across = _Problem.of(scene, scene.N, errors=covariance(100.0 * (np.eye(3) - along)))
     assert across.evidence(CHOSEN) == pytest.approx(plain, abs=1e-6)
     more = _Problem.of(scene, scene.N, errors=covariance(0.1**2 * along))
-    noisier = CHOSEN._replace(noise=float(np.hypot(CHOSEN.noise, 0.1)))
+    noisier = replace(CHOSEN, sensor_noise=float(np.hypot(CHOSEN.sensor_noise, 0.1)))
     expected = _Problem.of(scene, scene.N).evidence(noisier)
     assert more.evidence(CHOSEN) == pytest.approx(expected, abs=1e-9)
 
@@ -296,16 +296,16 @@ def test_further_errors_count_along_the_contact_alone():
 def test_noise_is_never_less_than_a_covariance_needs():
     scene = drawn(0, 40)
     problem = _Problem.of(scene, scene.N)
-    silent = CHOSEN._replace(noise=1e-9, relative_noise=1e-9)
+    silent = replace(CHOSEN, sensor_noise=1e-9, relative_noise=1e-9)
     rms = np.sqrt(np.mean(problem.force**2))
-    _, mean = problem.mean(_Chosen(1.2))
+    _, mean = problem.mean(Hyperparameters(1.2))
     np.testing.assert_allclose(np.sqrt(problem.variances(silent, mean)), 1e-4 * rms)
 
 
 def test_it_finds_profile_and_noise_of_drawn_fields():
     scene = drawn(3)
     found = estimate_depth_map(scene)
-    _, mean = _Problem.of(scene, scene.N).mean(_Chosen(found.profile.exponents[0]))
+    _, mean = _Problem.of(scene, scene.N).mean(Hyperparameters(found.profile.exponents[0]))
     expected = np.hypot(0.1, 0.03 * np.sqrt(np.mean(mean**2)))
     assert found.noise == pytest.approx(expected, rel=0.3)
     depth = np.array([0.004])
@@ -389,10 +389,10 @@ def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(monkeypat
 
     monkeypatch.setattr(depth_map_estimate, "matern", counted)
     for changes in ({}, {"deviation": 0.5}, {"noise": 0.2}, {"shared_error": 0.1}):
-        again = CHOSEN._replace(**changes)
+        again = replace(CHOSEN, **changes)
         fresh = _Problem.of(scene, scene.N).evidence(again)
         lengths.clear()
         assert problem.evidence(again) == fresh
         assert len(lengths) == (0 if changes else 2)  # along the skin, in depth
-    problem.evidence(CHOSEN._replace(surface_length=0.04))
+    problem.evidence(replace(CHOSEN, surface_length=0.04))
     assert lengths == [0.04]

@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -73,7 +72,7 @@ PRIOR = {
     "surface_length": (2.6, 0.2),
     "deviation": (0.4, 0.7),
     "depth_length": (0.01, 0.5),
-    "noise": (SENSOR, 1.0),
+    "sensor_noise": (SENSOR, 1.0),
     "relative_noise": (RELATIVE, 1.0),
     "length_ratio": (1.0, 0.5),
     "shared_error": (0.03, 0.7),
@@ -115,38 +114,49 @@ class UnusableForcesError(InputError):
 
 
 @dataclass(frozen=True)
-class DepthMapEstimate:
-    """The most likely profile and hyperparameters.
+class Hyperparameters:
+    """What the evidence chooses, in the order of `PRIOR`.
 
     Attributes:
-        profile: φ.
-        deviation: σ [–].
+        exponent: a [–].
         surface_length: ℓ [m].
+        deviation: σ [–].
         depth_length: Length along the depth [m].
-        noise: Root mean square over the frames of the error of a normal force [N].
-        log_evidence: Log evidence plus log prior, up to a constant [–].
         sensor_noise: σ_0 of a normal force [N].
         relative_noise: ρ [–].
-        shared_error: η, relative error that neighbouring frames of a press share [–].
-        depth_error: δ, error of the depth of a pose, which lasts a second [m].
         length_ratio: Length around the patient over length along it, of which ℓ is the
             geometric mean [–].
+        shared_error: η, relative error that neighbouring frames of a press share [–].
+        depth_error: δ, error of the depth of a pose, which lasts a second [m].
         least_length: ℓ₀ of `contact-size`, for which all of this is [m]; 0 as the scene
             samples.
     """
 
-    profile: DepthProfile
-    deviation: float
-    surface_length: float
-    depth_length: float
-    noise: float
-    log_evidence: float
-    sensor_noise: float = 0.0
-    relative_noise: float = 0.0
+    exponent: float
+    surface_length: float = 0.03
+    deviation: float = 0.4
+    depth_length: float = 0.01
+    sensor_noise: float = SENSOR
+    relative_noise: float = RELATIVE
     length_ratio: float = 1.0
-    shared_error: float = 0.0
+    shared_error: float = 0.03
     depth_error: float = 0.0
     least_length: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMapEstimate(Hyperparameters):
+    """The most likely profile and hyperparameters.
+
+    Attributes:
+        profile: φ.
+        noise: Root mean square over the frames of the error of a normal force [N].
+        log_evidence: Log evidence plus log prior, up to a constant [–].
+    """
+
+    profile: DepthProfile
+    noise: float
+    log_evidence: float
 
     def part_noise(self, scene: Scene, turn: float = TURN) -> PartNoise:
         """Relative errors of the parts of a scene's wrenches, by the direction's."""
@@ -197,7 +207,7 @@ def estimate_depth_map(
 
     limits = depth_map_limits(scene.voxmap.grid)
 
-    def chosen(steps: Array) -> _Chosen:
+    def chosen(steps: Array) -> Hyperparameters:
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
         for name in IN_RADII & values.keys():
             values[name] *= scene.shell.rms_radius
@@ -205,7 +215,7 @@ def estimate_depth_map(
             values["relative_noise"] = np.hypot(RELATIVE, values["relative_noise"])
         for name in limits.keys() & values.keys():
             values[name] = np.clip(values[name], *limits[name])
-        return _Chosen(**held, **{name: float(v) for name, v in values.items()})
+        return Hyperparameters(**held, **{name: float(v) for name, v in values.items()})
 
     mode = posterior_mode(
         lambda steps: problem.evidence(chosen(steps)), len(names), CALLS
@@ -213,42 +223,31 @@ def estimate_depth_map(
     likeliest = chosen(mode.steps)
     c, mean = problem.mean(likeliest)
     return DepthMapEstimate(
-        DepthProfile((likeliest.exponent,), (c,)),
-        likeliest.deviation,
-        likeliest.surface_length,
-        likeliest.depth_length,
-        float(np.sqrt(problem.variances(likeliest, mean).mean())),
-        mode.log_posterior,
-        likeliest.noise,
-        likeliest.relative_noise,
-        likeliest.length_ratio,
-        likeliest.shared_error,
-        likeliest.depth_error,
-        likeliest.least_length,
+        **vars(likeliest),
+        profile=DepthProfile((likeliest.exponent,), (c,)),
+        noise=float(np.sqrt(problem.variances(likeliest, mean).mean())),
+        log_evidence=mode.log_posterior,
     )
 
 
-def least_squares_profile(
-    scene: Scene, *, exponents: tuple[float, ...] = EXPONENTS
-) -> DepthProfile:
+def least_squares_profile(scene: Scene) -> DepthProfile:
     """The profile that alone explains the measured forces best, for equal noise.
 
     It takes milliseconds; what the evidence changes is in docs/method, Depth map.
 
     Args:
         scene: A scene with measured forces.
-        exponents: Exponents of the profile.
 
     Raises:
         UnusableForcesError: No force was measured in contact, or the forces pull.
     """
     chosen = (3 * _frames(scene, scene.f)[:, None] + np.arange(3)).ravel()
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
-    design = scene.N[chosen] @ powers_of(depth, exponents)
+    design = scene.N[chosen] @ powers_of(depth, EXPONENTS)
     coefficients, _ = scipy.optimize.nnls(design, scene.f[chosen])
     if not coefficients.any():
         raise UnusableForcesError(PULLING)
-    return DepthProfile(exponents, tuple(float(c) for c in coefficients))
+    return DepthProfile(EXPONENTS, tuple(float(c) for c in coefficients))
 
 
 PULLING = (
@@ -285,21 +284,6 @@ def _frames(scene: Scene, force: Array) -> IntArray:
             "sensor and the trajectory's frame, or fit laplace_only"
         )
     return frames
-
-
-class _Chosen(NamedTuple):
-    """Hyperparameters, in the order of `PRIOR`."""
-
-    exponent: float
-    surface_length: float = 0.03
-    deviation: float = 0.4
-    depth_length: float = 0.01
-    noise: float = SENSOR
-    relative_noise: float = RELATIVE
-    length_ratio: float = 1.0
-    shared_error: float = 0.03
-    depth_error: float = 0.0
-    least_length: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -383,30 +367,30 @@ class _Problem:
             late,
             further,
         )
-        if problem.mean(_Chosen(PRIOR["exponent"][0]))[0] <= 0.0:
+        if problem.mean(Hyperparameters(PRIOR["exponent"][0]))[0] <= 0.0:
             raise UnusableForcesError(PULLING)
         return problem
 
-    def size(self, chosen: _Chosen) -> Array:
+    def size(self, chosen: Hyperparameters) -> Array:
         """What ℓ₀ changes of every row, shape (m,) [–]."""
         if not chosen.least_length:
             return np.ones(len(self.force))
         return patch_factors(self.spread, chosen.least_length) / self.sampled
 
-    def mean(self, chosen: _Chosen) -> tuple[float, Array]:
+    def mean(self, chosen: Hyperparameters) -> tuple[float, Array]:
         """Its coefficient c by least squares, and its forces c G, shape (m,)."""
         G = self.rows @ powers_of(self.depth, (chosen.exponent,))[:, 0]
         G *= self.size(chosen)
         c = float(G @ self.force) / float(G @ G)
         return c, c * G
 
-    def variances(self, chosen: _Chosen, mean: Array) -> Array:
+    def variances(self, chosen: Hyperparameters, mean: Array) -> Array:
         """Noise variance of every normal force, shape (m,) [N²]."""
         least = LEAST_NOISE**2 * float(np.mean(self.force**2))
-        square = chosen.noise**2 + (chosen.relative_noise * mean) ** 2
+        square = chosen.sensor_noise**2 + (chosen.relative_noise * mean) ** 2
         return np.asarray(np.maximum(square, least))
 
-    def covariance(self, chosen: _Chosen) -> Array:
+    def covariance(self, chosen: Hyperparameters) -> Array:
         """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
         size = self.size(chosen)
         return (
@@ -451,7 +435,7 @@ class _Problem:
 
         return covariance
 
-    def evidence(self, chosen: _Chosen) -> float:
+    def evidence(self, chosen: Hyperparameters) -> float:
         """Log density of the normal forces, up to a constant."""
         c, mean = self.mean(chosen)
         cov = (c * chosen.deviation) ** 2 * self.covariance(chosen) + self.further
