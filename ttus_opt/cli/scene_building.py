@@ -55,7 +55,7 @@ def built_scene(
         except InputError:
             raise error from None  # it is not the recordings
         known = scene.trajectory.has_wrench
-        mistake = likely_mistake(scene, *reading) if known else None
+        mistake = likely_mistake(scene, *reading)[1] if known else None
         if mistake is None:
             raise
         raise InputError(f"{error}; {mistake}") from error
@@ -122,7 +122,7 @@ def warn_of_mistake(scene: Scene, reading: tuple[Trajectory, Conventions]) -> No
     """
     from ttus_opt.fitting.checks.sanity import likely_mistake
 
-    mistake = likely_mistake(scene, *reading)
+    _, mistake = likely_mistake(scene, *reading)
     if mistake is not None:
         warn(str(mistake), kind=MistakeWarning)
 

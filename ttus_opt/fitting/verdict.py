@@ -232,6 +232,7 @@ def judged(
     if x is not None:
         with np.errstate(over="ignore", invalid="ignore"):  # x may be huge
             costs = program.costs(x)
+    held = (*program.limited_rows, *program.bounds)
     return Solution(
         status=status,
         solver=solver,
@@ -239,7 +240,7 @@ def judged(
         kkt=kkt,
         objective=float("nan") if not costs else sum(costs.values()),
         costs=costs,
-        slacks={} if x is None else _slacks(program, x),
+        slacks={} if x is None else {c.name: c.slack(x) for c in held},
         duals=duals,
         timings=timings,
         iterations=candidate.iterations,
@@ -317,10 +318,3 @@ def _conflict(
     claimed = candidate.duals if candidate.x is None else None
     seconds = request.time_limit or CONFLICT_SECONDS
     return conflicting(program, claimed=claimed, time_limit=seconds)
-
-
-def _slacks(program: Program, x: Array) -> dict[str, Array]:
-    """Distance of every constraint row to its nearer limit, negative when violated."""
-    slacks = {member.name: member.slack(x) for member in program.constraints}
-    slacks |= {member.name: member.slack(x) for member in program.cones}
-    return slacks | {member.name: member.slack(x) for member in program.bounds}

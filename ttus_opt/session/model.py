@@ -93,7 +93,7 @@ def _judge_recordings(scene: Scene) -> None:
     if not scene.trajectory.has_wrench:
         return
     recorded = scene.trajectory, Conventions()
-    mistake = likely_mistake(scene, *recorded, contact_readings(scene))
+    _, mistake = likely_mistake(scene, *recorded, contact_readings(scene))
     if mistake is not None:
         key = f"check {KEYS[mistake.cause]} in the description"
         warn(mistake.told(key), kind=MistakeWarning)

@@ -122,7 +122,7 @@ def test_an_option_that_was_given_for_nothing_is_to_be_left_out():
     read = told.read(written, np.asarray(shell.reference))
     scene = tt.Scene.assemble(voxmap, shell, read, sampling="trilinear")
     what = "wrenches in the patient's axes and forces of the opposite sign"
-    assert_told(sanity.likely_mistake(scene, written, told), what, "")
+    assert_told(sanity.likely_mistake(scene, written, told)[1], what, "")
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")

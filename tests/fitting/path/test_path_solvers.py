@@ -143,7 +143,7 @@ def test_the_cheapest_way_is_chosen():
     robust = load("robust", declared.scene)
     assert type(point_solver(robust, "auto", request)) is path_solvers._InTurn
     searching = load("coulomb_global", declared.scene)
-    assert type(point_solver(searching, "auto", request)) is path_solvers._Searching
+    assert type(point_solver(searching, "auto", request)) is path_solvers._InTurn
     refuses(InputError, "unknown solver", point_solver, declared, "none", request)
 
 

@@ -25,7 +25,6 @@ from ttus_opt.fitting.weights.weight_choice import (
     WORDS,
     WeightChoice,
     choice_of,
-    has_choice,
     has_weights,
     word_for,
 )
@@ -237,11 +236,15 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path):
     assert has_weights("eq10") and has_weights("coulomb_global")
     assert not has_weights("laplace_only")
     assert not has_weights("depth_map")  # chooses its own
-    assert has_choice("depth_map") and has_choice("eq10")
-    assert not has_choice("laplace_only")
+    for name, word in (
+        ("depth_map", "auto"),
+        ("eq10", "auto"),
+        ("laplace_only", "own"),
+    ):
+        assert word_for(None, name, {}) == word
     own = tmp_path / "own.py"
     own.write_text("def build(scene, strength: float = 1.0): ...\n", encoding="utf-8")
-    assert not has_weights(own) and has_choice(own)
+    assert not has_weights(own)
     assert word_for(None, own, {"strength": 2.0}) == "auto"
     assert word_for(None, str(own), WEIGHT) == "own"
     declared = tt.load_formulation("eq10", drawn())

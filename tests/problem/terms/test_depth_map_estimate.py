@@ -305,7 +305,7 @@ def test_noise_is_never_less_than_a_covariance_needs():
 def test_it_finds_profile_and_noise_of_drawn_fields():
     scene = drawn(3)
     found = estimate_depth_map(scene)
-    _, mean = _Problem.of(scene, scene.N).mean(Hyperparameters(found.profile.exponents[0]))
+    _, mean = _Problem.of(scene, scene.N).mean(found)
     expected = np.hypot(0.1, 0.03 * np.sqrt(np.mean(mean**2)))
     assert found.noise == pytest.approx(expected, rel=0.3)
     depth = np.array([0.004])

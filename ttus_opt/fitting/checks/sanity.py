@@ -206,7 +206,7 @@ def check_recordings(
         for name, own in zip(names, recordings, strict=True)
     ]
     shell = scene.shell
-    disagreement, mistake = _likely_mistake(
+    disagreement, mistake = likely_mistake(
         scene, written or trajectory, conventions or Conventions()
     )
     return SanityReport(
@@ -255,8 +255,8 @@ def likely_mistake(
     written: Trajectory,
     conventions: Conventions,
     readings: Iterable[Reading] | None = None,
-) -> Mistake | None:
-    """A convention that agrees clearly better with the geometry; None without one.
+) -> tuple[float, Mistake | None]:
+    """S as read, and a convention that agrees clearly better; None without one.
 
     Args:
         scene: A scene with measured forces; its boundary values do not matter.
@@ -264,54 +264,36 @@ def likely_mistake(
         conventions: As in `check_recordings`.
         readings: What to compare with; by default `other_readings`.
     """
-    return _likely_mistake(scene, written, conventions, readings)[1]
-
-
-def _likely_mistake(
-    scene: Scene,
-    written: Trajectory,
-    conventions: Conventions,
-    readings: Iterable[Reading] | None = None,
-) -> tuple[float, Mistake | None]:
-    """S as read, and the likely mistake."""
     if readings is None:
         readings = other_readings(scene, written, conventions)
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
     as_read = agreement(scene, prior, scene.trajectory.select(chosen))
+    before, bound = as_read.disagreement, CLEARLY * as_read.disagreement
     best: Mistake | None = None
     for what, mends, cause, reread in readings:
         # re-read as a whole: a delay needs neighbouring frames
         other = agreement(scene, prior, reread.select(chosen))
-        bound = CLEARLY * as_read.disagreement if best is None else best.after
         if other.disagreement < bound:
-            best = Mistake(what, mends, as_read.disagreement, other.disagreement, cause)
+            bound = other.disagreement
+            best = Mistake(what, mends, before, bound, cause)
     moved = _about_another_point(scene, prior, written, conventions, chosen)
-    if moved is not None:
+    if moved is not None and moved[1] < (bound if best is None else CLEARLY * bound):
         reading, after = moved
-        if after < CLEARLY * (as_read.disagreement if best is None else best.after):
-            point = reading.point(np.asarray(scene.shell.reference))
-            x, y, z = (round(1e3 * v) for v in point)
-            what = f"torques about ({x}, {y}, {z}) mm of the probe's frame"
-            return as_read.disagreement, Mistake(
-                what, reading.options, as_read.disagreement, after, "torque_about"
-            )
-    if (
+        point = reading.point(np.asarray(scene.shell.reference))
+        x, y, z = (round(1e3 * v) for v in point)
+        what = f"torques about ({x}, {y}, {z}) mm of the probe's frame"
+        best = Mistake(what, reading.options, before, after, "torque_about")
+    elif (
         best is None
         and conventions.torque_unit == "Nm"
         and as_read.torque_ratio > WRONG_UNIT
     ):
         mends = replace(conventions, torque_unit="Nmm").options
-        size = f"{as_read.torque_ratio:.0f} times those expected"
-        return as_read.disagreement, Mistake(
-            f"torques in N mm, {size}",
-            mends,
-            as_read.disagreement,
-            as_read.disagreement,
-            "torque_unit",
-        )
-    return as_read.disagreement, best
+        what = f"torques in N mm, {as_read.torque_ratio:.0f} times those expected"
+        best = Mistake(what, mends, before, before, "torque_unit")
+    return before, best
 
 
 def _about_another_point(

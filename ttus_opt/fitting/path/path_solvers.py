@@ -80,10 +80,7 @@ def point_solver(
         InputError: Unknown solver, or one that cannot take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
-    if declared.search is not None:
-        return _Searching(solver, request)
-    program = declared.compile()
-    if program.is_quadratic:
+    if declared.search is None and (program := declared.compile()).is_quadratic:
         first = registry.candidates(solver, program)[0]
         if first.name == "structured" and suits_sweep(program):
             return _CommonBasis(program, request)
@@ -91,20 +88,16 @@ def point_solver(
 
 
 class _InTurn(RepeatedFit, PointSolver):
-    """Any solver, keeping its state from point to point."""
+    """Any solver, keeping its state from point to point.
+
+    A formulation with a searched parameter takes a fit per point.
+    """
 
     independent = True
-
-
-class _Searching(PointSolver):
-    """A formulation with a searched parameter: a fit per point."""
-
-    independent = True
-
-    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
-        self._solver, self._request = solver, request
 
     def __call__(self, declared: Formulation) -> Solution:
+        if declared.search is None:
+            return super().__call__(declared)
         return fit(
             declared.scene,
             declared,

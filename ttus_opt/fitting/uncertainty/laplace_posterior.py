@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.fitting.uncertainty.posterior import Posterior, kept_rows
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.solvers.dual.data import DualData
@@ -86,20 +86,17 @@ class LaplacePosterior(Posterior):
         inner[np.diag_indices(n_prior)] -= errors.variance
         return np.asarray(inner)
 
-    def _missing(self, rows: sp.csr_array, height: int) -> Mask:
-        if self.voxels is None:
-            return super()._missing(rows, height)
-        return kept_rows(rows, self.voxels, height)[1]
-
     def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
-        kept = rows
+        kept, missing = rows, np.zeros(rows.shape[0] // height, dtype=bool)
         if self.voxels is not None:
-            kept, _ = kept_rows(rows, self.voxels, height)
+            kept, missing = kept_rows(rows, self.voxels, height)
         images = np.asarray(kept @ self.fields.T)
         if self.base is not None:
             images = np.column_stack([images, rows @ self.base])
         images = images.reshape(-1, height, images.shape[1])
-        return np.asarray(images @ self._inner @ images.transpose(0, 2, 1))
+        gained = images @ self._inner @ images.transpose(0, 2, 1)
+        gained[missing] = np.nan
+        return np.asarray(gained)
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
         errors, p = self._known_errors, self.prior.draw(rng)

@@ -77,10 +77,8 @@ class Posterior(abc.ABC):
         """
         sized = np.zeros(rows.shape[0]) if sized is None else sized
         filled = np.asarray(np.diff(rows.indptr).reshape(-1, height).any(axis=1))
-        missing = self._missing(rows, height)
         out = np.zeros((len(filled), height, height))
-        out[missing] = np.nan
-        (blocks,) = np.nonzero(filled & ~missing)
+        (blocks,) = np.nonzero(filled)
         few = sp.csr_array(rows[_rows_of(blocks, height)])
         out[blocks] = self._known_errors.variance * self.prior.among_rows(few, height)
         step = max(ROWS_AT_ONCE // height, 1)
@@ -89,13 +87,9 @@ class Posterior(abc.ABC):
             out[some] += self._gained(sp.csr_array(rows[at]), height, sized[at])
         return out
 
-    def _missing(self, rows: sp.csr_array, height: int) -> Mask:
-        """Blocks that touch voxels at which nothing is stored."""
-        return np.zeros(rows.shape[0] // height, dtype=bool)
-
     @abc.abstractmethod
     def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
-        """Blocks of Q Σ Qᵀ − v (Q Xᵀ + Q Qᵀ), shape (k, height, height)."""
+        """Blocks of Q Σ Qᵀ − v (Q Xᵀ + Q Qᵀ), (k, height, height); NaN as above."""
 
     def draw(
         self, count: int, voxels: IntArray | None = None

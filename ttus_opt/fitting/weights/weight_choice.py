@@ -135,12 +135,6 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
     return bool(values) and None not in values
 
 
-def has_choice(formulation: str | Path) -> bool:
-    """Whether `choice_of` chooses: it has weights, is a depth map or a user's file."""
-    given = formulation in DEPTH_MAPS or has_weights(formulation)
-    return given or Path(formulation).suffix == ".py"
-
-
 def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
     """Return a known word.
 
@@ -168,30 +162,22 @@ def word_for(
     Raises:
         InputError: Another word, "auto" with a weight, or an unknown formulation.
     """
+    given = [name for name in options if is_weight(name)]
     if word is not None:
-        if checked_word(word) == AUTO:
-            refuse_weights(options)
+        if checked_word(word) == AUTO and given:
+            raise InputError(
+                f'weights="auto" chooses {given[0]}: give one or the other'
+            )
         return word
-    can = formulation is None or (
-        not isinstance(formulation, Formulation) and has_choice(formulation)
-    )
-    return AUTO if can and not any(map(is_weight, options)) else OWN
+    can = formulation is None or has_weights(formulation)
+    if not (can or isinstance(formulation, Formulation)):  # a depth map, or a user's
+        can = formulation in DEPTH_MAPS or Path(formulation).suffix == ".py"
+    return AUTO if can and not given else OWN
 
 
 def is_weight(option: str) -> bool:
     """Whether an option of a formulation is the weight of a term."""
     return option.endswith("_weight")
-
-
-def refuse_weights(options: Mapping[str, Any]) -> None:
-    """Check that no weight is given beside ``weights="auto"``.
-
-    Raises:
-        InputError: There is one.
-    """
-    given = next(filter(is_weight, options), None)
-    if given is not None:
-        raise InputError(f'weights="auto" chooses {given}: give one or the other')
 
 
 def choice_of(

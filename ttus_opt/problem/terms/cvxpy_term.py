@@ -26,7 +26,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.plugins import user_errors
 from ttus_opt.problem.terms.base import AffineRows, Term
@@ -57,29 +56,6 @@ class CvxpyTerm:
         return CvxpyRows(
             scene, self.weight, label=self.name, expression=self.expression
         )
-
-
-@dataclass(frozen=True)
-class _Canonical:
-    """An expression as a cone program over (p, …, auxiliary variables).
-
-    Attributes:
-        blocks: Matrix per variable of all rows h − M x, zero rows first.
-        h: Shape (m,).
-        cost: c per variable.
-        constant: d.
-        n_equal: Number of zero rows, the first ones.
-        n_above: Number of nonnegative rows, the next ones.
-        sizes: Rows of each second-order cone, the last ones.
-    """
-
-    blocks: Mapping[str, sp.csr_array]
-    h: Array
-    cost: Mapping[str, Array]
-    constant: float
-    n_equal: int
-    n_above: int
-    sizes: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -117,25 +93,12 @@ class CvxpyRows(Term):
 
     def rows(self) -> AffineRows:
         """The canonical objective, one row c and the target −d."""
-        canonical = self._canonical
-        cost = {k: sp.csr_array(c[None, :]) for k, c in canonical.cost.items()}
-        return AffineRows(cost, np.array([-canonical.constant]))
+        return self._canonical[0]
 
     @property
     def requires(self) -> Mapping[str, LinearRows | ConeRows]:
         """The canonical rows: ``name:rows`` and ``name:cones``."""
-        one = self._canonical
-        linear = one.n_equal + one.n_above
-        held: dict[str, LinearRows | ConeRows] = {}
-        if linear:
-            upper = one.h[:linear]
-            lower = np.where(np.arange(linear) < one.n_equal, upper, -np.inf)
-            blocks = {k: M[:linear] for k, M in one.blocks.items()}
-            held[f"{self.name}:rows"] = LinearRows(blocks, lower, upper)
-        if one.sizes:
-            blocks = {k: -M[linear:] for k, M in one.blocks.items()}
-            held[f"{self.name}:cones"] = ConeRows(blocks, one.h[linear:], one.sizes)
-        return held
+        return self._canonical[1]
 
     def with_weight(self, weight: float) -> CvxpyRows:
         """The same term with another weight, without canonicalising it again."""
@@ -165,7 +128,8 @@ class CvxpyRows(Term):
         return stated, variables
 
     @cached_property
-    def _canonical(self) -> _Canonical:
+    def _canonical(self) -> tuple[AffineRows, dict[str, LinearRows | ConeRows]]:
+        """Objective and rows of the cone program over (p, …, auxiliary variables)."""
         import cvxpy as cp
 
         stated, variables = self._stated
@@ -181,8 +145,8 @@ class CvxpyRows(Term):
         self._refuse_other_cones(data)
         M, form, dims = sp.csc_array(data["A"]), data["param_prob"], data["dims"]
         cost, constant = np.asarray(data["c"]), float(form.apply_parameters()[1])
-        numbers = np.concatenate([M.data, np.asarray(data["b"]), cost, [constant]])
-        if not np.isfinite(numbers).all():
+        h = np.asarray(data["b"], dtype=np.float64)
+        if not np.isfinite(np.concatenate([M.data, h, cost, [constant]])).all():
             raise InputError(
                 f"term {self.name}: its canonical form is not finite: check the "
                 "numbers in the expression"
@@ -197,15 +161,20 @@ class CvxpyRows(Term):
                 auxiliary[columns[name]] = False
         if auxiliary.any():
             columns[f"{self.name}:aux"] = np.flatnonzero(auxiliary)
-        return _Canonical(
-            {name: sp.csr_array(M[:, at]) for name, at in columns.items()},
-            np.asarray(data["b"], dtype=np.float64),
-            {name: cost[at] for name, at in columns.items()},
-            constant,
-            int(dims.zero),
-            int(dims.nonneg),
-            tuple(int(size) for size in dims.soc),
-        )
+        blocks = {name: sp.csr_array(M[:, at]) for name, at in columns.items()}
+        # rows h − M x: zero ones, nonnegative ones, then those of the cones
+        equal, linear = int(dims.zero), int(dims.zero) + int(dims.nonneg)
+        held: dict[str, LinearRows | ConeRows] = {}
+        if linear:
+            lower = np.where(np.arange(linear) < equal, h[:linear], -np.inf)
+            own = {k: block[:linear] for k, block in blocks.items()}
+            held[f"{self.name}:rows"] = LinearRows(own, lower, h[:linear])
+        if dims.soc:
+            sizes = tuple(int(size) for size in dims.soc)
+            own = {k: -block[linear:] for k, block in blocks.items()}
+            held[f"{self.name}:cones"] = ConeRows(own, h[linear:], sizes)
+        rows = {k: sp.csr_array(cost[None, at]) for k, at in columns.items()}
+        return AffineRows(rows, np.array([-constant])), held
 
     def _refuse_other_cones(self, data: Mapping[str, Any]) -> None:
         """Refuse cones and bounds that cannot be verified here."""
