@@ -19,13 +19,12 @@ from ttus_opt.fitting.weights.weight_choice import likely_sampling
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import (
     PRIOR,
     DepthMapEstimate,
     estimate_depth_map,
 )
-from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
 from ttus_opt.problem.terms.part_noise import TURN
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 

@@ -18,8 +18,8 @@ from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.friction_search import with_friction_search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.drag import GlobalCoulomb
+from ttus_opt.problem.terms.drag_estimate import estimate_dragged
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 

@@ -97,8 +97,7 @@ CORE = {
     "fitting/path": "weight_grid",
     "fitting/poses": "pose_error_step pose_refinement",
     "fitting/recursion": "dual_recursion low_rank_kernel measured_rows recursive",
-    "fitting/uncertainty": "contact_spread posterior posterior_draws presses "
-    "skin_uncertainty wrench_noise",
+    "fitting/uncertainty": "contact_spread posterior skin_uncertainty wrench_noise",
     "fitting/weights": "place_left_out tuning_rows",
     "gaussian": "matern",
     "haptic": "blend kernel_data motion point_drag renderer tables",

@@ -74,7 +74,7 @@ def _summary(found: Tuning) -> dict[str, Any]:
         "noise_N": found.noise,
         "candidates_left_out_force_error_N": found.candidates,
         "left_out_force_error_N": found.left_out_force_error,
-        "held_out": [found.check.as_dict()],
+        "held_out": [asdict(found.check)],
         "comparisons": [asdict(one) for one in found.comparisons],
         "tuned_on": found.shape,
         "seconds": found.seconds,

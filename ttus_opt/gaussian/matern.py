@@ -324,7 +324,9 @@ class VoxelColumns:
         """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
         voxels, column = np.unique(rows.indices, return_inverse=True)
         scale = self.covariance.scale
-        cov = self.radial[self.covariance.layers(voxels)][:, self.layer]
+        cov = self.radial[self.covariance.layers(voxels.astype(np.int64))][
+            :, self.layer
+        ]
         cov *= self.surface[voxels % len(self.surface)][:, self.spoke]
         cov *= scale[voxels][:, None] * scale[self.voxels]
         few = (rows.shape[0], len(voxels))

@@ -51,7 +51,7 @@ def made(scale=False):
     data = DualData.of(load("eq10", SCENE, **weights).compile())
     root = data.system.root_weights
     with patch.object(laplace_posterior, "MISSING", 1e-8):  # a basis of all there is
-        bare = laplace_posterior.LaplacePosterior.of(data, root, scale)
+        bare = laplace_posterior.LaplacePosterior.of(data, scale)
     errors = errors_of(int(bare.informative.sum()))
     D = (root[:, None] * data.system.rows.toarray())[bare.informative]
     inverse = np.linalg.inv(SCENE.L.toarray())

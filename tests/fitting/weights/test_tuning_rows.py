@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.kit import InputError, refuses, three_presses
-from ttus_opt.fitting.uncertainty.presses import pressed_places
+from ttus_opt.fitting.uncertainty.contact_spread import pressed_places
 from ttus_opt.fitting.weights import tuning_rows
 from ttus_opt.fitting.weights.tuning_rows import TuningRows
 from ttus_opt.problem.formulation import load

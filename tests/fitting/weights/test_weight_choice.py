@@ -1,7 +1,7 @@
 """When a fit's weights are chosen from its recordings, and why not."""
 
 import warnings
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -30,9 +30,8 @@ from ttus_opt.fitting.weights.weight_choice import (
 )
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import estimate_depth_map
-from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.sampling import least_length, sized
 
@@ -64,7 +63,7 @@ def test_what_is_chosen_is_what_tune_finds_and_says_how_sure():
     assert told["weight_factors"] == tuned().weight_factors
     assert told["weight_factors"]["torque"] >= told["weight_factors"]["force"] > 1.0
     assert told["hyperparameters"].keys() == {h.name for h in tuned().hyperparameters}
-    assert told["held_out"] == [tuned().check.as_dict()]
+    assert told["held_out"] == [asdict(tuned().check)]
     assert choice.lines[0].startswith("weights chosen from the recordings: force ")
     assert choice.lines[-1] == str(tuned().check)
 

@@ -388,7 +388,12 @@ def test_the_covariance_is_formed_once_for_values_that_do_not_enter_it(monkeypat
         return formed(distance, length)
 
     monkeypatch.setattr(depth_map_estimate, "matern", counted)
-    for changes in ({}, {"deviation": 0.5}, {"noise": 0.2}, {"shared_error": 0.1}):
+    for changes in (
+        {},
+        {"deviation": 0.5},
+        {"sensor_noise": 0.2},
+        {"shared_error": 0.1},
+    ):
         again = replace(CHOSEN, **changes)
         fresh = _Problem.of(scene, scene.N).evidence(again)
         lengths.clear()

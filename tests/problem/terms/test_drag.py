@@ -48,9 +48,13 @@ def field():
     return np.asarray(scene().laplace.solve(scene().b))
 
 
-def times(blocks, values):
-    """What rows make of values, a vector per pose, shape (T, 3)."""
-    return np.sum([blocks[k] @ values[k] for k in blocks], axis=0).reshape(-1, 3)
+def wrench(model, values):
+    """Force and torque that its rows make of values, a vector per pose, (T, 3) each."""
+    both = (scene().N, model.rows.force), (scene().W, model.rows.torque)
+    every = (model.beside(*rows) for rows in both)
+    return [
+        sum(M @ values[k] for k, M in rows.items()).reshape(-1, 3) for rows in every
+    ]
 
 
 def contact():
@@ -62,14 +66,11 @@ def contact():
 def told(model, values, drag):
     """Rows of force and torque have this drag in them, and act at the arm's end."""
     force, torque = contact()
-    np.testing.assert_allclose(
-        times(model.force_blocks(), values), force + drag, atol=1e-12
-    )
-    np.testing.assert_allclose(
-        times(model.torque_blocks(), values),
-        torque + np.cross(model.sliding.arm, drag),
-        atol=1e-12,
-    )
+    turning = np.cross(model.sliding.arm, drag)
+    for found, expected in zip(
+        wrench(model, values), (force + drag, torque + turning), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def by_coulomb(model, mu):
@@ -98,7 +99,7 @@ def test_a_field_of_drag_does_the_same_where_it_is_a_share_of_the_potential():
     model, p = CoulombField(scene(), deadband=DEADBAND), field()
     told(model, {"p": p, "q": MU * p}, by_coulomb(model, MU))
     without = model.with_neutral(["friction_coefficient"])
-    assert set(without.force_blocks()) == set(without.torque_blocks()) == {"p"}
+    assert set(without.beside(scene().N, without.rows.force)) == {"p"}
     told(without, {"p": p}, np.zeros((30, 3)))
     assert model.with_neutral(["viscous_coefficient"]) is model
 
@@ -140,10 +141,9 @@ def test_what_is_identified_renders_as_the_rows_say():
         felt = wrenches_by_rows(
             scene().rows, potential, scene().shell, scene().trajectory
         )
-        expected = times(model.force_blocks(), values)
-        np.testing.assert_allclose(felt.force, expected, atol=1e-9)
-        expected = times(model.torque_blocks(), values)
-        np.testing.assert_allclose(felt.torque, expected, atol=1e-9)
+        force, torque = wrench(model, values)
+        np.testing.assert_allclose(felt.force, force, atol=1e-9)
+        np.testing.assert_allclose(felt.torque, torque, atol=1e-9)
 
 
 def test_poses_in_the_air_and_at_rest_do_not_slide():

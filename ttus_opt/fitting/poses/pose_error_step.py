@@ -308,7 +308,8 @@ class FieldPrior:
     def field(self, dual: Array) -> Array:
         """φ + C Dᵀ y, shape (V,)."""
         loads, common = self.rows.T @ dual, PROFILE_SPREAD * self.mean
-        return self.mean + self.varied.times(loads) + (common @ loads) * common
+        varied = self.varied.times(loads) + (common @ loads) * common
+        return np.asarray(self.mean + varied)
 
 
 def _noise(problem: PoseErrorProblem, model: DepthMapEstimate, force: Array) -> Array:

@@ -132,7 +132,6 @@ class RecursiveDepthMap:
         *,
         deviation: float = PRIOR["deviation"][0],
         surface_length: float | None = None,
-        depth_length: float = PRIOR["depth_length"][0],
         memory: float = 600.0,
         start: DepthMapState | None = None,
     ) -> None:
@@ -145,7 +144,6 @@ class RecursiveDepthMap:
             deviation: σ [–].
             surface_length: ℓ along the skin [m]; by default the prior's, in units of
                 the probe.
-            depth_length: Length along the depth [m].
             memory: Time over which g fades [s]; ``math.inf`` for never.
             start: An earlier map with the same profile, which is then the prior's mean.
 
@@ -160,6 +158,7 @@ class RecursiveDepthMap:
             )
         if surface_length is None:
             surface_length = PRIOR["surface_length"][0] * shell.rms_radius
+        depth_length = PRIOR["depth_length"][0]
         places = None if start is None else start.stiffness.shape[:2]
         self.shell, self.profile, self.deviation = shell, profile, deviation
         self.memory = memory
@@ -314,7 +313,8 @@ class RecursiveDepthMap:
     @property
     def uncertainty(self) -> UncertaintyMap:
         """Relative standard deviation at the reference depth, at most 3."""
-        lattice, k = self.lattice, _reference_node(self.lattice)
+        lattice = self.lattice
+        k = int(np.argmin(np.abs(lattice.depths - REFERENCE_DEPTH)))
         B, prior = self._from_touched, lattice.over_skin
         rest = np.zeros(len(prior))
         if len(self._places):
@@ -439,8 +439,3 @@ def _noise(normal: Array, pressed: float, crowded: float) -> Array:
     noise = across * np.eye(6)
     noise[:3, :3] += (own - across) * np.outer(normal, normal)
     return crowded * noise
-
-
-def _reference_node(lattice: DepthLattice) -> int:
-    """The depth node nearest to 10 mm."""
-    return int(np.argmin(np.abs(lattice.depths - REFERENCE_DEPTH)))

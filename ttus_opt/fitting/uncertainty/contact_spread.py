@@ -1,15 +1,17 @@
-"""How many places of a patient do recordings touch? Elsewhere the prior holds."""
+"""How many places of a patient do recordings touch? Elsewhere the prior holds.
+
+And which of them are left out together, to see how well a field predicts others.
+"""
 
 from __future__ import annotations
-
-import warnings
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import Scene
-from ttus_opt.core.arrays import Array
-from ttus_opt.core.errors import TtusWarning
+from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.errors import warn
 from ttus_opt.gaussian.conditioned import ByCovariance
 from ttus_opt.gaussian.matern import matern
 from ttus_opt.problem.terms.structure import UncertainMean
@@ -29,6 +31,12 @@ OWN_ERROR = 0.05
 
 #: Number of independent places below which a warning is given [–]
 FEW_PLACES = 2.0
+
+#: Presses nearer than this part of the probe's size are at the same place [–]
+SAME = 0.25
+
+#: Fewest presses that are places; fewer are long lines, which are divided [–]
+LEAST_PRESSES = 4
 
 
 def contact_spread(scene: Scene) -> float:
@@ -50,11 +58,9 @@ def warn_of_one_spot(scene: Scene) -> None:
     """Warn when all contacts are in one spot."""
     spread = contact_spread(scene)
     if spread < SPOT:
-        warnings.warn(
+        warn(
             f"all frames in contact lie within {1e3 * spread:.1f} mm of one spot: "
-            "elsewhere the field is only the prior; record presses at several places",
-            TtusWarning,
-            stacklevel=2,
+            "elsewhere the field is only the prior; record presses at several places"
         )
 
 
@@ -111,12 +117,11 @@ def told_variance(scene: Scene, mean: UncertainMean) -> float:
     told = 2.0 * spread**2 * telling_places(scene, mean.length)
     variance = max((usual / mean.deviation) ** (2.0 / (1.0 + told)), 1.0)
     if independent_places(scene, mean.length) < FEW_PLACES:
-        warnings.warn(
+        warn(
             "the recordings tell hardly more than one place, not how stiffness varies: "
             f"{100 * np.sqrt(variance) * mean.deviation:.0f} % are stated for that, by "
             "what bodies in general do; press at more places (see ttus-opt next-press)",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     return float(variance)
 
@@ -126,3 +131,30 @@ def _contacts(scene: Scene) -> Array:
     poses, touching = scene.trajectory, scene.touching
     at = poses.position + poses.rotation @ np.asarray(scene.shell.reference)
     return np.asarray(at[touching])
+
+
+def pressed_places(scene: Scene) -> IntArray:
+    """Number of every frame's place, shape (T,).
+
+    A place is a press with its repetitions, or a whole line along the skin: predicting
+    a press from another one at the same place tells nothing about a new place. Of fewer
+    than `LEAST_PRESSES` it is as large as the probe.
+    """
+    press, position = scene.presses, scene.trajectory.position
+    size, out = scene.shell.rms_radius, press.copy()
+    numbers = np.unique(press[scene.touching]).tolist()
+    if len(numbers) < LEAST_PRESSES:
+        return places(press, position, size)
+    known: dict[int, Array] = {}
+    for number in numbers:
+        at_press = position[press == number]
+        middle = at_press.mean(axis=0)
+        if np.linalg.norm(at_press - middle, axis=1).max() > size:
+            continue
+        far = {one: float(np.linalg.norm(at - middle)) for one, at in known.items()}
+        nearest = min(far, key=far.__getitem__, default=-1)
+        if nearest >= 0 and far[nearest] < SAME * size:
+            out[press == number] = nearest
+        else:
+            known[number] = middle
+    return out

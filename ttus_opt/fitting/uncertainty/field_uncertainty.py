@@ -9,7 +9,7 @@ likelihood (`wrench_noise`). Rows N of the field then have errors of covariance
 
 C is L⁻¹Ω L⁻ᵀ for a Laplace prior (`laplace_posterior`), or known explicitly
 (`covariance_posterior`). Where one solve per row is too expensive, the covariance is
-that of random draws of the error, kept near the skin (`posterior_draws`).
+that of random draws of the error, kept near the skin (`posterior`).
 
 The error is that of the estimate without limits.
 """
@@ -33,8 +33,8 @@ from ttus_opt.fitting.uncertainty.covariance_posterior import (
     wrenches,
 )
 from ttus_opt.fitting.uncertainty.laplace_posterior import LaplacePosterior
-from ttus_opt.fitting.uncertainty.posterior import Posterior
-from ttus_opt.fitting.uncertainty.posterior_draws import (
+from ttus_opt.fitting.uncertainty.posterior import (
+    Posterior,
     PosteriorDraws,
     checked_depth,
     skin_voxels,
@@ -50,7 +50,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.solution import Solution
 from ttus_opt.problem.terms.structure import UncertainMean
-from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
@@ -224,9 +224,7 @@ def uncertainty(
         scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
             solution.not_identified
         )
-        posterior = LaplacePosterior.of(
-            DualData.of(program), root_weights(program), scale, voxels
-        )
+        posterior = LaplacePosterior.of(DualData.of(program), scale, voxels)
     mean = None if known is None else known.mean
     estimated = _errors(scene, potential, prior, measured, posterior, mean)
     variance, noise, errors = estimated

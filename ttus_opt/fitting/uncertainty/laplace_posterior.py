@@ -53,17 +53,16 @@ class LaplacePosterior(Posterior):
 
     @classmethod
     def of(
-        cls, data: DualData, root: Array, scale: bool, voxels: IntArray | None = None
+        cls, data: DualData, scale: bool, voxels: IntArray | None = None
     ) -> LaplacePosterior:
         """Build the basis.
 
         Args:
             data: The problem.
-            root: Square roots of the rows' weights, shape (m,) [–].
             scale: Whether the scale of p₀ is unknown.
             voxels: Voxels at which fields are stored, shape (n,); None for all.
         """
-        sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
+        sweep, root = WeightSweep(data, RTOL, voxels), data.system.root_weights
         sweep.complete(root, MISSING)
         images, fields, told = sweep.images, sweep.take_fields(), sweep.informative
         roots, base = root[told], None

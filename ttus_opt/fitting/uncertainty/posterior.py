@@ -7,13 +7,16 @@ the rows' noise, its error has, with X = N C Dᵀ and Q = X S⁻¹, the covarian
     Cov[N p] = v (N C Nᵀ − Q Xᵀ − Q Qᵀ) + Q Σ Qᵀ.
 
 A draw is a draw of the prior minus its estimate from its own noisy measurements
-(Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See
-docs/method/identification.md, Uncertainty.
+(Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). Contact
+samples only voxels near the skin: draws are kept down to some depth, and the covariance
+of rows is then the sample covariance over them. See docs/method/identification.md,
+Uncertainty.
 """
 
 from __future__ import annotations
 
 import abc
+import math
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -22,15 +25,21 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.uncertainty.wrench_noise import ErrorModel
 from ttus_opt.gaussian.conditioned import Conditioned
 from ttus_opt.gaussian.prior import Prior
+from ttus_opt.voxmap.sampling import spoke_table
+from ttus_opt.voxmap.voxmap import Voxmap
 
 Float32Array = NDArray[np.float32]
 
 #: Rows, and draws, that are corrected by all measurements at once: a pass over what
 #: these are stored as costs more than the sums
 ROWS_AT_ONCE, DRAWS_AT_ONCE = 192, 32
+
+#: No draws are kept deeper than this [m]
+DEEPEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -148,3 +157,79 @@ def kept_rows(
     few = (rows.shape[0], len(voxels))
     kept = sp.csr_array((rows.data, np.maximum(column, 0), rows.indptr), few)
     return kept, missing
+
+
+@dataclass(frozen=True)
+class PosteriorDraws:
+    """Draws of the error of a field.
+
+    Attributes:
+        values: The draws, shape (count, n) [unit of the field].
+        sizes: Draws of ln ℓ₀ of `contact-size`, shape (count,) [–].
+        voxels: Voxels of the field's, shape (n,), ascending.
+        depth: Depth below the skin down to which they are kept [m].
+    """
+
+    values: Float32Array = field(repr=False)
+    sizes: Array = field(repr=False)
+    voxels: IntArray = field(repr=False)
+    depth: float
+
+    def covariance(
+        self, rows: sp.csr_array, height: int, sized: Array | None = None
+    ) -> Array:
+        """Covariance of blocks of rows of a field.
+
+        Args:
+            rows: Shape (k · height, V).
+            height: Rows of a block [–].
+            sized: As of `Posterior.covariance`.
+
+        Returns:
+            Shape (k, height, height); NaN where a block touches other voxels.
+        """
+        near, missing = kept_rows(rows, self.voxels, height)
+        count = len(self.values)
+        out = np.zeros((rows.shape[0] // height, height, height))
+        for start in range(0, count, DRAWS_AT_ONCE):  # only these in double precision
+            these = slice(start, start + DRAWS_AT_ONCE)
+            samples = np.asarray(near @ self.values[these].T)
+            if sized is not None:
+                samples += np.outer(sized, self.sizes[these])
+            samples = samples.reshape(len(out), height, -1)
+            out += samples @ samples.transpose(0, 2, 1) / count
+        out[missing] = np.nan
+        return np.asarray(out)
+
+
+def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
+    """Voxels that contact down to some depth samples, shape (n,), ascending.
+
+    Args:
+        voxmap: Grid and surface.
+        depth: Depth below the surface [m].
+
+    Raises:
+        InputError: As in `checked_depth`.
+    """
+    checked_depth(depth)
+    grid = voxmap.grid
+    outermost = spoke_table(voxmap)[:, 1].astype(np.int64)
+    n_spokes = len(outermost)
+    layers = outermost - np.arange(math.ceil(depth / grid.r_step) + 2)[:, None]
+    spokes = np.broadcast_to(np.arange(n_spokes), layers.shape)
+    inside = layers >= 0
+    return np.sort(layers[inside] * n_spokes + spokes[inside])
+
+
+def checked_depth(depth: float) -> float:
+    """Return a valid depth [m].
+
+    Raises:
+        InputError: It is not positive, or beyond `DEEPEST`.
+    """
+    if not 0.0 < depth < DEEPEST:
+        raise InputError(
+            f"depth must be positive and below {DEEPEST:g} m, got {depth} m"
+        )
+    return depth

@@ -15,7 +15,7 @@ import numpy as np
 from ttus_opt.core import io
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.fitting.uncertainty.field_uncertainty import DEPTH, Uncertainty
-from ttus_opt.fitting.uncertainty.posterior_draws import PosteriorDraws, skin_voxels
+from ttus_opt.fitting.uncertainty.posterior import PosteriorDraws, skin_voxels
 from ttus_opt.fitting.uncertainty.skin_uncertainty import require_own, uncertainty_map
 from ttus_opt.fitting.uncertainty.wrench_noise import WrenchNoise
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty

@@ -11,7 +11,7 @@ Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -114,65 +114,52 @@ def check_uncertainty(
         )
     press = runs(touching, trajectory.segment)[touching]
     place = places(press, trajectory.position[touching])
-    force = _Agreement.of(
-        (evaluation.rendered_force - evaluation.measured_force)[touching],
-        stated.force[touching],
-        stated.force_noise[touching],
-        place,
-    )
-    torque, torque_std = _Agreement(), np.nan
+    found: dict[str, Any] = {
+        "force_std_N": float(np.median(stated.force_size[touching])),
+        "torque_std_Nm": np.nan,
+        "torque_coverage": np.nan,
+        "torque_rank_correlation": np.nan,
+        "frames": int(touching.sum()),
+        "frames_unknown": int((~stated.known).sum()),
+        "places": int(place[-1]) + 1,
+    }
+    parts = {
+        "force": (
+            evaluation.rendered_force - evaluation.measured_force,
+            stated.force,
+            stated.force_noise,
+        )
+    }
     if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
-        torque_std = float(np.median(stated.torque_size[touching]))
-        torque = _Agreement.of(
-            (evaluation.rendered_torque - evaluation.measured_torque)[touching],
-            stated.torque[touching],
-            stated.torque_noise[touching],
-            place,
-        )
-    return Calibration(
-        float(np.median(stated.force_size[touching])),
-        torque_std,
-        *(force.coverage, torque.coverage, force.ranks, torque.ranks),
-        int(touching.sum()),
-        int((~stated.known).sum()),
-        *(force.ranks_error, torque.ranks_error),
-        *(force.total_ranks, torque.total_ranks),
-        *(force.place_ranks, torque.place_ranks),
-        int(place[-1]) + 1,
-        None
-        if force.spread is None
-        else CalibrationCurve.of(force.spread, torque.spread),
-    )
+        found["torque_std_Nm"] = float(np.median(stated.torque_size[touching]))
+        off = evaluation.rendered_torque - evaluation.measured_torque
+        parts["torque"] = off, stated.torque, stated.torque_noise
+    spreads: dict[str, Spread] = {}
+    for name, part in parts.items():
+        error, std, noise = (values[touching] for values in part)
+        spreads[name] = error, np.hypot(std, noise)
+        figures = _figures(*spreads[name], std, place)
+        found |= {f"{name}_{figure}": value for figure, value in figures.items()}
+    curve = CalibrationCurve.of(spreads["force"], spreads.get("torque"))
+    return Calibration(**found, curve=curve)
 
 
-@dataclass(frozen=True)
-class _Agreement:
-    """The figures of `Calibration` for force or torque."""
-
-    coverage: float = np.nan
-    ranks: float = np.nan
-    ranks_error: float = np.nan
-    total_ranks: float = np.nan
-    place_ranks: float = np.nan
-    spread: Spread | None = None
-
-    @classmethod
-    def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
-        """From errors, standard deviations and noise of components, (n, 3) each."""
-        total = np.sqrt(std**2 + noise**2)
-        off, stated, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
-        frames = np.bincount(place)
-        left = [_ranks(off[place != i], stated[place != i]) for i in range(len(frames))]
-        jackknife = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
-        means = (np.bincount(place, values) / frames for values in (off, stated))
-        return cls(
-            float((np.abs(error) <= NORMAL * total).mean()),
-            _ranks(off, stated),
-            float(jackknife) if len(left) >= LEAST else np.nan,
-            _ranks(off, whole),
-            _ranks(*means),
-            (error, total),
-        )
+def _figures(
+    error: Array, total: Array, std: Array, place: IntArray
+) -> dict[str, float]:
+    """From errors, their deviations with noise and without, (n, 3) each."""
+    off, stated, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
+    frames = np.bincount(place)
+    left = [_ranks(off[place != i], stated[place != i]) for i in range(len(frames))]
+    jackknife = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
+    means = (np.bincount(place, values) / frames for values in (off, stated))
+    return {
+        "coverage": float((np.abs(error) <= NORMAL * total).mean()),
+        "rank_correlation": _ranks(off, stated),
+        "rank_error": float(jackknife) if len(left) >= LEAST else np.nan,
+        "total_rank_correlation": _ranks(off, whole),
+        "place_rank_correlation": _ranks(*means),
+    }
 
 
 def _ranks(a: Array, b: Array) -> float:

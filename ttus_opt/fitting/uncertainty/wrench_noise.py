@@ -20,7 +20,6 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
@@ -28,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
-from ttus_opt.core.errors import InputError, TtusWarning
+from ttus_opt.core.errors import InputError, warn
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.gaussian.posterior_mode import posterior_mode
 
@@ -294,13 +293,12 @@ class MeasuredWrenches:
         found, noise = self._likeliest(variance, held, place_share)
         if noise.place_share >= AT_LIMIT * MOST_SHARE:
             usual = place_share[0]
-            warnings.warn(
+            warn(
                 "uncertainty: the recordings do not tell errors of whole places, "
                 f"which seem larger than {100 * MOST_SHARE:.0f} %, from what the "
                 f"field does not know; {100 * usual:.0f} % of the wrench are taken "
                 "for them",
-                TtusWarning,
-                stacklevel=3,
+                2,
             )
             held = held | {"place_share": usual}
             return self._likeliest(variance, held, place_share)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -81,10 +80,6 @@ class Check:
             f"their difference ± {self.difference_error:.2g} N over {self.places} "
             "places)"
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """All of it by name, for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import scipy.sparse.linalg
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
-from ttus_opt.fitting.uncertainty.presses import pressed_places
+from ttus_opt.fitting.uncertainty.contact_spread import pressed_places
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program

@@ -21,19 +21,21 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.errors import InputError, warn
 from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.checks.zero_check import on_zero, warn_of_zero
-from ttus_opt.fitting.uncertainty.contact_spread import SPOT, contact_spread
-from ttus_opt.fitting.uncertainty.presses import pressed_places
+from ttus_opt.fitting.uncertainty.contact_spread import (
+    SPOT,
+    contact_spread,
+    pressed_places,
+)
 from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_drag import estimate_dragged
 from ttus_opt.problem.terms.depth_map_estimate import (
     PRIOR,
     UnusableForcesError,
     estimate_depth_map,
 )
-from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
 from ttus_opt.problem.terms.part_noise import TURN
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.sampling import least_length, sized
@@ -90,7 +92,7 @@ class WeightChoice:
             "not_determined": list(self.tuning.not_determined),
             "noise_N": self.tuning.noise,
             "left_out_force_error_N": self.tuning.left_out_force_error,
-            "held_out": [self.tuning.check.as_dict()],
+            "held_out": [asdict(self.tuning.check)],
             "tuned_on": list(self.tuning.shape),
             "seconds": self.tuning.seconds,
         }
@@ -170,7 +172,7 @@ def word_for(
             )
         return word
     can = formulation is None or has_weights(formulation)
-    if not (can or isinstance(formulation, Formulation)):  # a depth map, or a user's
+    if not can and isinstance(formulation, str | Path):  # a depth map, or a user's
         can = formulation in DEPTH_MAPS or Path(formulation).suffix == ".py"
     return AUTO if can and not given else OWN
 

@@ -96,17 +96,9 @@ class DragModel(abc.ABC):
         where = scene.voxmap, scene.shell, scene.trajectory
         return point_drag_rows(*where, sampling=scene.sampling, deadband=deadband)
 
-    def force_blocks(self) -> Blocks:
-        """Force rows by variable: N for the field, and the rows of drag."""
-        return self._beside(self.scene.N, self.rows.force)
-
-    def torque_blocks(self) -> Blocks:
-        """Torque rows by variable [m]."""
-        return self._beside(self.scene.W, self.rows.torque)
-
     @abc.abstractmethod
-    def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
-        """The rows of contact and of drag by variable."""
+    def beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+        """Rows by variable, of contact for the field and the same `rows` of drag."""
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
         """The coefficients that are variables, by name."""
@@ -208,7 +200,8 @@ class GlobalCoulomb(DragModel):
             return self
         return replace(self, presliding=length)
 
-    def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+    def beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+        """Implements `DragModel`."""
         return {"p": sp.csr_array(contact - self.coefficient * drag)}
 
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
@@ -241,7 +234,8 @@ class CoulombField(DragModel):
         """The formula F q."""
         return "F q"
 
-    def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+    def beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+        """Implements `DragModel`."""
         if self.excluded:
             return {"p": contact}
         return {"p": contact, "q": sp.csr_array(-drag)}
@@ -326,7 +320,8 @@ class Viscous(DragModel):
         alone = self.sectors * self.bands == 1
         return friction.VISCOUS if alone else f"{friction.VISCOUS}_{patch}"
 
-    def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+    def beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+        """Implements `DragModel`."""
         return {"p": contact, "c": sp.csr_array(-drag)}
 
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:

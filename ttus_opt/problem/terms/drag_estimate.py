@@ -7,6 +7,11 @@ every point of the probe. On the patch or at the reference point, drag may build
 a presliding length and then hold a probe at rest: it does where that is likelier than
 drag that fades, and where the recordings tell the length from none and from any. Where
 only lengths up to one are alike, that one is taken: the softest bristle.
+
+The Laplace field hardly tells drag of every point from that of the patch: what it has
+wrong of the forces is larger than what they differ by. Where its likelihoods are within
+the threshold at which drag itself is shown, the depth map's decide, of the same normal
+forces with each one's drag taken from the rows.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +28,10 @@ from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
+from ttus_opt.problem.terms.depth_map_estimate import (
+    DepthMapEstimate,
+    estimate_depth_map,
+)
 from ttus_opt.problem.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
 from ttus_opt.problem.terms.drag import AT_POINTS, GlobalCoulomb
 from ttus_opt.problem.terms.rows import replaced
@@ -115,6 +125,34 @@ def alike_drag(
         known[deadband, places] = _estimates(scene, deadband, places)
     best, *others = known[deadband, places]
     return [best, *(one for one in others if one.gain > best.gain - alike)]
+
+
+def estimate_dragged(
+    scene: Scene,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+    largest: float = 1.0,
+    **options: Any,
+) -> tuple[DragEstimate, DepthMapEstimate]:
+    """The likeliest drag and the depth map with it.
+
+    Args:
+        scene: A scene with measured wrenches.
+        acts_at: As of `estimate_drag`.
+        deadband: The same [m/s].
+        largest: Largest μ [–].
+        options: Of `estimate_depth_map`.
+
+    Raises:
+        InputError: As of both.
+        UnusableForcesError: As of `estimate_depth_map`.
+    """
+    found = []
+    for drag in alike_drag(scene, acts_at, deadband):
+        mu = min(drag.friction_coefficient, largest)
+        rows = scene.N - mu * drag.drag.rows.force
+        found.append((drag, estimate_depth_map(scene, rows, **options)))
+    return max(found, key=lambda one: one[1].log_evidence)
 
 
 def _estimates(

@@ -58,7 +58,9 @@ class ForceTerm(_Measured):
     def rows(self) -> AffineRows:
         """N and the rows of drag by variable, and f, over relative errors."""
         scene, drag, noise = self.scene, self.drag, self.noise
-        blocks = {"p": scene.N} if drag is None else drag.force_blocks()
+        blocks = (
+            {"p": scene.N} if drag is None else drag.beside(scene.N, drag.rows.force)
+        )
         if noise is None:
             return AffineRows(blocks, scene.f)
         return whitened(noise.force, blocks, noise.expected(scene.f))
@@ -151,7 +153,9 @@ class TorqueTerm(_Measured):
     def rows(self) -> AffineRows:
         """W/ℓ and the rows of drag by variable, and τ/ℓ, over relative errors."""
         scene, drag, noise = self.scene, self.drag, self.noise
-        blocks = {"p": scene.W} if drag is None else drag.torque_blocks()
+        blocks = (
+            {"p": scene.W} if drag is None else drag.beside(scene.W, drag.rows.torque)
+        )
         if scene.measures_force_only:
             return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
         scale = 1.0 / (self.length or scene.torque_length)
