@@ -51,7 +51,8 @@ def test_light_is_what_a_rough_surface_sends():
 
 @pytest.mark.parametrize("high", [0.02, 0.0])
 def test_a_tube_is_closed_and_looks_outwards(high):
-    mesh = trimesh.Trimesh(*_tube(0.02, high, 0.1))
+    tube = _tube(0.02, high, 0.1)
+    mesh = trimesh.Trimesh(tube.vertices, tube.faces)
     mesh.update_faces(mesh.nondegenerate_faces())  # a cone's ring at its tip
     sector = 0.5 * SECTIONS * np.sin(2.0 * np.pi / SECTIONS)
     share = 1.0 if high else 1.0 / 3.0

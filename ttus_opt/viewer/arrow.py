@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.probe.cylindrical import TURN
-from ttus_opt.probe.pose import to_quaternions
+from ttus_opt.probe.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     import viser
@@ -39,11 +39,11 @@ class Arrow:
         self._frame = scene.add_frame(name, show_axes=False, visible=False)
         self._shaft, self._head = (
             scene.add_mesh_simple(
-                f"{name}/{part}", *_tube(*sizes), color=colour,
+                f"{name}/{part}", mesh.vertices, mesh.faces, color=colour,
                 cast_shadow=False, receive_shadow=False,
             )
-            for part, sizes in (
-                ("shaft", (SHAFT, SHAFT, 1.0)), ("head", (HEAD, 0.0, TIP))
+            for part, mesh in (
+                ("shaft", _tube(SHAFT, SHAFT, 1.0)), ("head", _tube(HEAD, 0.0, TIP))
             )
         )  # fmt: skip
 
@@ -54,7 +54,10 @@ class Arrow:
         """
         length = float(np.linalg.norm(way))
         self._frame.position = start
-        self._frame.wxyz = to_quaternions(_turned(way / length)[None])[0]
+        x, y, z = way / length
+        # half-way from the third axis to the way; down, about the second axis
+        turn = np.array([1.0 + z, -y, x or np.finfo(float).tiny, 0.0])
+        self._frame.wxyz = turn / math.hypot(*turn)
         bare = max(length - TIP, 0.0)
         self._head.position = (0.0, 0.0, bare)
         # a page takes its time over a size: few changes, whose end the head hides
@@ -73,27 +76,12 @@ class Arrow:
             self._frame.visible = False
 
 
-def _turned(axis: Array) -> Array:
-    """A rotation (3, 3) that takes the third axis to a unit vector (3,)."""
-    least = np.eye(3)[np.abs(axis).argmin()]
-    across = np.cross(least, axis)
-    across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(axis, across), axis], axis=1)
-
-
-def _tube(low: float, high: float, height: float) -> tuple[Array, IntArray]:
-    """Vertices and faces of a closed tube along z from a radius to another [m]."""
+def _tube(low: float, high: float, height: float) -> TriangleMesh:
+    """A closed tube along z from a radius to another [m]."""
     angle = np.arange(SECTIONS) * TURN / SECTIONS
-    x, y = np.cos(angle), np.sin(angle)
-    ends = [[0.0, 0.0, 0.0], [0.0, 0.0, height]]
     rings = [
-        np.stack([r * x, r * y, z + 0.0 * x], axis=1)
+        np.stack([r * np.cos(angle), r * np.sin(angle), np.full(SECTIONS, z)], axis=1)
         for r, z in ((low, 0.0), (high, height))
     ]
-    a = 2 + np.arange(SECTIONS)
-    b = np.roll(a, -1)
-    c, d, zero = a + SECTIONS, b + SECTIONS, 0 * a
-    faces = [(zero, b, a), (a, b, d), (a, d, c), (zero + 1, c, d)]
-    return np.concatenate([ends, *rings]), np.concatenate(
-        [np.stack(f, axis=1) for f in faces]
-    )
+    points = np.concatenate(rings)
+    return TriangleMesh(points, np.arange(3)[None]).convex_hull()

@@ -7,7 +7,8 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import bisect
 
 from ttus_opt.contact.standing import skin_frames, skin_points
 from ttus_opt.core.arrays import Array, IntArray
@@ -39,8 +40,9 @@ ROUNDED = 1e-9
 #: How far a ray may pass the skin and still point at it [m]
 NEAR = 0.003
 
-#: Steps along a ray, and bisections of the one in which it enters [–]
-RAY_STEPS, BISECTIONS = 400, 20
+#: Steps along a ray [–], and how exactly the place in the one is found in which it
+#: enters [m]
+RAY_STEPS, EXACT = 400, 1e-6
 
 
 @dataclass(frozen=True)
@@ -158,20 +160,17 @@ def place_on_ray(
     way = float((middle - origin) @ ray)
     along = np.linspace(max(way - size, 0.0), max(way, 0.0) + size, RAY_STEPS)
 
-    def above(t: Array) -> Array:
+    def above(t: ArrayLike) -> Array:
         """Height above the skin; the body ends at its first and last slice."""
-        points = origin + t[:, None] * ray
-        beyond = np.maximum(low - points[:, 2], points[:, 2] - high)
+        points = origin + np.multiply.outer(t, ray)
+        beyond = np.maximum(low - points[..., 2], points[..., 2] - high)
         return np.asarray(np.maximum(-surface.depth_of(points), beyond))
 
     heights = above(along)
     inside = np.flatnonzero(heights <= 0.0)
     if len(inside) and inside[0] > 0:
-        out, within = along[inside[0] - 1], along[inside[0]]
-        for _ in range(BISECTIONS):
-            half = 0.5 * (out + within)
-            out, within = (half, within) if above(half[None])[0] > 0 else (out, half)
-        t = out
+        enters = along[inside[0] - 1], along[inside[0]]
+        t = bisect(lambda t: float(above(t)), *enters, xtol=EXACT)
     else:
         t = along[int(heights.argmin())]
     x, y, z = met = origin + t * ray
