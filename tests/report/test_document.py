@@ -33,9 +33,13 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
     assert "![a caption](figures/a.png)" in plain
     assert "| press | **0.3** |" in plain
     assert "<h1>Errors &amp; aims</h1>" in page
-    assert "A <b>bold</b> word, <i>this</i> and <code>code</code> &lt; 3" in page
+    assert (
+        "A <strong>bold</strong> word, <em>this</em> and <code>code</code> &lt; 3"
+        in page
+    )
     assert '<a href="a.csv">see</a>' in page and "<title>Errors &amp; aims<" in page
-    assert "<td><b>0.3</b></td>" in page and "<li>two <b>b</b></li>" in page
+    assert "<td><strong>0.3</strong></td>" in page
+    assert "<li>two <strong>b</strong></li>" in page
     assert base64.b64encode(data).decode() in page
     assert "figures/a.png" not in page  # self-contained
 

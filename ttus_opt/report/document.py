@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-import re
+import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -12,9 +12,10 @@ from pathlib import Path
 from textwrap import fill, wrap
 from typing import TYPE_CHECKING
 
-from ttus_opt.core import html_card, io
+from ttus_opt.core import io
 
 if TYPE_CHECKING:
+    from markdown_it import MarkdownIt
     from matplotlib.figure import Figure
 
 #: Colours of a picture's palette: visually lossless, and small enough to embed
@@ -43,7 +44,8 @@ class Block:
 
     def html(self, folder: Path) -> str:
         """As HTML; pictures are read from ``folder`` and embedded."""
-        raise NotImplementedError
+        rendered: str = _markdown().render(str(self))
+        return rendered
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,6 @@ class Heading(Block):
     def __str__(self) -> str:
         return f"{'#' * self.level} {self.text}"
 
-    def html(self, folder: Path) -> str:
-        """As HTML."""
-        return f"<h{self.level}>{_inline(self.text)}</h{self.level}>"
-
 
 @dataclass(frozen=True)
 class Text(Block):
@@ -77,10 +75,6 @@ class Text(Block):
     def fitted(self, width: int) -> str:
         """As text in so many columns."""
         return fill(self.text, width)
-
-    def html(self, folder: Path) -> str:
-        """As HTML."""
-        return f"<p>{_inline(self.text)}</p>"
 
 
 @dataclass(frozen=True)
@@ -98,11 +92,6 @@ class Items(Block):
             fill(f"- {line}", width, subsequent_indent="  ") for line in self.lines
         )
         return "\n".join(lines)
-
-    def html(self, folder: Path) -> str:
-        """As HTML."""
-        lines = "".join(f"<li>{_inline(line)}</li>" for line in self.lines)
-        return f"<ul>{lines}</ul>"
 
 
 @dataclass(frozen=True)
@@ -198,10 +187,6 @@ class Table(Block):
         """All columns but one."""
         return self._only([k for k, h in enumerate(self.header) if h != column])
 
-    def html(self, folder: Path) -> str:
-        """As HTML."""
-        return _styled(html_card.table(self.header, self.rows))
-
 
 def _breakable(cell: str) -> list[str]:
     """Parts of a cell that stay on one line."""
@@ -235,7 +220,7 @@ class Picture(Block):
         return (
             f'<figure><img alt="{escape(self.caption)}" '
             f'src="data:image/png;base64,{data}">'
-            f"<figcaption>{_inline(self.caption)}</figcaption></figure>"
+            f"<figcaption>{_markdown().renderInline(self.caption)}</figcaption></figure>"
         )
 
     def save(self, folder: Path) -> None:
@@ -291,17 +276,8 @@ def write_report(folder: Path, blocks: Sequence[Block]) -> Path:
     return folder / "report.md"
 
 
-def _inline(words: str) -> str:
-    """Text with its markup as HTML."""
-    return _styled(escape(words))
+@functools.cache
+def _markdown() -> MarkdownIt:
+    from markdown_it import MarkdownIt
 
-
-def _styled(escaped: str) -> str:
-    for markup, tags in (
-        (r"\*\*(.+?)\*\*", r"<b>\1</b>"),
-        (r"\*(\S[^*]*)\*", r"<i>\1</i>"),
-        (r"`(.+?)`", r"<code>\1</code>"),
-        (r"\[([^]]+)\]\(([^)]+)\)", r'<a href="\2">\1</a>'),
-    ):
-        escaped = re.sub(markup, tags, escaped)
-    return escaped
+    return MarkdownIt("commonmark", {"html": False}).enable("table")

@@ -123,29 +123,28 @@ def residual_histogram(
     with look():
         figure = new_figure(7.2, 3.1, margins=(0.61, 0.06, 0.96, 0.06))
         left, right = figure.subplots(1, 2, gridspec_kw={"wspace": 0.13})
-        _draw_shares(left, [_force(e) for e in before], [_force(e) for e in after], "N")
-        left.set_xlabel("force residual, each component [N]")
+        for ax, what, factor, unit in (
+            (left, "force", 1.0, "N"),
+            (right, "torque", 1e3, "mN m"),
+        ):
+            _draw_shares(
+                ax, *(factor * _residuals(e, what) for e in (before, after)), unit
+            )
+            ax.set_xlabel(f"{what} residual, each component [{unit}]")
         left.set_ylabel("share of residuals [%]")
-        _draw_shares(
-            right, [_torque(e) for e in before], [_torque(e) for e in after], "mN m"
-        )
-        right.set_xlabel("torque residual, each component [mN m]")
     return figure
 
 
-def _force(evaluation: Evaluation) -> Array:
-    return (evaluation.rendered_force - evaluation.measured_force).reshape(-1)
+def _residuals(evaluations: Sequence[Evaluation], what: str) -> Array:
+    """Rendered minus measured components of ``force`` or ``torque``, flat."""
+    pairs = [
+        (getattr(e, f"rendered_{what}"), getattr(e, f"measured_{what}"))
+        for e in evaluations
+    ]
+    return np.concatenate([(a - b).reshape(-1) for a, b in pairs])
 
 
-def _torque(evaluation: Evaluation) -> Array:
-    residual = evaluation.rendered_torque - evaluation.measured_torque
-    return 1e3 * residual.reshape(-1)
-
-
-def _draw_shares(
-    axes: Any, before: Sequence[Array], after: Sequence[Array], unit: str
-) -> None:
-    first, second = np.concatenate(before), np.concatenate(after)
+def _draw_shares(axes: Any, first: Array, second: Array, unit: str) -> None:
     reach = float(np.percentile(np.abs(np.concatenate([first, second])), 99.5)) or 1.0
     edges = np.linspace(-reach, reach, 42)
     for values, label, style in (

@@ -19,6 +19,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.extrapolation import Contacts
 from ttus_opt.report.metrics import FORCE_THRESHOLD
 from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.report.plots.potential import round_up
@@ -149,11 +150,7 @@ class _Frames:
         """Choose frames of a recording at even intervals."""
         n = len(recorded)
         some = recorded.select(np.unique(np.linspace(0, n - 1, ARROWS).astype(int)))
-        placed = [
-            shell.points @ rotation.T + position
-            for rotation, position in zip(some.rotation, some.position, strict=True)
-        ]
-        contact = np.array([_touches(surface, points) for points in placed])
+        contact = Contacts.of(surface, shell, some).depth > 0.0
         felt = np.zeros_like(contact)
         if some.force is not None:
             felt = np.linalg.norm(some.force, axis=1) > FORCE_THRESHOLD
@@ -162,15 +159,8 @@ class _Frames:
             some.rotation @ shell.reference + some.position,
             some.force,
             np.stack([contact, felt], axis=1),
-            [placed[i] for i in shown],
+            [shell.points @ some.rotation[i].T + some.position[i] for i in shown],
         )
-
-
-def _touches(surface: Surface, points: Array) -> bool:
-    """Whether any of the points (M, 3) [m] is inside the skin."""
-    z = points[:, 2]
-    known = (z >= surface.z[0]) & (z <= surface.z[-1])
-    return bool((known & (surface.depth_of(points) > 0.0)).any())
 
 
 def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
