@@ -10,8 +10,8 @@ with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (
 is no drag, except that of `ttus_opt.haptic.presliding`, which depends on the motion of
 all frames so far.
 
-`wrenches_along` computes it for a whole recording from the rows, `ttus_opt.Renderer`
-for one pose in compiled code; both agree up to rounding, up to the renderer's limits:
+`wrenches_along` computes it for a whole recording, from the rows and the drag of such
+frames; `ttus_opt.Renderer` for one pose. Both agree up to rounding and its limits:
 these protect a hand and are no property of the patient, so `evaluate`, which uses the
 first, judges the whole wrench and says how many frames a renderer would shorten.
 `ttus-opt render` uses the second. The rows of a fit with friction are the same
@@ -27,23 +27,30 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact.contact_size import Patches
-from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import (
     ACTS_AT,
     AT_POINTS,
-    FRICTION,
     PRESLIDING,
     DragLaw,
     drag_of,
+    patch_of,
+    patch_weights,
 )
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.motion import ways_along
 from ttus_opt.haptic.point_drag import add_point_drag
-from ttus_opt.haptic.presliding import add_presliding, bent_along
+from ttus_opt.haptic.presliding import (
+    BRISTLE,
+    add_presliding,
+    bend,
+    flank_of,
+    strength_of,
+)
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -173,60 +180,38 @@ def wrenches_by_rows(
     wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
     law = DragLaw.of(potential.parameters, potential.voxmap.grid)
     if law.active:
-        wrench += _drags(law, potential, shell, trajectory, wrench, rows.patches)
+        wrench += _drags(law, potential, shell, trajectory)
     return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid, rows.beyond_inner)
 
 
 def _drags(
-    law: DragLaw,
-    potential: PotentialField,
-    shell: PointShell,
-    trajectory: Trajectory,
-    contact: Array,
-    patches: Patches,
+    law: DragLaw, potential: PotentialField, shell: PointShell, trajectory: Trajectory
 ) -> Array:
-    """Drag of every frame, shape (T, 6) [N, N·m]."""
-    sliding = Sliding.of(potential.voxmap, shell, trajectory, patches=patches)
-    patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
-    twist, reference = trajectory.twist(), np.array(shell.reference)
-    drag, flanks = np.empty_like(contact), np.zeros(len(contact))
-    at_points, presliding = law.numbers[ACTS_AT] == AT_POINTS, law.numbers[PRESLIDING]
-    if at_points and presliding > 0.0:  # of points that move along n̂
-        along = np.concatenate([sliding.normal, np.zeros_like(sliding.normal)], axis=1)
-        pushed = _point_drags(law, potential, shell, trajectory, along)
-        flanks = -np.einsum("ti,ti->t", pushed[:, :3], sliding.normal)
-        flanks = np.maximum(flanks, 0.0)
-    R, at, numbers = np.empty((3, 3)), np.empty(3), law.numbers
-    if presliding > 0.0:
-        pressed = np.einsum("ti,ti->t", sliding.normal, contact[:, :3])
-        strength = numbers[FRICTION] * np.maximum(pressed, 0.0)
-        bent = bent_along(shell, trajectory, patch, strength, flanks, numbers)
+    """Drag of every frame, by a renderer's own code, shape (T, 6) [N, N·m]."""
+    data = FrameData.of(potential.voxmap, shell, potential.sampling)
+    weights = np.ascontiguousarray(patch_weights(shell)[ShellBlocks.of(shell).order])
+    values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
+    numbers, reference = law.numbers, np.array(shell.reference)
+    at_points, presliding = numbers[ACTS_AT] == AT_POINTS, numbers[PRESLIDING] > 0.0
+    ways = np.concatenate([np.zeros((1, 6)), ways_along(shell, trajectory)])
+    begins = np.concatenate([[True], np.diff(trajectory.segment) != 0])
+    twist, drag = trajectory.twist(), np.zeros_like(ways)
+    R, at, contact, patch = np.empty((3, 3)), np.empty(3), np.empty(6), np.empty(6)
+    bristle, scratch = np.zeros(BRISTLE), np.empty((2, 6))
     for t in range(len(trajectory)):
         # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
-        drag_of(R, at, twist[t], reference, patch[t], contact[t], numbers, drag[t])
-        if presliding > 0.0:
-            add_presliding(bent[t], patch[t], contact[t], flanks[t], numbers, drag[t])
-    if at_points and presliding == 0.0:
-        drag += _point_drags(law, potential, shell, trajectory, twist)
-    return drag
-
-
-def _point_drags(
-    law: DragLaw,
-    potential: PotentialField,
-    shell: PointShell,
-    trajectory: Trajectory,
-    twist: Array,
-) -> Array:
-    """Drag of all shell points at given twists (T, 6), by the renderer's code."""
-    data = FrameData.of(potential.voxmap, shell, potential.sampling)
-    drag = np.zeros_like(twist)
-    values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
-    R, at, wrench = np.empty((3, 3)), np.empty(3), np.empty(6)
-    for t in range(len(trajectory)):
-        R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
         n = touch(R, at, data)[0]
-        wrench_of(values, n, R, data, wrench)
-        add_point_drag(R, twist[t], n, data, law.numbers, drag[t])
+        wrench_of(values, n, R, data, contact)
+        patch_of(R, n, data.touched, data.depth, weights, patch)
+        drag_of(R, at, twist[t], reference, patch, contact, numbers, drag[t])
+        if presliding:
+            flank = flank_of(R, patch, n, data, numbers, scratch)
+            if begins[t]:
+                bristle[:] = 0.0
+            strength = strength_of(patch, contact, numbers)
+            bend(bristle, tuple(ways[t]), R, patch, strength, flank, numbers)
+            add_presliding(bristle, patch, contact, flank, numbers, drag[t])
+        elif at_points:
+            add_point_drag(R, twist[t], n, data, numbers, drag[t])
     return drag

@@ -196,53 +196,34 @@ def with_bristle(
         return sliding
     pressed = np.einsum("ti,ti->t", sliding.normal, force)
     patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
-    strength, flank = np.maximum(pressed, 0.0), np.zeros(len(pressed))
-    bristle = bent_along(shell, trajectory, patch, strength, flank, numbers)
-    return replace(sliding, bristle=bristle[:, :3])
-
-
-def bent_along(
-    shell: PointShell,
-    trajectory: Trajectory,
-    patch: Array,
-    strength: Array,
-    flank: Array,
-    numbers: Array,
-) -> Array:
-    """The bristle in every frame of a trajectory, shape (T, BRISTLE).
-
-    Args:
-        shell: The probe.
-        trajectory: The poses; a recording begins with a straight bristle.
-        patch: n̂ [–] and c [m] of every frame, patient axes, shape (T, 6).
-        strength: M, shape (T,) [N].
-        flank: M_n, shape (T,) [N].
-        numbers: `DragLaw.numbers`.
-    """
     R = np.ascontiguousarray(trajectory.rotation)
     ways = np.concatenate([np.zeros((1, 6)), ways_along(shell, trajectory)])
     begins = np.concatenate([[True], np.diff(trajectory.segment) != 0])
-    strengths = np.stack([strength, flank], axis=1)
-    return np.asarray(_bent(begins, ways, R, patch, strengths, numbers))
+    strength = np.maximum(pressed, 0.0)
+    return replace(sliding, bristle=_bent(begins, ways, R, patch, strength, numbers))
 
 
 @compiled(error_model="numpy")
 def _bent(
-    begins: Mask,
-    ways: Array,
-    rotation: Array,
-    patch: Array,
-    strengths: Array,
+    begins: Mask, ways: Array, rotation: Array, patch: Array, strength: Array,
     numbers: Array,
-) -> Array:
-    """`bent_along`, with M and M_n as columns of strengths (compiled)."""
-    out, bristle = np.empty((len(begins), BRISTLE)), np.zeros(BRISTLE)
+) -> Array:  # fmt: skip
+    """B in every frame of recordings, which begin straight, shape (T, 3) (compiled).
+
+    Args:
+        begins: Whether a recording begins, shape (T,).
+        ways: From the frame before, shape (T, 6) [m, rad].
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        patch: n̂ [–] and c [m], patient axes, shape (T, 6).
+        strength: M, shape (T,) [N].
+        numbers: `DragLaw.numbers`.
+    """
+    out, bristle = np.empty((len(begins), 3)), np.zeros(BRISTLE)
     for t in range(len(begins)):
         if begins[t]:
             bristle[:] = 0.0
         a = ways[t]
         way = (a[0], a[1], a[2], a[3], a[4], a[5])
-        strength, flank = strengths[t, 0], strengths[t, 1]
-        bend(bristle, way, rotation[t], patch[t], strength, flank, numbers)
-        out[t] = bristle
+        bend(bristle, way, rotation[t], patch[t], strength[t], 0.0, numbers)
+        out[t] = bristle[:3]
     return out
