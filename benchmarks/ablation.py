@@ -66,7 +66,7 @@ def build(case: str, problem: str) -> Program:
     name, how, sampling, weight = PROBLEMS[problem]
     spec = reference_cases(case)[0].sampled(sampling).perturbed(how)
     weights = {} if weight is None else dict.fromkeys(WEIGHTS, weight)
-    return formulation.load(name, spec.build(), **weights).compile()
+    return formulation.load(name, spec.scene(), **weights).compile()
 
 
 def variants(only: list[str]) -> Iterator[str]:

@@ -65,7 +65,7 @@ class Choice:
 def scene_of(shape: tuple[int, int, int], n_poses: int) -> Scene:
     """The example's recordings on a grid."""
     case = replace(reference_cases("S")[0], shape=shape, n_poses=n_poses)
-    scene = case.build()
+    scene = case.scene()
     for package in ("cvxpy", "qpsolvers", "clarabel", "osqp", "scs"):
         if importlib.util.find_spec(package):  # loading is no part of the comparison
             importlib.import_module(package)

@@ -81,7 +81,7 @@ class Ttus(qpbenchmark.TestSet):
         for case in _cases():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                scene = case.build()
+                scene = case.scene()
             for name in FORMULATIONS:
                 program = load(name, scene, **WEIGHTS).compile()
                 yield _problem(program, f"{case.name}_{name}")

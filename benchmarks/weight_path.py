@@ -47,11 +47,11 @@ def main() -> None:
     low, high, count = given.weights.split(":")
     weights = np.geomspace(float(low), float(high), int(count))
     case = reference_cases(given.case)[0]
-    small = case.small().build()  # compiles
+    small = case.small().scene()  # compiles
     terms = ("force", "torque")
     tt.solution_path(given.formulation, small, weights={terms: weights[::6]})
     tt.fit(small, given.formulation)
-    scene, told = case.build(), dict[str, float]()
+    scene, told = case.scene(), dict[str, float]()
     with timed("path", told):
         path = tt.solution_path(
             given.formulation,

@@ -42,11 +42,11 @@ def test_sampled_otherwise_a_case_has_another_name_and_inner_value():
     assert case.sampled("trilinear") == case
     other = case.sampled("voxel-mean")
     assert other.name == "S-voxel-mean" and other.inner == "fit"
-    assert other.small().build().sampling == "voxel-mean"
+    assert other.small().scene().sampling == "voxel-mean"
 
 
 def test_small_case_touches_and_new_values_change_values_only():
-    scene = replace(reference_cases("S")[0].small(), n_poses=24).build()
+    scene = replace(reference_cases("S")[0].small(), n_poses=24).scene()
     assert len(scene.trajectory) == 24
     assert (scene.rows.contact_points > 0).any()
     other = with_new_values(scene, seed=1)
@@ -100,7 +100,8 @@ def test_existing_makes_paths_absolute(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("s.nc", "a.csv"):
         Path(name).write_text("x")
-    case = CaseSpec("user", "s.nc", "sphere:0.02", ("a.csv",), (4, 6, 4))
+    files = {"surface": "s.nc", "probe": "sphere:0.02", "trajectories": ("a.csv",)}
+    case = CaseSpec((4, 6, 4), name="user", **files)
     found = existing(case)
     assert found.surface == str(tmp_path / "s.nc")
     assert found.trajectories == (str(tmp_path / "a.csv"),)
@@ -164,7 +165,7 @@ def test_a_case_carries_its_perturbation_to_its_scene():
     noisy = plain.perturbed("noise")
     assert noisy.name == "S-noise"
     assert CaseSpec.from_dict(json.loads(json.dumps(asdict(noisy)))) == noisy
-    scene, other = plain.build(), noisy.build()
+    scene, other = plain.scene(), noisy.scene()
     assert abs(scene.N - other.N).max() == 0.0
     assert (other.f - scene.f).std() == pytest.approx(2.0, rel=0.4)
     refuses(InputError, "unknown perturbation", plain.perturbed, "loud")

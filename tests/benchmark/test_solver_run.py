@@ -93,7 +93,7 @@ def measured(folder, spec):
 def test_a_row_tells_of_the_minimiser_and_of_every_repeat(tmp_path):
     spec = spec_of(repeat=3)
     row = measured(tmp_path, spec)
-    program = load("eq10", CASE.build(), **spec.options["options"]).compile()
+    program = load("eq10", CASE.scene(), **spec.options["options"]).compile()
     p = minimiser(program)
     assert (row["status"], row["taken"], row["poses"]) == ("solved", "closed_form", 5)
     assert row["objective"] == pytest.approx(program.objective(p), rel=1e-9)
@@ -155,10 +155,10 @@ def failing(monkeypatch, after):
 def test_the_same_program_is_solved_again_with_other_values(monkeypatch, tmp_path):
     solver = failing(monkeypatch, 100)
     row = measured(tmp_path, spec_of(repeat=2))
-    own, other = CASE.build().f, with_new_values(CASE.build(), seed=1).f
+    own, other = CASE.scene().f, with_new_values(CASE.scene(), seed=1).f
     assert not np.allclose(own, other)
     np.testing.assert_array_equal(solver.seen, [own, other] * 2)
-    program = load("eq10", CASE.build(), **spec_of().options["options"]).compile()
+    program = load("eq10", CASE.scene(), **spec_of().options["options"]).compile()
     best = program.objective(minimiser(program))
     assert row["objective"] == pytest.approx(best, rel=1e-9)  # of the first one
 

@@ -8,7 +8,7 @@ be sent to another process.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ REFERENCE = {
     "L": ((100, 180, 60), 400),
     "XL": ((200, 360, 150), 400),
 }
+
+#: The example's recordings that they have
+RECORDED = ("press_fit", "sweep_fit")
 
 #: Cases not in "all": XL takes gigabytes, and only `structured` solves it
 ON_REQUEST = ("XL",)
@@ -56,42 +59,30 @@ REVERSED_PART = 0.2
 SEED = 0
 
 
-@dataclass(frozen=True)
-class CaseSpec:
-    """A scene to build.
+@dataclass(frozen=True, kw_only=True)
+class CaseSpec(ScenePlan):
+    """A plan of a scene, with the files and numbers that it is built from.
 
     Attributes:
         name: Name in the tables.
         surface: Surface file.
         probe: Primitive or mesh file.
         trajectories: Recordings with wrenches.
-        shape: Voxels in r, θ, z.
         n_poses: Number of frames, evenly spread; None for all.
-        r_inner: Radius of the innermost layer [m].
-        inner: Value on the inner layer, or "fit".
-        outer: Minus the outer layer's value; a ratio with "fit".
-        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
         perturbation: Perturbation of the measured wrenches, one of
             `PERTURBATIONS`; "" for none.
-        boundary: ``subvoxel`` or ``staircase``.
     """
 
     name: str
     surface: str
     probe: str
     trajectories: tuple[str, ...]
-    shape: tuple[int, int, int]
     n_poses: int | None = None
-    r_inner: float = 0.03
-    inner: float | Literal["fit"] = 1.0
-    outer: float = 1.0
-    sampling: str = "trilinear"
     n_points: int = 1500
     probe_unit: str = "mm"
     perturbation: str = ""
-    boundary: str = "subvoxel"
 
     @property
     def n_voxels(self) -> int:
@@ -104,7 +95,7 @@ class CaseSpec:
         lists = {key: tuple(values[key]) for key in ("trajectories", "shape")}
         return cls(**{**values, **lists})
 
-    def build(self) -> Scene:
+    def scene(self) -> Scene:
         """Read the files and assemble the scene.
 
         Raises:
@@ -113,21 +104,12 @@ class CaseSpec:
         shell = PointShell.from_spec(
             self.probe, n_points=self.n_points, unit=self.probe_unit
         )
-        plan = ScenePlan(
-            self.shape,
-            self.r_inner,
-            inner=self.inner,
-            outer=self.outer,
-            sampling=self.sampling,
-            boundary=self.boundary,
-        )
         recording = perturbed(self._thinned(), self.perturbation)
-        return plan.build(Surface.load(self.surface), shell, recording)
+        return self.build(Surface.load(self.surface), shell, recording)
 
     def small(self) -> CaseSpec:
         """The same with few voxels, for warm-up and validation."""
-        (n_r, n_theta, n_z), most = self.shape, SMALL_SHAPE
-        shape = min(n_r, most[0]), min(n_theta, most[1]), min(n_z, most[2])
+        shape = tuple(map(min, self.shape, SMALL_SHAPE))
         return replace(self, shape=shape, n_poses=SMALL_POSES, n_points=300)
 
     def perturbed(self, how: str) -> CaseSpec:
@@ -195,14 +177,14 @@ def reference_cases(names: str = "all") -> list[CaseSpec]:
         )
     return [
         CaseSpec(
-            case,
-            str(example.path("surface.nc")),
-            example.PROBE,
-            (str(example.path("press_fit.csv")), str(example.path("sweep_fit.csv"))),
             shape,
-            poses,
             inner=EXAMPLE_BOUNDARY,
             outer=EXAMPLE_BOUNDARY,
+            name=case,
+            surface=str(example.path("surface.nc")),
+            probe=example.PROBE,
+            trajectories=tuple(str(example.path(f"{name}.csv")) for name in RECORDED),
+            n_poses=poses,
         )
         for case, (shape, poses) in REFERENCE.items()
         if case in asked

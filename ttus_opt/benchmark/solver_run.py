@@ -149,7 +149,7 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     begin("warm-up")
     _warm_up(spec, solver, request)
     begin("scene")
-    scene = spec.scene_case.build()
+    scene = spec.scene_case.scene()
     begin("program")
     both = declared(spec, scene), declared(spec, with_new_values(scene, seed=1))
     for each in both:
@@ -217,7 +217,7 @@ def _warm_up(spec: RunSpec, solver: Solver | Literal["auto"], request: Request) 
     """Import and compile before the measurement."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        small = declared(spec, spec.scene_case.small().build())
+        small = declared(spec, spec.scene_case.small().scene())
         brief = replace(request, time_limit=WARM_UP, told=None)
         fitter = Fitter(small, solver=solver, request=brief)
         fitter.solve()

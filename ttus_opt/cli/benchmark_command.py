@@ -67,14 +67,14 @@ class OwnScene:
                 "a scene of your own needs --surface, --probe and --trajectory together"
             )
         own = CaseSpec(
-            OWN,
-            self.surface,
-            self.probe,
-            tuple(self.trajectory),
             voxel_counts(self.shape),
-            r_inner=self.r_inner,
+            self.r_inner,
             inner=boundary_value(self.inner),
             sampling=self.sampling,
+            name=OWN,
+            surface=self.surface,
+            probe=self.probe,
+            trajectories=tuple(self.trajectory),
         )
         return [existing(own)]
 
@@ -258,6 +258,6 @@ def _export(suite: Suite, folder: Path) -> None:
         raise InputError("--export writes the solvers' problems: leave --parts out")
     written: list[str] = []
     for name, spec in runs.items():
-        program = declared(spec, spec.scene_case.build()).compile()
+        program = declared(spec, spec.scene_case.scene()).compile()
         written += map(str, export_program(program, folder, name))
     tell({"files": written}, *written)

@@ -39,7 +39,7 @@ def test_the_loop_beats_a_thousand_times_a_second_for_its_time():
 
 @pytest.mark.slow
 def test_packets_come_back():
-    found = live.link(0.5)
+    found = live.udp(0.5)
     assert 0 < found.frames <= 0.5 * live.PACKETS
     assert 0.0 < found.median <= found.p99 <= found.worst
 

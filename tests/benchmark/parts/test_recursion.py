@@ -21,7 +21,7 @@ def test_recursion_equals_the_batch_fit(tmp_path):
 
 @pytest.mark.slow
 def test_recursion_takes_poses_again_until_there_are_enough():
-    scene = replace(TINY, n_poses=40).build()
+    scene = replace(TINY, n_poses=40).scene()
     own = int((scene.rows.contact_points > 0).sum())
     assert own < 100
     found = recursion._touching(scene, 100)

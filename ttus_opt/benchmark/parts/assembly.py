@@ -59,7 +59,7 @@ class AssemblyPart(Part):
 
 def _measured(case: CaseSpec, repeats: int, begin: Callable[[str], None]) -> list[Row]:
     begin("scene")
-    scene = case.build()
+    scene = case.scene()
     voxmap, poses = scene.voxmap, scene.trajectory
     size = {"voxels": scene.n_voxels, "poses": len(poses), "points": len(scene.shell)}
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.machine import Progress
@@ -119,18 +119,12 @@ def haptic_loop(seconds: float) -> Lateness:
     return process.lateness
 
 
-def link(seconds: float) -> Lateness:
+def udp(seconds: float) -> Lateness:
     """Send packets to and fro over UDP; their times as a lateness."""
     from ttus_opt.live.real_time import Lateness
-    from ttus_opt.live.sealing import new_key
     from ttus_opt.live.socket_link import SocketLink
 
-    key = new_key()
-    with closing(SocketLink(key, "127.0.0.1", 0, calls=False)) as there:
-        port = there.port
-        with closing(SocketLink(key, "127.0.0.1", port, calls=True)) as here:
-            took = echoes(here, there, seconds)
-    return Lateness.of(took, 1.0 / PACKETS)
+    return Lateness.of(between(SocketLink, seconds), 1.0 / PACKETS)
 
 
 def webrtc(seconds: float, trip: float) -> Row:
@@ -142,22 +136,29 @@ def webrtc(seconds: float, trip: float) -> Row:
     """
     from ttus_opt.live.impairment import Impairment
     from ttus_opt.live.real_time import Lateness
-    from ttus_opt.live.sealing import new_key
     from ttus_opt.live.webrtc_link import WebRTCLink
 
-    key = new_key()
-    ways = (Impairment(0.5 * trip, loss=LOST, seed=seed) for seed in (1, 2))
-    back, forth = ways if trip else (None, None)
-    with closing(
-        WebRTCLink(key, "127.0.0.1", 0, calls=False, impairment=back)
-    ) as there:
-        port = there.port
-        with closing(
-            WebRTCLink(key, "127.0.0.1", port, calls=True, impairment=forth)
-        ) as here:
-            took = echoes(here, there, seconds, PAUSE)
+    def make(*given: Any, calls: bool) -> WebRTCLink:
+        way = Impairment(0.5 * trip, loss=LOST, seed=2 if calls else 1)
+        return WebRTCLink(*given, calls=calls, impairment=way if trip else None)
+
+    took = between(make, seconds, PAUSE)
     found = Lateness.of([one - trip for one in took], BEYOND)
     return {**asdict(found), "rate": len(took) / seconds}
+
+
+def between(
+    make: Callable[..., Any], seconds: float, pause: float = 0.0
+) -> list[float]:
+    """`echoes` between two sides of a link on this machine [s]."""
+    from ttus_opt.live.sealing import new_key
+
+    at = new_key(), "127.0.0.1"
+    with (
+        closing(make(*at, 0, calls=False)) as there,
+        closing(make(*at, there.port, calls=True)) as here,
+    ):
+        return echoes(here, there, seconds, pause)
 
 
 def echoes(here: Link, there: Link, seconds: float, pause: float = 0.0) -> list[float]:
@@ -222,7 +223,7 @@ def swaps(seconds: float) -> list[Row]:
 #: What is measured, by name; `swaps` names its rows itself
 MEASUREMENTS: dict[str, Callable[[float], list[Row]]] = {
     "haptic loop": lambda seconds: [asdict(haptic_loop(seconds))],
-    "UDP there and back": lambda seconds: [asdict(link(seconds))],
+    "UDP there and back": lambda seconds: [asdict(udp(seconds))],
     "WebRTC there and back": lambda seconds: [webrtc(seconds, 0.0)],
     "WebRTC beyond 200 ms": lambda seconds: [webrtc(seconds, 0.2)],
     "WebRTC beyond 500 ms": lambda seconds: [webrtc(seconds, 0.5)],

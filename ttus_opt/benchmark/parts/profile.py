@@ -170,18 +170,18 @@ class ProfilePart(Part):
         """Fit without and with the profiler, then count bytes."""
         case = spec.scene_case
         begin("warm-up")
-        small = case.small().build()
+        small = case.small().scene()
         _fit(small, case, spec.time_limit)
         roofline(small.laplace)
         for _ in range(2):  # the first also allocates the process's memory
             begin("scene")
-            read = case.build()
+            read = case.scene()
             begin("fit")
             start = time.perf_counter()
             _fit(read, case, spec.time_limit)
             plain = time.perf_counter() - start
         begin("scene")
-        read = case.build()
+        read = case.scene()
         begin("profiled fit")
         with cProfile.Profile() as profiler:
             made = _fit(read, case, spec.time_limit)

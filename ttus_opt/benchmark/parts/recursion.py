@@ -87,7 +87,7 @@ class RecursionPart(Part):
         begin("warm-up")
         _warm_up(spec.scene_case)
         begin("scene")
-        whole = spec.scene_case.build()
+        whole = spec.scene_case.scene()
         updates, compared = int(spec.options["updates"]), int(spec.options["compared"])
         scene = with_measurements(whole, _touching(whole, updates))
         begin("updates")
@@ -225,7 +225,7 @@ def _compared(scene: Scene, count: int, field: Array) -> Row:
 
 def _warm_up(case: CaseSpec) -> None:
     """Import and compile before the measurement."""
-    small = replace(case.small(), n_poses=24).build()
+    small = replace(case.small(), n_poses=24).scene()
     scene = with_measurements(small, _touching(small, 4))
     _updated(scene, {2}, 60.0)
     _batch(scene, 4, lambda stage: None)

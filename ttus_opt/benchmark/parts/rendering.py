@@ -196,9 +196,9 @@ class RenderingPart(Part):
         """Time all ways over the case's poses."""
         begin("warm-up")
         with contextlib.suppress(InputError):  # its few poses may be off contact
-            time_rendering(spec.scene_case.small().build(), passes=1)
+            time_rendering(spec.scene_case.small().scene(), passes=1)
         begin("scene")
-        scene = spec.scene_case.build()
+        scene = spec.scene_case.scene()
         begin("frames")
         return time_rendering(scene, passes=int(spec.options["passes"]))
 

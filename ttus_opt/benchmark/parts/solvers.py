@@ -330,7 +330,7 @@ def _solvers(case: CaseSpec, settings: Settings) -> list[dict[str, Any]]:
 def _small_scene(case: CaseSpec) -> Scene:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return case.small().build()
+        return case.small().scene()
 
 
 def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, Any]:

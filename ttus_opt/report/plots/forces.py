@@ -127,9 +127,8 @@ def residual_histogram(
             (left, "force", 1.0, "N"),
             (right, "torque", 1e3, "mN m"),
         ):
-            _draw_shares(
-                ax, *(factor * _residuals(e, what) for e in (before, after)), unit
-            )
+            old, new = (factor * _residuals(e, what) for e in (before, after))
+            _draw_shares(ax, old, new, unit)
             ax.set_xlabel(f"{what} residual, each component [{unit}]")
         left.set_ylabel("share of residuals [%]")
     return figure
