@@ -54,9 +54,9 @@ class Led:
         if self.left < 0:
             raise KeyboardInterrupt
         pressed = np.eye(3), np.array([RADIUS + BALL - 0.02, 0.0, 0.15])
-        step = self.operator.step(now, tuple(self.arrived), *pressed)
+        sent = self.operator.step(now, tuple(self.arrived), *pressed)
         self.arrived.clear()
-        return [one.data for one in step.send]
+        return [one.data for one in sent]
 
 
 @pytest.fixture

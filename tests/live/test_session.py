@@ -200,7 +200,8 @@ def test_a_stop_is_not_kept_waiting_by_what_is_to_be_learned():
     news = peer.pack(sample.time, measurement(10**6, [sample], sample.time)).data
     operator.stop()
     before, now = operator.folded, simulation.time
-    assert operator.step(now, [news], hand.rotation, hand.position).state is State.STOP
+    operator.step(now, [news], hand.rotation, hand.position)
+    assert operator.peer.safety.state is State.STOP
     assert operator.folded == before
     operator.step(now + 0.005, [], hand.rotation, hand.position)
     assert operator.folded == before + 1
@@ -213,7 +214,8 @@ def test_an_invalid_hand_pose_stops(turn):
     operator, now = simulation.operator, simulation.time + 0.001
     assert operator.feedback is not None
     pose = turn * np.eye(3), np.array([np.nan if turn == 1.0 else 0.11, 0, 0])
-    assert operator.step(now, [], *pose).state is State.STOP
+    operator.step(now, [], *pose)
+    assert operator.peer.safety.state is State.STOP
     np.testing.assert_array_equal(operator.feel(now, *pose), np.zeros(6))
 
 
@@ -386,12 +388,11 @@ def test_another_version_or_unit_is_refused(hello, said):
 def test_a_flood_of_damaged_packets_stops():
     simulation = session()
     passes(simulation, 1.0)
-    hand = simulation.hand
-    step = simulation.operator.step(
-        1.0, [b"damaged packet"] * 25, hand.rotation, hand.position
-    )
-    assert step.state is State.STOP
-    assert "damaged" in step.cause
+    hand, safety = simulation.hand, simulation.operator.peer.safety
+    packets = [b"damaged packet"] * 25
+    simulation.operator.step(1.0, packets, hand.rotation, hand.position)
+    assert safety.state is State.STOP
+    assert "damaged" in safety.cause
 
 
 def commanded(sender, now, rotation, position):

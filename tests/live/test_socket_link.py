@@ -295,10 +295,10 @@ def survives_a_new_operator(links):
             step = follower.step(now, there.receive(now), sensed)
             there.send(now, step.send)
             target = step.rotation, step.position
-            own = operator.step(now, here.receive(now), hand.rotation, hand.position)
-            here.send(now, own.send)
-            operator.feel(now, hand.rotation, hand.position)
-            met = own.state is step.state is State.NORMAL
+            pose = hand.rotation, hand.position
+            here.send(now, operator.step(now, here.receive(now), *pose))
+            operator.feel(now, *pose)
+            met = operator.peer.safety.state is step.state is State.NORMAL
             time.sleep(0.002)
         assert operator.model is not None
         # the operator's process is gone

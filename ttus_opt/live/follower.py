@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.live.deadband import Deadband
+from ttus_opt.live.deadband import differ
 from ttus_opt.live.messages import (
     MOST_SAMPLES,
     VERSION,
@@ -104,7 +104,6 @@ class Follower:
         *,
         safety: SafetyLimits | None = None,
         limits: FollowerLimits | None = None,
-        deadband: Deadband | None = None,
     ) -> None:
         """A follower before the first packet.
 
@@ -115,10 +114,9 @@ class Follower:
                 operator gets that joins.
             safety: When it holds and stops.
             limits: What it lets the operator do.
-            deadband: What is worth sending.
         """
         self.peer, self.surface = Peer(epoch % OPERATOR, safety), surface
-        self.limits, self.deadband = limits or FollowerLimits(), deadband or Deadband()
+        self.limits = limits or FollowerLimits()
         self._surfaces: tuple[bytes, ...] = content[:1]  # the last whole, its change
         self._model = content[1]
         self._greeted, self._offered, self._ready = 0, -np.inf, False
@@ -302,9 +300,7 @@ class Follower:
         if not rate.ready:
             return
         # what stopped this side teaches the operator nothing
-        news = usable and (
-            not self._samples or self.deadband.differ(sensed, self._samples[0])
-        )
+        news = usable and (not self._samples or differ(sensed, self._samples[0]))
         if news and self.peer.met:
             self._samples.appendleft(sensed)
             self._index += 1

@@ -18,7 +18,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
-from ttus_opt.live.deadband import Deadband
+from ttus_opt.live.deadband import moved
 from ttus_opt.live.feedback import Feedback, ModelFeedback
 from ttus_opt.live.messages import (
     MOST_SAMPLES,
@@ -107,21 +107,6 @@ GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
 WINDOW = REMEMBERED + MOST_SAMPLES
 
 
-@dataclass(frozen=True)
-class OperatorStep:
-    """What a step asks for.
-
-    Attributes:
-        send: Packets.
-        state: State of this side.
-        cause: Why it is not NORMAL.
-    """
-
-    send: tuple[Outgoing, ...]
-    state: State
-    cause: str
-
-
 class Operator:
     """The hand's side of a session.
 
@@ -140,7 +125,6 @@ class Operator:
         shell: PointShell,
         *,
         safety: SafetyLimits | None = None,
-        deadband: Deadband | None = None,
         feedback: Callable[[LiveModel], Feedback] | None = None,
         learns: bool = True,
     ) -> None:
@@ -150,14 +134,13 @@ class Operator:
             epoch: Another at every start of this side, such as `time.time` in seconds.
             shell: The probe, the same as the follower's.
             safety: When it holds and stops.
-            deadband: Motion that is worth a packet at once.
             feedback: Makes what the hand feels from the model; by default
                 `ModelFeedback`.
             learns: Whether the model learns.
         """
         self.peer = Peer(epoch % OPERATOR + OPERATOR, safety)
         self.shell = shell
-        self.deadband, self.learns = deadband or Deadband(), learns
+        self.learns = learns
         self.model: LiveModel | None = None
         self.feedback: Feedback | None = None
         self.folded = 0
@@ -181,8 +164,8 @@ class Operator:
 
     def step(
         self, now: float, packets: Sequence[bytes], rotation: Array, position: Array
-    ) -> OperatorStep:
-        """Take what arrived and where the hand is.
+    ) -> tuple[Outgoing, ...]:
+        """Take what arrived and where the hand is; what is to be sent.
 
         Args:
             now: This side's clock, which never goes back [s].
@@ -207,12 +190,11 @@ class Operator:
             self._refresh(now)
         if not is_pose(rotation, position):
             safety.stop("the hand's pose is not a pose")
-            state = safety.state
         else:
             self._report(now, rotation, position, send)
-        self._state = state
+        self._state = safety.state
         self.peer.announce(now, send)
-        return OperatorStep(tuple(send), state, safety.cause)
+        return tuple(send)
 
     def feel(self, now: float, rotation: Array, position: Array) -> Array:
         """Wrench on the hand, shape (6,) [N, N·m].
@@ -378,9 +360,8 @@ class Operator:
         last = self._last_sent
         if not self.peer.rate.ready:
             return
-        moved = last is None or self.deadband.moved((rotation, position), last)
         due = now - self._sent >= self.peer.safety.limits.period
-        if moved or due:
+        if due or last is None or moved((rotation, position), last):
             self._sent, self._last_sent = now, (rotation.copy(), position.copy())
             send.append(self.peer.pack(now, pose_command(rotation, position)))
 

@@ -285,12 +285,11 @@ def run_operator(
         if record is not None:
             felt = loop.new_frames() if isinstance(loop, HapticLoop) else None
             record(OperatorFrame(now, pose, packets, felt, operator.newest))
-        step = operator.step(now, packets, *pose)
-        link.send(now, step.send)
+        link.send(now, operator.step(now, packets, *pose))
         if isinstance(loop, HapticLoop):
             model = operator.model
             friction = 0.0 if model is None else model.learner.friction
-            loop.tell(friction, step.state)
+            loop.tell(friction, operator.peer.safety.state)
             operator.feel(now, *pose)
         seen.look()
         if show is not None and now - shown >= SHOW:

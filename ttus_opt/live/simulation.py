@@ -100,8 +100,7 @@ class Simulation:
         hand, operator = self.hand, self.operator
         packets = tuple(self.back.receive(now))
         pose = hand.rotation, hand.position.copy()
-        step = operator.step(now, packets, *pose)
-        self.there.send(now, step.send)
+        self.there.send(now, operator.step(now, packets, *pose))
         felt = operator.feel(now, *pose).copy()
         hand.step(now, felt, HAPTIC)
         assert self.sensed is not None

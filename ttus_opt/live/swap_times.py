@@ -1,8 +1,8 @@
 """From contact to the operator's hand in real time: both sides over UDP on one machine.
 
-Patient, operator and haptic loop are a process each, as in a session. Their clocks are
-one, so that a sample's time says how long it took to change what the hand feels. The
-session ends by the operator's button, a second before its time is over.
+Patient and haptic loop are a process each, as in a session, the operator is this one.
+Their clocks are one, so that a sample's time says how long it took to change what the
+hand feels. The session ends by the operator's button, a second before its time is over.
 """
 
 from __future__ import annotations
@@ -136,27 +136,13 @@ def measure(seconds: float, round_trip: float) -> SwapTimes:
         target=_patient, args=(key, round_trip, there), daemon=True
     )
     patient.start()
-    operator = None
     try:
-        port = _answer(here)
-        operator = context.Process(
-            target=_operate, args=(key, port, seconds, round_trip, there)
-        )
-        operator.start()
-        found = _answer(here, seconds)
+        if not here.poll(START):
+            raise NumericalError("the patient's side did not start, or died")
+        return _operated(key, here.recv(), seconds, round_trip)
     finally:
-        for one in (patient, operator):
-            if one is not None:
-                one.terminate()
-                one.join()
-    assert isinstance(found, SwapTimes)
-    return found
-
-
-def _answer(end: Connection, seconds: float = 0.0) -> object:
-    if not end.poll(START + seconds):
-        raise NumericalError("a side of the session did not start, or died")
-    return end.recv()
+        patient.terminate()
+        patient.join()
 
 
 def _patient(key: bytes, round_trip: float, end: Connection) -> None:
@@ -172,10 +158,8 @@ def _patient(key: bytes, round_trip: float, end: Connection) -> None:
     run_follower(side, worse, patient, *who.start)
 
 
-def _operate(
-    key: bytes, port: int, seconds: float, round_trip: float, end: Connection
-) -> None:
-    """The operator's side, in its process."""
+def _operated(key: bytes, port: int, seconds: float, round_trip: float) -> SwapTimes:
+    """The operator's side, in this process."""
     who = example_subject()
     warm_up()
     link = SocketLink(key, "127.0.0.1", port, calls=True)
@@ -204,7 +188,6 @@ def _operate(
                 side.stop()
 
         side = Operator(2, who.shell, feedback=begin)
-        promptly()
         ended = run_operator(
             side, worse, who.start, seconds=seconds, show=press, record=record
         )
@@ -214,4 +197,4 @@ def _operate(
     let_go = at[(frames[:, STOPPED] > 0.0) & (at >= pressed)]
     rendered, stopped = at[0] - arrived, min(let_go, default=np.nan) - pressed
     times = loop.times(frames, 0.5 * round_trip)
-    end.send(SwapTimes(*times, float(rendered), float(stopped), ended.state))
+    return SwapTimes(*times, float(rendered), float(stopped), ended.state)

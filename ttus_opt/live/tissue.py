@@ -49,12 +49,10 @@ def bundled_patch() -> SkinPatch:
 class ElasticTorso:
     """The example's torso and ellipsoid, by finite elements."""
 
-    def __init__(
-        self, friction: float = 0.0, probe: EllipsoidProbe | None = None
-    ) -> None:
+    def __init__(self, friction: float = 0.0) -> None:
         """A torso whose skin has a Coulomb coefficient ``friction`` [–]."""
         self._patch, self._drag = bundled_patch(), CoulombDrag(friction)
-        self._probe = probe or EllipsoidProbe((0.030, 0.0125, 0.018))
+        self._probe = EllipsoidProbe((0.030, 0.0125, 0.018))
 
     def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:
         """Force, then torque of the patient at rest without noise, (6,) [N, N·m].

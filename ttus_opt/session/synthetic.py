@@ -13,8 +13,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -73,8 +74,7 @@ FORCE_NOISE, TORQUE_NOISE = 0.02, 0.001
 DOWN = np.array([0.0, -1.0, 0.0])
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(NamedTuple):
     """Ground truth of the calibration.
 
     Attributes:
@@ -90,23 +90,15 @@ class Truth:
         offset: Time to add to the sensor's times [s].
     """
 
-    tracker_to_scan: Array = field(
-        default_factory=lambda: motion_of((0.4, -1.1, 0.7, 1.3, -0.6, 0.4))
-    )
-    tag_to_target: Array = field(
-        default_factory=lambda: motion_of((0.2, 0.5, -0.3, 0.03, 0.04, -0.01))
-    )
-    target_to_probe: Array = field(
-        default_factory=lambda: motion_of((0.0, 0.8, 0.1, 0.02, -0.05, -0.12))
-    )
-    axes: Array = field(
-        default_factory=lambda: Rotation.from_rotvec([0.006, -0.005, 0.785]).as_matrix()
-    )
-    point: Array = field(default_factory=lambda: np.array([0.001, 0.0, -0.0805]))
+    tracker_to_scan: Array = motion_of((0.4, -1.1, 0.7, 1.3, -0.6, 0.4))
+    tag_to_target: Array = motion_of((0.2, 0.5, -0.3, 0.03, 0.04, -0.01))
+    target_to_probe: Array = motion_of((0.0, 0.8, 0.1, 0.02, -0.05, -0.12))
+    axes: Array = Rotation.from_rotvec([0.006, -0.005, 0.785]).as_matrix()
+    point: Array = np.array([0.001, 0.0, -0.0805])
     mass: float = 0.38
-    centre: Array = field(default_factory=lambda: np.array([0.003, -0.002, 0.045]))
-    force_bias: Array = field(default_factory=lambda: np.array([1.8, -2.6, 4.1]))
-    torque_bias: Array = field(default_factory=lambda: np.array([0.03, -0.04, 0.02]))
+    centre: Array = np.array([0.003, -0.002, 0.045])
+    force_bias: Array = np.array([1.8, -2.6, 4.1])
+    torque_bias: Array = np.array([0.03, -0.04, 0.02])
     offset: float = 0.83
 
 
@@ -120,7 +112,6 @@ def write_recording(
     *,
     seconds: float = 20.0,
     shape: tuple[int, int, int] = (48, 120, 60),
-    seed: int = 0,
 ) -> Truth:
     """Write the recording and return its ground truth.
 
@@ -128,14 +119,13 @@ def write_recording(
         folder: Made when missing.
         seconds: Used length of each of the example's recordings, at most 20.
         shape: Voxels of the described fit.
-        seed: Seed of all noise.
 
     Raises:
         FileError: The folder holds other files or cannot be written to.
     """
     place, truth = Path(folder), Truth()
     # separate streams: one device's noise does not depend on the others' durations
-    tags, scan, tilts, tracker, sensor = np.random.default_rng(seed).spawn(5)
+    tags, scan, tilts, tracker, sensor = np.random.default_rng(0).spawn(5)
     foreign = [f for f in place.glob("*") if f.name not in FILES]
     if foreign:
         raise FileError(

@@ -201,9 +201,10 @@ def swaps(seconds: float) -> list[Row]:
     Raises:
         NumericalError: A side died.
     """
-    from ttus_opt.live.real_time import Lateness
+    from ttus_opt.live.real_time import Lateness, promptly
     from ttus_opt.live.swap_times import measure
 
+    promptly()
     found = measure(seconds, TRIP)
     return [
         {
