@@ -92,9 +92,9 @@ def test_nothing_solved_is_status_one(run, files, tmp_path, monkeypatch):
 
 
 def test_a_list_of_weights_is_positive():
-    from ttus_opt.cli.path_command import _list
+    from ttus_opt.cli.path_command import _values
 
-    found = _list("0.5,2")
+    found = _values("0.5,2")
     assert found.tolist() == [0.5, 2.0]
     for text in ("0,1", "1,inf", "-1,2", "1,x"):
-        assert _list(text) is None
+        assert _values(text) is None

@@ -41,6 +41,14 @@ COMMON = {
     "so.",
     "together": "Both recordings began at about the same time.",
     "largest_offset": "Largest offset to search [s].",
+    "base_to_scan": "Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV, "
+    "JSON or NPY file, or seven numbers.",
+    "surface": "Surface file (.nc).",
+    "field": "Field file (.nc).",
+    "prior": "Factor by which the first model is too stiff.",
+    "seconds": "Length of the session [s].",
+    "port": "Where to serve on this machine; the next free one if it is taken.",
+    "no_browser": "Print the link only.",
     "strict": "End with an error where a mistake in what was given is likely, instead "
     "of a warning.",
 }

@@ -157,7 +157,6 @@ def evaluate(
     """Compare rendered with measured force and torque.
 
     Args:
-        field: Field file (.nc).
         picture: Draw measured and rendered force here.
         uncertainty: Compare the errors of every recording with the uncertainty that fit
             --uncertainty saved in the field file.

@@ -42,6 +42,10 @@ class Asked(NamedTuple):
     box: tuple[float, ...] | None = None
 
 
+#: Examines a file of one kind
+Way = Callable[[Path, Asked], Found]
+
+
 def examined(file: Path, asked: Asked) -> Found:
     """What a file holds, by its suffix; a recording is what is nothing else.
 
@@ -55,13 +59,13 @@ def examined(file: Path, asked: Asked) -> Found:
     if file.name in NAMES or any((file / name).exists() for name in NAMES):
         return _session(file)
     suffix = file.suffix.lower()
-    first, *others = next((w for s, w in EXAMINERS if suffix in s), (_recording,))
-    if _motion in others and _bare(file):
-        first, *others = others if suffix not in TEXT else [_motion]
+    ways = next((w for s, w in EXAMINERS if suffix in s), (_recording,))
+    if _motion in ways and _bare(file):
+        ways = (_motion,) if suffix in TEXT else ways[1:]
     try:
-        return first(file, asked)
+        return ways[0](file, asked)
     except FileError:
-        for other in others:
+        for other in ways[1:]:
             with contextlib.suppress(TtusError):
                 return other(file, asked)
         raise
@@ -314,9 +318,7 @@ TEXT = (".csv", ".txt")
 
 #: What is examined how, by suffix: the first way that can read it, whose error it is
 #: where none can; a file of few numbers alone holds neither table nor intrinsics
-EXAMINERS: tuple[
-    tuple[tuple[str, ...], tuple[Callable[[Path, Asked], Found], ...]], ...
-] = (
+EXAMINERS: tuple[tuple[tuple[str, ...], tuple[Way, ...]], ...] = (
     ((".nc", ".nc4", ".cdf"), (_netcdf,)),
     ((".ply",), (_ply,)),
     ((".pcd", ".xyz", ".pts", ".asc"), (_cloud,)),

@@ -103,7 +103,6 @@ def fit(
     """Fit a potential field to measured forces and torques.
 
     Args:
-        surface: Surface file (.nc).
         output: Field file (.nc).
         every: Use only every n-th frame of a recording.
         rate: Use at most this many frames per second of a recording [Hz].

@@ -46,7 +46,6 @@ def demo(
 
     Args:
         output: Folder for report, picture and a recorded session.
-        prior: Factor by which the first model is too stiff.
         loss: Share of lost packets, in bursts of three.
         no_page: Open no page.
 
@@ -85,12 +84,9 @@ def page(
 
     Args:
         delay: Round trip at first [ms].
-        prior: Factor by which the first model is too stiff.
         surface: Skin (.nc) with made-up tissue below it; by default the example.
         probe: ellipsoid:a,b,c [m] or a mesh [mm].
         probe_axes: Its axes that point into the patient and to the head.
-        port: Where to serve on this machine; the next free one if it is taken.
-        no_browser: Print the link only.
 
     Example:
         ttus-opt live page --surface torso.nc --probe probe.stl --probe-axes=-y,z
@@ -138,12 +134,10 @@ def report(
         delay: Round trip [ms].
         loss: Share of lost packets, in bursts of three.
         jitter: Largest further delay of a packet [ms].
-        prior: Factor by which the first model is too stiff.
         friction: Coulomb coefficient of the skin.
         breathing: Amplitude of the skin's motion [mm].
         no_camera: The follower does not see that motion.
         comparator: What the hand feels: model, fixed, direct or passive.
-        seconds: Length of the session [s].
         seed: Of noise, loss and jitter.
         picture: Draw felt and true force here.
         recording: Record the session here (.mcap).
@@ -243,13 +237,11 @@ def follower(
         host: Own address to wait at; 0.0.0.0 for every one.
         port: UDP and TCP port; by WebRTC TCP alone, UDP ports are agreed on.
         link: udp, or webrtc (extra webrtc), on both sides.
-        prior: Factor by which the first model is too stiff.
         friction: Coulomb coefficient of the simulated skin.
         recording: Recording (.csv) with force and torque that plays in time.
         surface: Skin (.nc), by default the example's; without a recording made-up
             tissue lies below it.
         probe: ellipsoid:a,b,c [m] or a mesh [mm]; the operator's as well.
-        seconds: Length of the session [s].
 
     Example:
         ttus-opt live follower --key session.key --recording press_fit.csv
@@ -307,7 +299,6 @@ def operator(
         host: Address of the follower.
         port: Its UDP and TCP port.
         link: udp, or webrtc (extra webrtc), on both sides.
-        seconds: Length of the session [s].
         surface: Skin (.nc) that the simulated hand presses, the follower's; by default
             the example's.
         probe: The follower's probe, ellipsoid:a,b,c [m] or a mesh [mm].

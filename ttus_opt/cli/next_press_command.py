@@ -45,7 +45,6 @@ def next_press(
     forces in the region, the second most of what then is left, and so on.
 
     Args:
-        surface: Surface file (.nc).
         count: Number of presses.
         angles: Restrict the region to these angles θ [deg].
         box: Restrict the region to the skin in this box, patient frame [m]: xmin,xmax,

@@ -51,7 +51,6 @@ def path(
     After Ctrl-C or a crash, the same command goes on from the points in its output.
 
     Args:
-        surface: Surface file (.nc).
         weight: Weights of one term, or shared by several, logarithmically spaced, or a
             list such as 1e-4,1e-2. A second --weight makes a grid.
         output: Path file (.nc). Points that it holds of the same inputs are kept.
@@ -132,7 +131,7 @@ def read_weights(given: Sequence[str]) -> dict[str | tuple[str, ...], Array]:
     for text in given:
         names, equals, values = text.partition("=")
         terms = tuple(name.strip() for name in names.split(","))
-        numbers = _range(values) if ":" in values else _list(values)
+        numbers = _values(values)
         if not (equals and all(terms)) or numbers is None:
             raise InputError(
                 "--weight takes TERM=LOW:HIGH:COUNT with 0 < LOW < HIGH, or "
@@ -146,29 +145,20 @@ def read_weights(given: Sequence[str]) -> dict[str | tuple[str, ...], Array]:
     return found
 
 
-def _range(text: str) -> Array | None:
-    """LOW:HIGH:COUNT, evenly spread over the logarithm; None where it is not that."""
+def _values(text: str) -> Array | None:
+    """LOW:HIGH:COUNT, even over the logarithm, or positive numbers; None for others."""
+    import numpy as np
+
     try:
+        if ":" not in text:
+            values = [float(value) for value in text.split(",")]
+            return np.array(values) if all(0.0 < v < math.inf for v in values) else None
         low, high, count = text.split(":")
         first, last, number = float(low), float(high), int(count)
     except ValueError:
         return None
-    if not (0.0 < first < last < math.inf and 2 <= number <= MOST):
-        return None
-    import numpy as np
-
-    return np.geomspace(first, last, number)
-
-
-def _list(text: str) -> Array | None:
-    """Positive numbers with commas between them; None where they are not that."""
-    try:
-        values = [float(value) for value in text.split(",")]
-    except ValueError:
-        return None
-    import numpy as np
-
-    return np.array(values) if all(0.0 < v < math.inf for v in values) else None
+    able = 0.0 < first < last < math.inf and 2 <= number <= MOST
+    return np.geomspace(first, last, number) if able else None
 
 
 def _summary(found: xr.Dataset, best: dict[str, float], output: Path) -> dict[str, Any]:

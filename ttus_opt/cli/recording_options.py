@@ -71,8 +71,6 @@ class RecordingOptions:
         frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
             was extracted from) or base (of the robot or tracker). By default patient,
             or base with --base-to-scan.
-        base_to_scan: Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV,
-            JSON or NPY file, or seven numbers.
         wrench_frame: Axes of the measured wrenches: patient, scan, base or tool. By
             default those of the poses' frame.
         flip_wrench: The wrenches are those that the probe exerts on the skin.

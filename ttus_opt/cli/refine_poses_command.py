@@ -33,7 +33,6 @@ def refine_poses(
     only what is fitted: judge a field at poses as they were reported.
 
     Args:
-        surface: Surface file (.nc).
         output: Trajectory CSV.
         position_noise: Standard deviation of a tracked position, per axis [mm].
         rotation_noise: Standard deviation of a tracked rotation, per axis [°].

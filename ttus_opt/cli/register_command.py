@@ -126,11 +126,13 @@ def hand_eye(
         write_rigid_motion(output, found.camera)
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
     solvers, lines = {}, []
-    for solver, one in found.candidates.items():
-        gap, turn = one.loop.gap, np.rad2deg(one.loop.twist)
-        position = None if one.camera is None else one.camera[:3, 3]
+    for solver in calibration.SOLVERS:
+        one = found.candidates.get(solver)
+        loop = calibration.Loop(np.inf, np.inf, np.inf) if one is None else one.loop
+        gap, turn = loop.gap, np.rad2deg(loop.twist)
+        position = None if one is None else one.camera[:3, 3]
         solvers[solver] = {"position": position, "loop_m": gap, "loop_degrees": turn}
-        place = "no answer" if one.camera is None else _place(one.camera)
+        place = "no answer" if one is None else _place(one.camera)
         lines.append(f"{solver:<11} {place}, loop {1e3 * gap:.2f} mm {turn:.3f}°")
     facts = {
         "output": output and str(output),

@@ -29,7 +29,6 @@ def render(
     the recordings, with quaternions w, x, y, z.
 
     Args:
-        field: Field file (.nc).
         output: Trajectory CSV with wrenches.
         force_limit: Limit the magnitude of the force to this, inf for none [N].
         torque_limit: Limit the magnitude of the torque to this, inf for none [N m].

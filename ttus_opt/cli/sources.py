@@ -47,8 +47,13 @@ def sources(
         recordings: The recordings.
         typed: Every option of the command by name, defaults included.
     """
+    import platform
+
+    from ttus_opt.core.optional import version_of
+
     files = [surface, *([Path(probe.probe)] if ":" not in probe.probe else [])]
     options = {k: v for k, v in typed.items() if k not in NOT_OF_THE_FIELD}
+    versions = {name: version_of(name) for name in PACKAGES}
     return {
         "probe": probe.name,
         "surface": surface.name,
@@ -57,7 +62,7 @@ def sources(
         "hashes": _hashes(files),
         "conventions": json.dumps(asdict(recordings.conventions)),
         "options": json.dumps(options, default=str),
-        "versions": json.dumps(_versions()),
+        "versions": json.dumps({"python": platform.python_version(), **versions}),
     }
 
 
@@ -133,26 +138,12 @@ def _hashes(files: Sequence[Path]) -> str:
     return json.dumps({path.name: io.sha256(path) for path in files})
 
 
-def _versions() -> dict[str, str]:
-    """Versions of Python and of the installed packages, by name."""
-    import platform
-
-    from ttus_opt.core.optional import version_of
-
-    found = {name: version_of(name) for name in PACKAGES}
-    return {"python": platform.python_version(), **found}
-
-
 def _read(provenance: Mapping[str, str], key: str) -> dict[str, Any]:
     """A JSON object of the provenance; empty where a file has none."""
     try:
         found = json.loads(provenance.get(key, "{}"))
-    except (ValueError, TypeError) as error:
-        raise _damaged(key) from error
+    except (ValueError, TypeError):
+        found = None
     if not isinstance(found, dict):
-        raise _damaged(key)
+        raise FileError(f"the field file's {key} are damaged: fit the field again")
     return found
-
-
-def _damaged(key: str) -> FileError:
-    return FileError(f"the field file's {key} are damaged: fit the field again")

@@ -57,8 +57,6 @@ def synchronise(
         frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
             was extracted from) or base (of the robot or tracker). By default patient,
             or base with --base-to-scan. The trajectory stays in it.
-        base_to_scan: Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV,
-            JSON or NPY file, or seven numbers.
         stream: Name of the topic, transform, tool or body, if the poses' file has
             several, for instance ProbeToTracker; of /tf two frames, base:tool.
         wrench_stream: Name of the topic or device, if the wrenches' file has several.

@@ -36,7 +36,6 @@ def tune(
     """Choose weights, boundary scale and friction from the recordings.
 
     Args:
-        surface: Surface file (.nc).
         formulation: A formulation's name, or the path of your own file; of several, the
             one that predicts places left out best is taken. By default eq10 and
             coulomb_global.

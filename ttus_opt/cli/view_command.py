@@ -71,11 +71,8 @@ def view(
     open it, by the link that is printed. Ctrl-C ends it.
 
     Args:
-        field: Field file (.nc).
         compare: Another field file of the same patient, beside the first.
         example: Fit the bundled example and show it.
-        port: Where to serve on this machine; the next free one if it is taken.
-        no_browser: Print the link only.
 
     Example:
         ttus-opt view field.nc --trajectory press.csv

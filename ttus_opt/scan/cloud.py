@@ -79,9 +79,6 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 #: Least and largest plausible extent of a scan of a torso [m].
 EXTENT_LIMITS = (0.1, 3.0)
 
-_TEXT = (".xyz", ".csv", ".txt", ".pts", ".asc")
-_SUFFIXES = (".ply", ".pcd", *_TEXT, ".npy")
-
 
 def read_cloud(
     path: str | os.PathLike[str],
@@ -113,7 +110,13 @@ def read_cloud(
     if unit is not None:
         expect_one_of(unit, UNITS, "unit")
     file = io.existing_file(path, "point cloud")
-    points = _read_points(file)
+    suffix = file.suffix.lower()
+    if suffix not in READERS:
+        raise FileError(
+            f"{file} has the suffix {suffix!r}, expected one of {', '.join(READERS)}: "
+            "export it as one of these"
+        )
+    points = READERS[suffix](file)
     if len(points) == 0:
         raise FileError(f"{file} holds no points: record or export it again")
     finite = np.isfinite(points).all(axis=1)
@@ -165,22 +168,6 @@ def of_patient(points: Array, name: str, box: Sequence[float] | None = None) -> 
         2,
     )
     return kept
-
-
-def _read_points(file: Path) -> Array:
-    suffix = file.suffix.lower()
-    if suffix == ".pcd":
-        return read_pcd(file)
-    if suffix == ".ply":
-        return _read_ply(file)
-    if suffix == ".npy":
-        return _read_npy(file)
-    if suffix in _TEXT:
-        return read_xyz(file)
-    raise FileError(
-        f"{file} has the suffix {suffix!r}, expected one of {', '.join(_SUFFIXES)}: "
-        "export it as one of these"
-    )
 
 
 def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
@@ -248,3 +235,12 @@ def _read_npy(file: Path) -> Array:
         hint = "transposed?" if points.shape[:1] == (3,) else "save x, y, z columns"
         raise FileError(f"{file}: points must be (n, 3), got {points.shape}: {hint}")
     return points
+
+
+#: What reads a cloud, by its suffix
+READERS = {
+    ".ply": _read_ply,
+    ".pcd": read_pcd,
+    **dict.fromkeys((".xyz", ".csv", ".txt", ".pts", ".asc"), read_xyz),
+    ".npy": _read_npy,
+}

@@ -13,9 +13,8 @@ motions that do not determine X, nor inverted poses: both are tested here.
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -36,6 +35,7 @@ Camera = Literal["fixed", "moving"]
 
 HAND_EYE = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 ROBOT_WORLD = ("SHAH", "LI")
+SOLVERS = tuple(name.lower() for name in (*HAND_EYE, *ROBOT_WORLD))
 
 #: Fewest pairs: two motions
 LEAST_PAIRS = 3
@@ -89,12 +89,12 @@ class Candidate(NamedTuple):
     """What one solver found.
 
     Attributes:
-        camera: X, shape (4, 4); None where the solver failed.
+        camera: X, shape (4, 4).
         marker: Z, the mean over the pairs, shape (4, 4).
         loop: How well the loops close.
     """
 
-    camera: Array | None
+    camera: Array
     marker: Array
     loop: Loop
 
@@ -108,7 +108,7 @@ class HandEye:
         marker: Marker to hand, or to base where the camera moves, shape (4, 4).
         loop: How well the loops close.
         solver: Its name.
-        candidates: All answers, by solver.
+        candidates: All answers, by solver; without those of solvers that failed.
         pairs: Number of pairs.
     """
 
@@ -125,7 +125,7 @@ class HandEye:
         places = [
             found.camera[:3, 3]
             for found in self.candidates.values()
-            if found.camera is not None and _closes(found.loop)
+            if _closes(found.loop)
         ]
         return max(
             (float(np.linalg.norm(a - b)) for a in places for b in places), default=0.0
@@ -206,11 +206,7 @@ def hand_eye(
             f"{1e3 * largest_gap:g} mm and {np.rad2deg(largest_twist):g}°: "
             f"{_remedy(A, B, camera)}"
         )
-    chosen = candidates[best]
-    assert chosen.camera is not None
-    answer = HandEye(
-        chosen.camera, chosen.marker, chosen.loop, best, candidates, len(A)
-    )
+    answer = HandEye(*candidates[best], best, candidates, len(A))
     if answer.spread > LARGEST_SPREAD:
         warn(
             f"the solvers' results differ by {1e3 * answer.spread:.2g} mm: record "
@@ -268,7 +264,7 @@ def check_motions(A: Array, B: Array) -> None:
 
 
 def solved(G: Array, A: Array) -> dict[str, Candidate]:
-    """The answer of every solver to G X A = Z."""
+    """The answers to G X A = Z of those solvers that have one."""
     import cv2
 
     def by_motions(name: str) -> Array:
@@ -284,9 +280,13 @@ def solved(G: Array, A: Array) -> dict[str, Candidate]:
         return inverse(_motion(*of_both[2:]))
 
     found = {}
-    for solve, names in ((by_motions, HAND_EYE), (by_both, ROBOT_WORLD)):
-        for name in names:
-            found[name.lower()] = _candidate(G, A, functools.partial(solve, name))
+    for solver in SOLVERS:
+        name = solver.upper()
+        try:
+            X = by_motions(name) if name in HAND_EYE else by_both(name)
+        except (cv2.error, InputError, np.linalg.LinAlgError):
+            continue  # it fails, or returns no rigid motion
+        found[solver] = _candidate(G, X, A)
     return found
 
 
@@ -299,14 +299,8 @@ def _motion(R: Any, t: Any) -> Array:
     return rigid_motion(homogeneous(R, t.reshape(3)))
 
 
-def _candidate(G: Array, A: Array, solve: Callable[[], Array]) -> Candidate:
-    """An answer and its loops; None where OpenCV fails or returns no rigid motion."""
-    import cv2
-
-    try:
-        X = solve()
-    except (cv2.error, InputError, np.linalg.LinAlgError):
-        return Candidate(None, np.eye(4), Loop(np.inf, np.inf, np.inf))
+def _candidate(G: Array, X: Array, A: Array) -> Candidate:
+    """An answer and its loops."""
     Z = G @ X @ A
     turns, places = Rotation.from_matrix(Z[:, :3, :3]), Z[:, :3, 3]
     middle = turns.mean()
@@ -322,8 +316,7 @@ def _closes(loop: Loop, gap: float = LARGEST_GAP, twist: float = LARGEST_TWIST) 
 
 def _best(candidates: dict[str, Candidate]) -> str | None:
     """The solver whose loops close best; None where none has an answer."""
-    able = [name for name, found in candidates.items() if found.camera is not None]
-    return min(able, key=lambda name: candidates[name].loop.gap, default=None)
+    return min(candidates, key=lambda name: candidates[name].loop.gap, default=None)
 
 
 def _remedy(A: Array, B: Array, camera: Camera) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
-from ttus_opt.probe.raw_recording import RawRecording
+from ttus_opt.probe.raw_recording import COMPONENTS, RawRecording
 from ttus_opt.sensors.stream_format import StreamFormat, Wanted
 from ttus_opt.sensors.tracker_sheet import (
     Sheet,
@@ -29,7 +29,9 @@ from ttus_opt.sensors.tracker_sheet import (
 )
 
 POSE = ("q0", "qx", "qy", "qz", "tx", "ty", "tz")
-OURS = ("qw", "qx", "qy", "qz", "px", "py", "pz")
+OURS = {
+    n: i for i, n in enumerate((*COMPONENTS["quaternion"], *COMPONENTS["position"]))
+}
 
 #: Rate at which a Polaris or Vega numbers its frames [Hz]; an Aurora has 40
 RATE = 60.0
@@ -53,11 +55,30 @@ def _read(file: Path, wanted: Wanted) -> list[RawRecording]:
         raise FileError(f"{file} has no line Q0,Qx,Qy,Qz,Tx,Ty,Tz: export it again")
     rows, line = rows_below(file, table, head)
     starts = _poses(table[head])
-    blocks = zip([0, *(at + len(POSE) for at in starts[:-1])], starts, strict=True)
-    return [
-        _tool(file, table[head], rows, line, begin, at, number)
-        for number, (begin, at) in enumerate(blocks, 1)
-    ]
+    out = []
+    for which, at in enumerate(starts):
+        begin = starts[which - 1] + len(POSE) if which else 0
+        # nearest first: what stands before may be another tool's markers
+        columns = reversed(range(begin, at))
+        about = [(table[head][i].lower(), i) for i in columns]
+        pose = numbers(rows, range(at, at + len(POSE)))
+        state = _first(about, "status", "state")
+        said = [_cell(row, state).lower() for row in rows]
+        absent = np.abs(np.nan_to_num(pose, nan=np.inf)).max(axis=1) > NO_NUMBER
+        pose[absent | [word not in SOUND for word in said]] = np.nan
+        time, how = _times(rows, about)
+        sheet = Sheet(
+            file,
+            time,
+            pose,
+            ["mm"] * len(POSE),
+            {_name(table[head], rows, about) or f"tool {which + 1}": OURS},
+            "quaternions w, x, y, z, the tracker's frame",
+            line,
+            "missing",
+        )
+        out += [raw.replaced(cautions=(how,) if how else ()) for raw in streams(sheet)]
+    return out
 
 
 def _poses(row: Sequence[str]) -> list[int]:
@@ -66,42 +87,13 @@ def _poses(row: Sequence[str]) -> list[int]:
     return [i for i in range(len(names)) if tuple(names[i : i + len(POSE)]) == POSE]
 
 
-def _tool(
-    file: Path,
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    line: np.ndarray,
-    begin: int,
-    at: int,
-    which: int,
-) -> RawRecording:
-    """The stream of the tool whose columns run from ``begin`` to its pose."""
-    # nearest first: what stands before may be another tool's markers
-    about = [(header[i].lower(), i) for i in reversed(range(begin, at))]
-    pose = numbers(rows, range(at, at + len(POSE)))
-    state = _first(about, "status", "state")
-    said = [_cell(row, state).lower() for row in rows]
-    absent = np.abs(np.nan_to_num(pose, nan=np.inf)).max(axis=1) > NO_NUMBER
-    pose[absent | [word not in SOUND for word in said]] = np.nan
-    time, how = _times(rows, about)
+def _name(header: Sequence[str], rows: Sequence[Sequence[str]], about: Columns) -> str:
+    """A tool's name, in its header or in the rows; empty where none is."""
     tool = _first(about, "port 0x", "port ", "toolinfo", "tool")
     title = header[tool] if tool is not None else ""
-    if ":" not in title:  # the name stands in the rows
+    if ":" not in title:
         title = next((c for row in rows if (c := _cell(row, tool))), "")
-    name = re.split(r"\s+s/n:", title.split(": ", 1)[-1])[0].strip()
-    name = name or f"tool {which}"
-    sheet = Sheet(
-        file,
-        time,
-        pose,
-        ["mm"] * len(POSE),
-        {name: {ours: k for k, ours in enumerate(OURS)}},
-        "quaternions w, x, y, z, the tracker's frame",
-        line,
-        "missing",
-    )
-    (raw,) = streams(sheet)
-    return raw.replaced(cautions=(how,) if how else ())
+    return re.split(r"\s+s/n:", title.split(": ", 1)[-1])[0].strip()
 
 
 def _times(rows: Sequence[Sequence[str]], about: Columns) -> tuple[Array, str]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -105,16 +105,32 @@ def _read(place: Path, wanted: Wanted) -> list[RawRecording]:
         raise FileError(str(error)) from error
 
 
+class _Topic(NamedTuple):
+    """Messages of a topic: their type, their frame, and stamps [s] before numbers."""
+
+    kind: str
+    frame: str
+    rows: list[list[float]]
+
+    def recording(self, place: Path, name: str) -> RawRecording:
+        """Its stream."""
+        values = np.array(self.rows, np.float64)
+        time, first, second = values[:, 0].copy(), values[:, 1:4], values[:, 4:]
+        kind, frame = self.kind.rpartition("/")[2], self.frame or "an unnamed frame"
+        told = (f"SI, {kind} in {frame}",)
+        raw = RawRecording(str(place), time, name=name, notes=told, units_stated=True)
+        if self.kind in WRENCHES:
+            return raw.replaced(force=first, torque=second)
+        return raw.replaced(position=first, quaternion=second)
+
+
 def _streams(
     place: Path,
     types: dict[str, Callable[[Any], list[float]]],
     kinds: list[str],
     wanted: Wanted,
 ) -> list[RawRecording]:
-    times: dict[str, list[float]] = {}
-    rows: dict[str, list[list[float]]] = {}
-    of: dict[str, str] = {}
-    frames: dict[str, str] = {}
+    topics: dict[str, _Topic] = {}
     tree = FrameTree()
     with opened(place) as (reader, decode):
         own = [c for c in reader.connections if c.msgtype in kinds]
@@ -127,15 +143,13 @@ def _streams(
                     link = each.header.frame_id, each.child_frame_id
                     tree.add(*link, _stamp(each), pose, static=topic.endswith(STATIC))
                 continue
-            times.setdefault(topic, []).append(_stamp(message))
-            rows.setdefault(topic, []).append(types[kind](message))
-            of[topic], frames[topic] = kind, message.header.frame_id
-            if len(times[topic]) > MOST_MESSAGES:
+            rows = topics.setdefault(
+                topic, _Topic(kind, message.header.frame_id, [])
+            ).rows
+            rows.append([_stamp(message), *types[kind](message)])
+            if len(rows) > MOST_MESSAGES:
                 raise FileError(f"{place} has too many messages of {topic}: shorten it")
-    out = [
-        _recording(place, topic, times[topic], rows[topic], of[topic], frames[topic])
-        for topic in times
-    ]
+    out = [topic.recording(place, name) for name, topic in topics.items()]
     if wanted.name or not wanted.kind or not out:  # a topic is meant before a frame
         links = tree.links()
         pair = (wanted.name or "").split(":")
@@ -153,23 +167,6 @@ def _streams(
 def _stamp(message: Any) -> float:
     stamp = message.header.stamp
     return float(stamp.sec + 1e-9 * stamp.nanosec)
-
-
-def _recording(
-    place: Path,
-    topic: str,
-    times: list[float],
-    rows: list[list[float]],
-    kind: str,
-    frame: str,
-) -> RawRecording:
-    time, values = np.array(times, np.float64), np.array(rows, np.float64)
-    note = f"SI, {kind.rpartition('/')[2]} in {frame or 'an unnamed frame'}"
-    raw = RawRecording(str(place), time, name=topic, notes=(note,), units_stated=True)
-    first, second = values[:, :3], values[:, 3:]
-    if kind in WRENCHES:
-        return raw.replaced(force=first, torque=second)
-    return raw.replaced(position=first, quaternion=second)
 
 
 def _by_time(raw: RawRecording) -> RawRecording:

@@ -283,8 +283,6 @@ def _start(problem: _Problem, rng: np.random.Generator) -> Array:
     for _ in range(STARTS):
         own = rng.choice(len(G), START_PAIRS, replace=False)
         for found in hand_eye.solved(G[own], problem.A[own]).values():
-            if found.camera is None:
-                continue
             ends = (G @ found.camera @ problem.A)[:, :3, 3]
             gap = float(np.median(np.linalg.norm(ends - found.marker[:3, 3], axis=1)))
             if gap < least:
