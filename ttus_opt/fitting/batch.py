@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from ttus_opt.contact.scene import Scene
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.compiled import Stopwatch
-from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.parameters.fitted_parameters import fitted_estimates
 from ttus_opt.fitting.parameters.identification import (
     warn_of_untold_friction,
@@ -99,10 +98,6 @@ def fit(
         return replace(solution, timings=timings, chosen=choice.lines)
     watch = Stopwatch()
     declared = load(usual, scene, **options)
-    if declared.scene is not scene:
-        raise InputError(
-            "the formulation belongs to another scene: build it for this one"
-        )
     request = Request(tolerance, time_limit)
     reasons = declared.not_identifiable()
     warn_of_untold_friction(declared, "0 is used")
@@ -239,17 +234,12 @@ class Fitter:
         self._taken_in = 0.0
 
     def __repr__(self) -> str:
-        return f"<Fitter by {self.solver_name} of {self._declared!r}>"
+        return f"<Fitter by {self._backend.name} of {self._declared!r}>"
 
     @property
     def solver(self) -> Solver:
         """The chosen solver."""
         return self._backend
-
-    @property
-    def solver_name(self) -> str:
-        """Its name."""
-        return self._backend.name
 
     def update(self, declared: Formulation) -> None:
         """Take other weights or data, keeping the solver's state."""

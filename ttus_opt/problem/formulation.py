@@ -76,8 +76,8 @@ def load(
         The formulation.
 
     Raises:
-        InputError: Unknown name or option, an option of the wrong kind, or a file
-            without ``build``.
+        InputError: Unknown name or option, an option of the wrong kind, a file without
+            ``build``, or a formulation over another scene.
     """
     if isinstance(formulation, Formulation):
         if options:
@@ -85,7 +85,7 @@ def load(
                 f"{', '.join(options)} cannot be given to a finished formulation: use "
                 "with_weights, or name the formulation instead"
             )
-        return formulation
+        return _over(scene, formulation)
     build, name = _find(formulation)
     known = _options(build)
     for option, value in options.items():
@@ -104,7 +104,15 @@ def load(
             f"build() of formulation {name} returned {type(built).__name__}, expected "
             "a Formulation"
         )
-    return built.named(name)
+    return _over(scene, built.named(name))
+
+
+def _over(scene: Scene, declared: Formulation) -> Formulation:
+    if declared.scene is not scene:
+        raise InputError(
+            "the formulation belongs to another scene: build it for this one"
+        )
+    return declared
 
 
 #: As `ttus_opt` calls it

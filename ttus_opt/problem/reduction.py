@@ -110,11 +110,10 @@ def reduce(program: Program) -> Reduction:
             variables[f"{term.name}:{side}"] = slice(n, n + m)
             n += m
     terms: list[ProgramTerm] = []
+    free = np.full(n - program.n_variables, np.inf)
     rows = [replace(c, matrix=_widened(c.matrix, n)) for c in program.constraints]
     bounds = [
-        replace(
-            b, lower=_padded(b.lower, -np.inf, n), upper=_padded(b.upper, np.inf, n)
-        )
+        replace(b, lower=np.append(b.lower, -free), upper=np.append(b.upper, free))
         for b in program.bounds
     ]
     for term in program.terms:
@@ -172,10 +171,6 @@ def _widened(matrix: sp.csr_array, n: int) -> sp.csr_array:
     """The same rows with empty columns at the end; no copy."""
     shape = (matrix.shape[0], n)
     return sp.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=shape)
-
-
-def _padded(values: Array, fill: float, n: int) -> Array:
-    return np.concatenate([values, np.full(n - len(values), fill)])
 
 
 def _split_rows(matrix: sp.csr_array, start: int, n: int) -> sp.csr_array:

@@ -22,10 +22,6 @@ from ttus_opt.problem.solution import Solution, Status
 ROUNDING = 1e-12
 
 
-class UnsolvedError(Exception):
-    """A fit beside the optimum was not solved; the message says so."""
-
-
 @dataclass(frozen=True)
 class Parabola:
     """J near its minimum.
@@ -51,16 +47,13 @@ class Parabola:
     @classmethod
     def through(
         cls, fitted: Callable[[Array], Solution], centre: Array, step: Array
-    ) -> Parabola:
-        """Fit around a point.
+    ) -> Parabola | None:
+        """Fit around a point; None where a fit is not solved.
 
         Args:
             fitted: The fit at given values.
             centre: The central point, shape (k,).
             step: Distance of the other fits, shape (k,).
-
-        Raises:
-            UnsolvedError: One of them was not solved.
         """
         k, error = len(centre), 0.0
         unit = np.eye(k, dtype=int)
@@ -71,7 +64,7 @@ class Parabola:
         for signs in sorted(tuple(place.tolist()) for place in places):
             solution = fitted(centre + np.array(signs) * step)
             if solution.status is not Status.SOLVED or solution.kkt is None:
-                raise UnsolvedError("a fit beside it was not solved")
+                return None
             rounding = ROUNDING * abs(solution.objective)
             error = max(error, solution.kkt.gap + rounding)
             solved[signs] = solution

@@ -9,13 +9,13 @@ point then gives the values (its vertex) and the standard errors (its curvature,
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ttus_opt.contact.places import PlaceErrors
 from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.parameters.identification import (
     NOTHING_WEIGHS,
@@ -25,7 +25,7 @@ from ttus_opt.fitting.parameters.identification import (
     judged_estimate,
     noise_variance,
 )
-from ttus_opt.fitting.parameters.parabola import Parabola, UnsolvedError
+from ttus_opt.fitting.parameters.parabola import Parabola
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 
@@ -44,6 +44,9 @@ STEP = 0.02
 #: Standard errors below this share of the step call for a smaller step; the smallest
 #: step, as a share of the first [–]
 NARROW, NEAREST = 0.25, 0.02
+
+#: Said of a parameter where the parabola misses a fit
+UNSOLVED_BESIDE = "its standard error is unknown: a fit beside it was not solved"
 
 #: Most parabolas, each centred on the vertex of the last one
 ROUNDS = 3
@@ -184,14 +187,6 @@ def _least(search: Search, solve: Solve) -> float:
     return best
 
 
-class _UnidentifiedError(Exception):
-    """Standard errors are unknown; carries the reasons instead."""
-
-    def __init__(self, values: Array, reasons: Sequence[str], remark: str = "") -> None:
-        super().__init__(remark)
-        self.values, self.reasons, self.remark = values, reasons, remark
-
-
 def _estimates(
     search: Search,
     chain: Sequence[Search],
@@ -215,39 +210,12 @@ def _estimates(
             every[i] = value
         return _at(search, every)
 
-    start = np.array([values[i] for i in free])
-    try:
-        best = _settled(ranges, placed, solve, start)
-    except _UnidentifiedError as error:
-        placed(error.values)
-        return every, {
-            one.parameter: Estimate(value, math.nan, reason, error.remark)
-            for one, value, reason in zip(
-                ranges, error.values.tolist(), error.reasons, strict=True
-            )
-        }
-    estimates = {
-        one.parameter: _reported(one, k, best, placed) for k, one in enumerate(ranges)
-    }
-    placed(best.values)
-    return every, estimates
-
-
-@dataclass(frozen=True)
-class _Optimum:
-    """The minimum of J.
-
-    Attributes:
-        values: Parameter values, shape (k,).
-        errors: Their standard errors, shape (k,).
-        solution: The solution of a fit nearby.
-        remarks: Remarks on the errors, by parameter.
-    """
-
-    values: Array
-    errors: Array
-    solution: Solution
-    remarks: tuple[str, ...]
+    best, estimates = _settled(
+        ranges, placed, solve, np.array([values[i] for i in free])
+    )
+    placed(best)
+    names = (one.parameter for one in ranges)
+    return every, dict(zip(names, estimates, strict=True))
 
 
 def _settled(
@@ -255,38 +223,35 @@ def _settled(
     placed: Callable[[Array], Formulation],
     solve: Solve,
     start: Array,
-) -> _Optimum:
-    """The vertex of a parabola centred on itself.
+) -> tuple[Array, list[Estimate]]:
+    """The vertex of a parabola centred on itself, and estimates of its parameters.
 
     Raises:
         _NoMinimumError: It does not settle.
-        _UnidentifiedError: There is none, or a fit was not solved.
     """
     low, high = np.array([(one.low, one.high) for one in ranges]).T
     step, at, settled = STEP * (high - low), start, False
-    nothing = [""] * len(ranges)
 
-    def parabola_at(around: Array) -> Parabola:
+    def parabola_at(around: Array) -> Parabola | None:
         centre = np.clip(around, low + step, high - step)
         return Parabola.through(lambda v: solve(placed(v)), centre, step)
 
     for _ in range(ROUNDS):
-        try:
-            parabola = parabola_at(at)
-        except UnsolvedError as trouble:
-            remark = f"its standard error is unknown: {trouble}"
-            raise _UnidentifiedError(at, nothing, remark) from trouble
+        parabola = parabola_at(at)
+        if parabola is None:
+            return at, _unknown(at, [""] * len(ranges), UNSOLVED_BESIDE)
         if parabola.flat.any():
-            raise _UnidentifiedError(
+            return at, _unknown(
                 at, [parabola.reason * bool(flat) for flat in parabola.flat]
             )
         at = np.clip(parabola.vertex, low, high)
         settled = bool((np.abs(at - parabola.centre) <= 2.0 * step).all())
         if settled:
             break
+    assert parabola is not None
     variance = _variance(placed(parabola.centre), parabola.solution, len(ranges))
     if math.isnan(variance):
-        raise _UnidentifiedError(at, [NOTHING_WEIGHS] * len(ranges))
+        return at, _unknown(at, [NOTHING_WEIGHS] * len(ranges))
     errors = parabola.errors(variance)
     if not settled and (errors <= SHARE * (high - low)).all():
         names = ", ".join(one.parameter for one in ranges)
@@ -294,38 +259,46 @@ def _settled(
     if (errors < NARROW * step).any():
         # the step covers many standard errors: again with a smaller one
         step = np.clip(2.0 * errors, NEAREST * step, step)
-        with contextlib.suppress(UnsolvedError):
-            near = parabola_at(at)
-            if not near.flat.any():
-                at, errors = np.clip(near.vertex, low, high), near.errors(variance)
-                parabola = near
+        near = parabola_at(at)
+        if near is not None and not near.flat.any():
+            at, errors = np.clip(near.vertex, low, high), near.errors(variance)
+            parabola = near
     rows = PlaceRows.of(placed(parabola.centre).scene, parabola.solution.program)
     shared = parabola.place_errors(errors, rows)
-    return _Optimum(at, shared.errors, parabola.solution, shared.remarks)
+    solution = parabola.solution
+    return at, [
+        _reported(
+            one, k, at, shared, lambda v: placed(v).parameters(solution.variables)
+        )
+        for k, one in enumerate(ranges)
+    ]
+
+
+def _unknown(at: Array, reasons: Sequence[str], remark: str = "") -> list[Estimate]:
+    """Estimates without a standard error."""
+    pairs = zip(at.tolist(), reasons, strict=True)
+    return [Estimate(value, math.nan, reason, remark) for value, reason in pairs]
 
 
 def _reported(
-    one: Search, k: int, best: _Optimum, placed: Callable[[Array], Formulation]
+    one: Search,
+    k: int,
+    at: Array,
+    shared: PlaceErrors,
+    parameters: Callable[[Array], Mapping[str, float]],
 ) -> Estimate:
     """The k-th parameter's estimate, in its reported unit."""
 
     def reported(value: float) -> float:
-        moved = best.values.copy()
+        moved = at.copy()
         moved[k] = value
-        values = placed(moved).parameters(best.solution.variables)
-        return values.get(one.parameter, float(value))
+        return parameters(moved).get(one.parameter, float(value))
 
     low, high = reported(one.low), reported(one.high)
     rate = (high - low) / (one.high - one.low)
-    estimate = judged_estimate(
-        reported(best.values[k]),
-        float(rate * best.errors[k]),
-        high - low,
-        low,
-        high,
-        reported(one.neutral_value),
-    )
-    return estimate.remarked(best.remarks[k])
+    error, neutral = float(rate * shared.errors[k]), reported(one.neutral_value)
+    estimate = judged_estimate(reported(at[k]), error, high - low, low, high, neutral)
+    return estimate.remarked(shared.remarks[k])
 
 
 def _variance(declared: Formulation, solution: Solution, n_searched: int) -> float:

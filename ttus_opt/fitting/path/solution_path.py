@@ -125,7 +125,11 @@ def solution_path(
         if extra not in EXTRAS:
             raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
     run = run or PathRun()
-    declared = _declared(formulation, scene, options)
+    if scene is None:
+        if not isinstance(formulation, Formulation):
+            raise InputError("solution_path needs a scene with a formulation's name")
+        scene = formulation.scene
+    declared = load(formulation, scene, **options)
     grid = WeightGrid.of(weights, [term.name for term in declared.terms])
     unseen = _named(held_out)
     neutral = declared.with_neutral(declared.not_identifiable())
@@ -185,23 +189,6 @@ def _collect(
 
 def _order(grid: WeightGrid, solve: PointSolver) -> list[Index]:
     return grid.from_both_ends() if solve.common else grid.from_the_prior()
-
-
-def _declared(
-    formulation: str | Path | Formulation,
-    scene: Scene | None,
-    options: Mapping[str, Any],
-) -> Formulation:
-    if scene is None:
-        if not isinstance(formulation, Formulation):
-            raise InputError("solution_path needs a scene with a formulation's name")
-        scene = formulation.scene
-    declared = load(formulation, scene, **options)
-    if declared.scene is not scene:
-        raise InputError(
-            "the formulation belongs to another scene: build it for this one"
-        )
-    return declared
 
 
 def _named(held_out: HeldOut) -> dict[str, Trajectory]:

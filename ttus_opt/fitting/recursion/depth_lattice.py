@@ -135,13 +135,11 @@ class DepthLattice:
         depth = np.clip(voxel_depths(self.voxmap), 0.0, self.depths[-1])
         low = np.clip(np.searchsorted(self.depths, depth) - 1, 0, len(DEPTHS) - 2)
         deep = (depth - self.depths[low]) / np.diff(self.depths)[low]
-        n = grid.n_voxels
+        n, k = grid.n_voxels, len(DEPTHS)
+        places, shares = (np.stack(each) for each in zip(*spoke, strict=True))
         on = np.tile(np.arange(theta.size), grid.shape[0])  # spoke of every voxel
-        columns, values = np.empty((n, 8), dtype=np.int64), np.empty((n, 8))
-        for c, (place, share) in enumerate(spoke):
-            for d in (0, 1):
-                columns[:, 2 * c + d] = place[on] * len(DEPTHS) + low + d
-                values[:, 2 * c + d] = share[on] * (deep if d else 1.0 - deep)
-        starts = 8 * np.arange(n + 1)
+        columns = k * places[:, on, None] + np.stack([low, low + 1], axis=1)
+        values = shares[:, on, None] * np.stack([1.0 - deep, deep], axis=1)
+        entries = (np.moveaxis(each, 0, 1).ravel() for each in (values, columns))
         shape = (n, self.size)
-        return sp.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
+        return sp.csr_array((*entries, 8 * np.arange(n + 1)), shape=shape)

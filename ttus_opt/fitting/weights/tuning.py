@@ -290,10 +290,6 @@ def _candidate(
     """
     if isinstance(formulation, Formulation):
         load(formulation, scene, **options)  # it takes none
-        if formulation.scene is not scene:
-            raise InputError(
-                "the formulation belongs to another scene: build it for this one"
-            )
         return _tuned(None, formulation, formulation)
     known = option_defaults(formulation)
     given = {k: v for k, v in options.items() if known is None or k in known}

@@ -95,31 +95,27 @@ def difference_rows(grid: CylindricalGrid) -> sp.csr_array:
         Rows 3v, 3v+1, 3v+2 of voxel v, shape (3V, V) [–]; empty if there is no next
         voxel. θ is periodic, except on a sector.
     """
-    n_r, _, n_z = grid.shape
-    index = np.arange(grid.n_voxels).reshape(grid.shape)
-    shape = grid.shape
+    n_r, n_theta, n_z = grid.shape
+    around = n_theta if grid.wall is None else grid.wall - 1
     arc = grid.r_step / (grid.r * grid.theta_step)  # [–]
-    rows, columns, values = [], [], []
-    scales = (
-        np.ones(shape),
-        np.broadcast_to(arc[:, None, None], shape),
-        np.full(shape, grid.r_step / grid.z_step),
+    each = (
+        sp.kron(_to_the_next(n_r, n_r - 1), sp.eye_array(n_theta * n_z)),
+        sp.kron(
+            sp.diags_array(arc),
+            sp.kron(_to_the_next(n_theta, around), sp.eye_array(n_z)),
+        ),
+        sp.kron(
+            sp.eye_array(n_r * n_theta),
+            grid.r_step / grid.z_step * _to_the_next(n_z, n_z - 1),
+        ),
     )
-    for axis, scale in enumerate(scales):
-        after = np.roll(index, -1, axis=axis)
-        there = np.ones(shape, dtype=bool)
-        if axis == 0:
-            there[n_r - 1] = False
-        if axis == 1 and grid.wall is not None:
-            there[:, grid.wall - 1 :] = False
-        if axis == 2:
-            there[:, :, n_z - 1] = False
-        row = 3 * index[there] + axis
-        rows += [row, row]
-        columns += [index[there], after[there]]
-        values += [-scale[there], scale[there]]
-    entries = (
-        np.concatenate(values),
-        (np.concatenate(rows), np.concatenate(columns)),
-    )
-    return sp.csr_array(entries, shape=(3 * grid.n_voxels, grid.n_voxels))
+    order = np.arange(3 * grid.n_voxels).reshape(3, -1).T.ravel()
+    return sp.csr_array(sp.vstack(each, format="csr")[order])
+
+
+def _to_the_next(n: int, count: int) -> sp.csr_array:
+    """Differences to the next of n places in a ring, of the first ``count`` of them."""
+    at = np.arange(count)
+    entries = np.tile([-1.0, 1.0], count), np.stack([at, (at + 1) % n], axis=1).ravel()
+    starts = 2 * np.minimum(np.arange(n + 1), count)
+    return sp.csr_array((*entries, starts), shape=(n, n))

@@ -133,43 +133,22 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     box = np.where(np.isfinite(low), 0.0, -1.0), np.where(np.isfinite(high), 0.0, 1.0)
     above, equal = sp.vstack(down), sp.vstack([sp.csr_array((0, n)), *still])
     none, zero = np.zeros(above.shape[0]), np.zeros(equal.shape[0])
-    answer = linear_program(slope, (above, none), (equal, zero), box, time_limit)
+    rows = above, none, equal, zero
+    answer = _linear_program(slope, *rows, box=box, time_limit=time_limit)
     if answer.x is None or not decreases_forever(program, answer.x):
         return None
     return np.asarray(answer.x)
 
 
-def linear_program(
-    cost: Array,
-    above: tuple[Any, Array],
-    equal: tuple[Any, Array],
-    box: tuple[Array, Array],
-    time_limit: float | None,
+def _linear_program(
+    cost: Array, *rows: Any, box: tuple[Array, Array], time_limit: float | None
 ) -> Any:
-    """Minimise a linear cost by HiGHS.
-
-    Args:
-        cost: Shape (n,).
-        above: Sparse rows, shape (m, n), and their upper limits, shape (m,).
-        equal: Sparse rows and their values, likewise.
-        box: Lower and upper bounds, shape (n,) each.
-        time_limit: None for no limit [s].
-
-    Returns:
-        SciPy's result.
-    """
+    """SciPy's result, by HiGHS, of rows as of its ``linprog``."""
     from scipy.optimize import linprog
 
-    return linprog(  # type: ignore[call-overload]  # sparse rows are allowed
-        cost,
-        sp.csc_array(above[0]),
-        above[1],
-        sp.csc_array(equal[0]),
-        equal[1],
-        np.stack(box, axis=1),
-        method="highs",
-        options={} if time_limit is None else {"time_limit": time_limit},
-    )
+    options = {} if time_limit is None else {"time_limit": time_limit}
+    bounds = np.stack(box, axis=1)
+    return linprog(cost, *rows, bounds, options=options)  # type: ignore[call-overload]
 
 
 #: Multipliers below this, of at most 1, are rounding
@@ -222,13 +201,9 @@ def _elastic(
     full = sp.csr_array(sp.hstack([A, unit, -unit]))
     sides = Sides(low, high)
     cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
-    answer = linear_program(
-        cost,
-        sides.inequalities(full),
-        (full[sides.equal], low[sides.equal]),
-        (np.append(lower, np.zeros(2 * m)), np.append(upper, np.full(2 * m, np.inf))),
-        time_limit,
-    )
+    rows = *sides.inequalities(full), full[sides.equal], low[sides.equal]
+    box = np.append(lower, np.zeros(2 * m)), np.append(upper, np.full(2 * m, np.inf))
+    answer = _linear_program(cost, *rows, box=box, time_limit=time_limit)
     finite = np.concatenate([low[np.isfinite(low)], high[np.isfinite(high)], [0.0]])
     if answer.x is None or answer.fun <= FEASIBLE * max(np.abs(finite).max(), 1e-300):
         return ()
@@ -237,9 +212,9 @@ def _elastic(
     # marginals are positive at lower limits, multipliers here negative
     y = np.where(np.abs(y) > NEGLIGIBLE, -y, 0.0)
     starts = np.cumsum([len(c.lower) for c in program.constraints])[:-1]
-    rows = zip(program.constraints, np.split(y, starts), strict=True)
+    split = zip(program.constraints, np.split(y, starts), strict=True)
     # bounds whose multipliers balance the rows exactly
-    proof = Duals({c.name: part for c, part in rows}, -(A.T @ y))
+    proof = Duals({c.name: part for c, part in split}, -(A.T @ y))
     z = np.where(np.abs(z) > NEGLIGIBLE, -z, 0.0)
     if not contradicts(program, proof):
         proof = Duals(proof.rows, z)

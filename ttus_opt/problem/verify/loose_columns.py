@@ -13,8 +13,6 @@ and a projection onto the signs and cones are repeated until both hold.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
@@ -66,21 +64,17 @@ def exact_rows(
     Returns:
         All multipliers; None where there are no such ones, or none were found.
     """
-    members = program.limited_rows
-    columns = [sp.csr_array(sp.csc_array(m.matrix)[:, loose]) for m in members]
-    parts = [
-        _Part(member, B, given[member.name])
-        for member, B in zip(members, columns, strict=True)
-        if B.nnz
-    ]
+    every = program.limited_rows
+    columns = [sp.csr_array(sp.csc_array(member.matrix)[:, loose]) for member in every]
+    members = [m for m, B in zip(every, columns, strict=True) if B.nnz]
     cost = np.zeros(int(loose.sum()))
     for term in program.terms:
         if term.weight and isinstance(term.penalty, Linear):
             cost += (term.weight * term.matrix.sum(axis=0))[loose]
-    if not parts:
+    if not members:
         return None if cost.any() else dict(given)
-    B, y = sp.vstack([part.columns for part in parts]), [p.start for p in parts]
-    size = np.concatenate([part.weights for part in parts])
+    B, y = sp.vstack([B for B in columns if B.nnz]), [given[m.name] for m in members]
+    size = np.concatenate([_weights(*pair) for pair in zip(members, y, strict=True)])
     size = np.maximum(size, LEAST * (size.max() or 1.0))
     gram = sp.csc_array(B.T @ (size[:, None] * B))
     empty = sp.diags_array(np.where(gram.diagonal() > 0.0, 0.0, 1.0))
@@ -88,41 +82,23 @@ def exact_rows(
         inverse = splu(sp.csc_array(gram + empty))
     except RuntimeError:  # columns that depend on each other
         return None
-    at = np.cumsum([0, *(len(part.start) for part in parts)])
+    at = np.cumsum([len(part) for part in y])[:-1]
     for _ in range(MOST):
         flat = np.concatenate(y)
         left = B.T @ flat + cost
         summands = abs(B).T @ np.abs(flat) + np.abs(cost)
         if (np.abs(left) <= ROUNDING * summands).all():
-            names = (part.member.name for part in parts)
+            names = (member.name for member in members)
             return given | dict(zip(names, y, strict=True))
         flat = flat - size * (B @ inverse.solve(left))
-        y = [
-            part.member.admissible(flat[a:b])
-            for part, a, b in zip(parts, at[:-1], at[1:], strict=True)
-        ]
+        split = zip(members, np.split(flat, at), strict=True)
+        y = [member.admissible(part) for member, part in split]
     return None
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Rows with entries in the columns.
-
-    Attributes:
-        member: Linear rows or cones.
-        columns: B, shape (m, loose variables).
-        start: Their multipliers, shape (m,).
-    """
-
-    member: ProgramConstraint | ProgramCones
-    columns: sp.csr_array = field(repr=False)
-    start: Array = field(repr=False)
-
-    @property
-    def weights(self) -> Array:
-        """Sizes of the multipliers: of a whole cone, the same in all its rows, (m,)."""
-        if isinstance(self.member, ProgramConstraint):
-            return np.abs(self.start)
-        sizes = np.diff([*self.member.first, len(self.start)])
-        each = np.sqrt(np.add.reduceat(self.start**2, self.member.first))
-        return np.repeat(each, sizes)
+def _weights(member: ProgramConstraint | ProgramCones, y: Array) -> Array:
+    """Sizes of the multipliers: of a whole cone, the same in all its rows, (m,)."""
+    if isinstance(member, ProgramConstraint):
+        return np.abs(y)
+    each = np.sqrt(np.add.reduceat(y**2, member.first))
+    return np.repeat(each, member.sizes)
