@@ -8,6 +8,7 @@ its own residuals like any other fit.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import os
 import sys
@@ -147,7 +148,8 @@ def solution_path(
         declared, grid, unseen, tolerance, keep_fields=keep_fields, inputs=inputs
     )
     kept = None if run.file is None else PathFile(run.file, record, inputs)
-    left = [index for index in _order(grid, solve) if not record.has(index)]
+    order = grid.from_both_ends() if solve.common else grid.from_the_prior()
+    left = [index for index in order if not record.has(index)]
     if "criteria" in extras and left:
         solve.prepare_criteria(at(tuple(n - 1 for n in grid.shape)))
     if not (run.jobs > 1 or run.dask):
@@ -185,10 +187,6 @@ def _collect(
     finally:
         if kept is not None:
             kept.save()
-
-
-def _order(grid: WeightGrid, solve: PointSolver) -> list[Index]:
-    return grid.from_both_ends() if solve.common else grid.from_the_prior()
 
 
 def _named(held_out: HeldOut) -> dict[str, Trajectory]:
@@ -243,10 +241,8 @@ def in_turn(solve: PointSolver, points: Iterable[Index], at: At) -> Iterator[Poi
     """Solve one point after the other, each from the state of those before."""
     for index in points:
         weighted = at(index)
-        if solve.common:
-            with one_blas_thread():  # a common basis makes matrices small
-                yield index, solve(weighted), solve.criteria(weighted)
-        else:
+        # a common basis makes matrices small
+        with one_blas_thread() if solve.common else contextlib.nullcontext():
             yield index, solve(weighted), solve.criteria(weighted)
 
 

@@ -28,7 +28,7 @@ from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByCovariance
 from ttus_opt.gaussian.matern import SeparableCovariance
 from ttus_opt.probe.tracker_noise import TrackerNoise
-from ttus_opt.problem.terms.depth_map import voxel_profile
+from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import (
     LEAST_FORCE,
     DepthMapEstimate,
@@ -272,14 +272,8 @@ class FieldPrior:
         """The prior of a depth map; rows and changes of all frames."""
         scene, frames = problem.scene, problem.frames
         normal, *moved = ((problem.normal @ each)[frames] for each in (rows, *changes))
-        mean = voxel_profile(scene, depth_map.profile)
-        varied = SeparableCovariance.over(
-            scene.voxmap,
-            depth_map.deviation * mean,
-            depth_map.surface_length,
-            depth_map.depth_length,
-            depth_map.length_ratio,
-        )
+        model = DepthMapTerm.of(scene, depth_map)
+        mean, varied = model.mean, model.covariance
         touched = np.unique(np.concatenate([m.indices for m in (normal, *moved)]))
         few = sp.csr_array(normal[:, touched])
         common = PROFILE_SPREAD * mean[touched]

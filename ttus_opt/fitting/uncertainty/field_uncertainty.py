@@ -252,11 +252,6 @@ def _prior_of(solution: Solution) -> ProgramTerm:
     return prior
 
 
-def _usual_force(wrench: Array) -> float:
-    """Root mean square of the forces of wrenches (n, 6) [N]."""
-    return float(np.sqrt(np.mean(np.sum(wrench[:, :3] ** 2, axis=1))))
-
-
 def _errors(
     scene: Scene,
     potential: PotentialField,
@@ -296,7 +291,9 @@ def _errors(
         whole[informative] = rows.T
         return np.asarray(inverse.solve(whole).T[..., at])
 
-    usual = np.nan if mean is None else _usual_force(wrench[touching])
+    usual = np.nan
+    if mean is not None:  # root mean square of the forces
+        usual = float(np.sqrt(np.mean(np.sum(wrench[touching, :3] ** 2, axis=1))))
     seen = MeasuredWrenches(
         unmixed(posterior.images),
         unmixed(given.data),

@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.arrays import Array
 from ttus_opt.fitting.weights.tuning_rows import BasisRows
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.gaussian.posterior_mode import posterior_mode
@@ -142,14 +142,9 @@ class PlaceLeftOut:
         return Prediction(t - scale * u, scale, error)
 
     @cached_property
-    def _place(self) -> IntArray:
-        """Numbers of the places from 0."""
-        return np.unique(self.rows.place, return_inverse=True)[1]
-
-    @property
     def places(self) -> int:
         """Number of places [–]."""
-        return int(self._place.max()) + 1
+        return len(np.unique(self.rows.place))
 
     def log_density(self, weights: Array, coefficient: float = 0.0) -> float:
         """The log p above; arguments as for `predicted`."""

@@ -329,7 +329,9 @@ def _tuned(
         grid = variance / TuningRows.of(whole).variance()
     weights = {t.name: t.weight for t in whole.terms if t.measures}
     usual = np.array([weights[name] for name in rows.terms]) / grid
-    free = build is not None and _fits_scale(whole)
+    # whether boundary values count and their scale was fitted to the forces
+    fitted = whole.scene_parameters.keys() - whole.scene.not_identified.keys()
+    free = build is not None and BOUNDARY_SCALE in fitted
     while True:
         judge = PlaceLeftOut(
             rows.over_basis(largest / variance),
@@ -341,9 +343,3 @@ def _tuned(
             break
         largest *= LARGER
     return _Candidate(build, whole, rows, judge, steps, spread, usual, grid)
-
-
-def _fits_scale(declared: Formulation) -> bool:
-    """Whether its boundary values count and their scale was fitted to the forces."""
-    fitted = declared.scene_parameters.keys() - declared.scene.not_identified.keys()
-    return BOUNDARY_SCALE in fitted

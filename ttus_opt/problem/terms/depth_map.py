@@ -104,15 +104,16 @@ class DepthMapTerm(Term):
         """φ at every voxel, shape (V,) [unit of p]."""
         return voxel_profile(self.scene, self.profile)
 
+    @property
+    def covariance(self) -> SeparableCovariance:
+        """That of σ φ g over the voxels."""
+        lengths = self.surface_length, self.depth_length, self.length_ratio
+        scale = self.deviation * self.mean
+        return SeparableCovariance.over(self.scene.voxmap, scale, *lengths)
+
     def rows(self) -> AffineRows:
         """R diag(1/φ)/σ and R 1/σ."""
-        covariance = SeparableCovariance.over(
-            self.scene.voxmap,
-            self.deviation * self.mean,
-            self.surface_length,
-            self.depth_length,
-            self.length_ratio,
-        )
+        covariance = self.covariance
         rows = covariance.rows
         tags = frozenset({KnownCovariance(covariance, self._uncertain_mean())})
         return AffineRows({"p": rows}, rows @ self.mean, tags)
