@@ -20,28 +20,11 @@ VARIANCE = 0.3
 
 
 def errors_of(n_rows):
-    """Noise of frames of three rows each, with parts that frames of a place share."""
-    rng, n = np.random.default_rng(0), n_rows // 3
-    own = np.tril(rng.normal(0.0, 0.3, (n, 3, 3))) + 0.5 * np.eye(3)
-    shared = rng.normal(0.0, 0.2, (n, 3, 7))
-    at = np.arange(3 * n).reshape(n, 3)
-    rows = sp.eye_array(3 * n, format="csr")
-    return ErrorModel(VARIANCE, own, shared, np.arange(n) // 2, at, rows)
-
-
-def noise_of(errors):
-    """Σ of an error model, row by row."""
-    n = len(errors.own)
-    out = np.zeros((3 * n, 3 * n))
-    for i in range(n):
-        for j in range(n):
-            block = np.zeros((3, 3))
-            if errors.place[i] == errors.place[j]:
-                block = errors.shared[i] @ errors.shared[j].T
-            if i == j:
-                block = block + errors.own[i] @ errors.own[i].T
-            out[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = block
-    return out
+    """Errors of single rows, and some that rows share."""
+    rng = np.random.default_rng(0)
+    shared = rng.normal(0.0, 0.2, (n_rows, 14)) * (rng.uniform(size=(n_rows, 14)) < 0.5)
+    own = np.tril(rng.normal(0.0, 0.3, (n_rows, n_rows)), 0) + 0.5 * np.eye(n_rows)
+    return ErrorModel(VARIANCE, sp.csr_array(np.hstack([own, shared])))
 
 
 @functools.cache
@@ -61,7 +44,9 @@ def made(scale=False):
         C = C + np.outer(p0, p0)
     G = C @ D.T @ np.linalg.inv(np.eye(len(D)) + D @ C @ D.T)
     left = np.eye(V) - G @ D
-    exact = VARIANCE * left @ C @ left.T + G @ noise_of(errors) @ G.T
+    exact = (
+        VARIANCE * left @ C @ left.T + G @ (errors.root @ errors.root.T).toarray() @ G.T
+    )
     return bare.with_errors(errors), D, exact
 
 

@@ -110,7 +110,7 @@ class CovariancePosterior(Posterior):
                 rows @ self.drift + np.outer(sized, self.size) - gain @ self.drift_rows,
                 gain,
                 cross + gain,
-                errors.roots(gain / self.row_factor),
+                gain / self.row_factor @ errors.root,
             )
         )
         known = mean @ mean.transpose(0, 2, 1) - own @ total.transpose(0, 2, 1)

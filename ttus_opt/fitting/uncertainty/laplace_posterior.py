@@ -79,7 +79,7 @@ class LaplacePosterior(Posterior):
     def _inner(self) -> Array:
         """Covariance of the coefficients' errors, less that by the prior."""
         errors, spread = self._known_errors, self.measured.spread
-        noise = spread @ errors.roots(self.images)
+        noise = spread @ (self.images @ errors.root)
         inner = errors.variance * spread @ spread + noise @ noise.T
         n_prior = len(self.fields)
         inner[np.diag_indices(n_prior)] -= errors.variance

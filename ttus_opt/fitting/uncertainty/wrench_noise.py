@@ -158,53 +158,16 @@ class ErrorModel:
 
     Attributes:
         variance: Variance of the field's prior, over that of the program [–].
-        own: Cholesky factor of the errors per frame, shape (n, h, h) [N, N·m], or the
-            standard deviation of all weighted rows, independent of each other [–].
-        shared: Columns of the errors per place, shape (n, h, c) [N, N·m].
-        place: Place of every frame, shape (n,) [–].
-        at: Column in `mixed` of every component, shape (n, h).
-        mixed: From measured components to weighted rows, shape (rows, components)
-            [1/N, 1/N·m].
+        root: Σ = root rootᵀ, shape (rows, k): a column per error of a frame, or of a
+            row, and per error of a place [–].
     """
 
     variance: float
-    own: Array | float = field(repr=False)
-    shared: Array = field(repr=False)
-    place: IntArray = field(repr=False)
-    at: IntArray = field(repr=False)
-    mixed: sp.csr_array = field(repr=False)
-
-    def roots(self, rows: Array) -> Array:
-        """Y with Y Yᵀ = B Σ Bᵀ, shape (k, n h + c places), or (k, rows + c places).
-
-        Args:
-            rows: B, shape (k, rows).
-        """
-        parts = (rows @ self.mixed)[:, self.at]
-        if isinstance(self.own, float):
-            own = self.own * rows
-        else:
-            own = np.einsum("knh,nhj->knj", parts, self.own).reshape(len(rows), -1)
-        columns = self.shared.shape[2]
-        sums = np.zeros((int(self.place.max()) + 1, len(rows), columns))
-        np.add.at(sums, self.place, np.einsum("knh,nhj->nkj", parts, self.shared))
-        shared = sums.transpose(1, 0, 2).reshape(len(rows), -1)
-        return np.concatenate([own, shared], axis=1)
+    root: sp.csr_array = field(repr=False)
 
     def draw(self, rng: np.random.Generator) -> Array:
         """Errors of all rows, shape (rows,)."""
-        rows, components = self.mixed.shape
-        own, each = np.zeros(rows), np.zeros(self.at.shape)
-        if isinstance(self.own, float):
-            own = self.own * rng.standard_normal(rows)
-        else:
-            each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(each.shape))
-        count = int(self.place.max()) + 1, self.shared.shape[2]
-        numbers = rng.standard_normal(count)[self.place]
-        each += np.einsum("nhj,nj->nh", self.shared, numbers)
-        out = np.zeros(components)
-        out[self.at] = each
-        return np.asarray(own + self.mixed @ out)
+        return np.asarray(self.root @ rng.standard_normal(self.root.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -345,19 +308,33 @@ class MeasuredWrenches:
         Args:
             variance: Prior variance [–].
             noise: Noise of the measurements.
-            mixed: As in `ErrorModel`.
-            at: The same.
+            mixed: From measured components to weighted rows, shape (rows, components)
+                [1/N, 1/N·m].
+            at: Column in it of every component, shape (n, h).
             of_row: Standard deviation of every weighted row, where that and the
                 relative error of a place are all errors [–].
         """
-        shared = self._shared(noise)
-        if of_row is not None:
-            return ErrorModel(variance, of_row, shared[..., :1], self.place, at, mixed)
-        own = np.asarray(np.linalg.cholesky(self._own(noise)))
-        return ErrorModel(variance, own, shared, self.place, at, mixed)
+        shared, (rows, n) = self._shared(noise), mixed.shape
+        if of_row is None:
+            own = np.asarray(np.linalg.cholesky(self._own(noise)))
+            each = np.arange(own[..., 0].size).reshape(len(own), 1, -1)
+            first: sp.csr_array = mixed @ _placed(own, at, each, n)
+        else:
+            shared, first = shared[..., :1], of_row * sp.eye_array(rows, format="csr")
+        count = shared.shape[2]
+        of_place = count * self.place[:, None, None] + np.arange(count)
+        second = mixed @ _placed(shared, at, of_place, n)
+        return ErrorModel(variance, sp.csr_array(sp.hstack([first, second])))
 
     def _own(self, noise: WrenchNoise) -> Array:
         return noise.own(self.wrench)[:, self.parts][:, :, self.parts]
 
     def _shared(self, noise: WrenchNoise) -> Array:
         return noise.shared(self.wrench)[:, self.parts]
+
+
+def _placed(values: Array, at: IntArray, columns: IntArray, n: int) -> sp.csr_array:
+    """Values (frames, h, k) in the rows ``at`` of n components, and given columns."""
+    whole = np.broadcast_arrays(at[..., None], columns, values)
+    row, column, data = (part.ravel() for part in whole)
+    return sp.csr_array((data, (row, column)), shape=(n, int(column.max()) + 1))
