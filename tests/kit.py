@@ -1,7 +1,9 @@
 """What many tests need: errors, refusals, a torso, a probe, presses, scenes."""
 
+import ctypes
 import functools
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -228,3 +230,20 @@ def pressing(scene, parameters=None):
 def deepest_pose(scene):
     k = int(scene.rows.contact_points.argmax())
     return scene.trajectory.rotation[k], scene.trajectory.position[k]
+
+
+def scaled(field, factor, parameters=None):
+    """A field times a number, by itself with the same parameters."""
+    own = field.parameters if parameters is None else parameters
+    return replace(field, values=factor * field.values, parameters=own)
+
+
+def built_c(source, tmp_path_factory, *flags):
+    """A C file as a library; the test is left out without a compiler, or the file."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None or not source.exists():
+        pytest.skip("no C compiler here, or no C file")
+    built = tmp_path_factory.mktemp("c") / f"{source.stem}.so"
+    shared = ["-Werror", "-shared", "-fPIC", str(source), "-lm", "-o", str(built)]
+    subprocess.run([compiler, *flags, *shared], check=True)
+    return ctypes.CDLL(str(built))

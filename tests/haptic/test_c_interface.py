@@ -3,7 +3,6 @@
 import ctypes
 import re
 import shutil
-import subprocess
 import time
 from pathlib import Path
 
@@ -17,9 +16,11 @@ from tests.kit import (
     DRAG,
     TWIST,
     TtusError,
+    built_c,
     deepest_pose,
     pressing,
     python,
+    scaled,
     small_scene,
 )
 from ttus_opt.haptic import c_interface
@@ -51,17 +52,8 @@ class Loop(ctypes.Structure):
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        pytest.skip("no C compiler here")
-    built = tmp_path_factory.mktemp("c") / "loop.so"
-    source = Path(__file__).with_name("c_loop.c")
-    flags = ["-std=c11", "-Wall", "-Werror", "-O1", "-shared", "-fPIC", "-pthread"]
-    subprocess.run(
-        [compiler, *flags, f"-I{HEADER.parent}", str(source), "-o", str(built)],
-        check=True,
-    )
-    return ctypes.CDLL(str(built))
+    source, flags = Path(__file__).with_name("c_loop.c"), "-std=c11 -Wall -O1 -pthread"
+    return built_c(source, tmp_path_factory, *flags.split(), f"-I{HEADER.parent}")
 
 
 class CLoop:
@@ -111,7 +103,7 @@ def poses_of(scene, n=40):
 def test_frames_from_c_are_those_from_python(scene, library):
     """Twists given, then estimated from times; amid a swap of fields, drag included."""
     field, law = pressing(scene, DRAG), tt.BlendLaw(force_rate=5.0, reserve=1.0)
-    new = tt.PotentialField(field.voxmap, 1.5 * field.values, field.sampling, DRAG)
+    new = scaled(field, 1.5)
     rotation, position, twist, time_ = poses_of(scene)
     clock = 1e-3 * np.arange(len(time_))
     by_python, by_c = (Renderer(field, scene.shell, blend=law) for _ in "ab")
@@ -207,9 +199,7 @@ def test_updates_reach_a_running_loop_and_never_jump(scene, library):
     try:
         for scale in np.random.default_rng(0).uniform(0.5, 1.5, 40):
             before = c.loop.frames
-            renderer.update(
-                tt.PotentialField(field.voxmap, scale * field.values, field.sampling)
-            )
+            renderer.update(scaled(field, scale))
             until = time.monotonic() + 10.0
             while c.loop.frames < before + 20 and time.monotonic() < until:
                 time.sleep(1e-4)
@@ -233,7 +223,7 @@ def test_a_frame_leaves_the_ledger_to_a_waiting_update(scene, library):
     R, at = deepest_pose(scene)
     once = (R[None], at[None], np.zeros((1, 6)), np.full(1, np.nan))
     CLoop(library, renderer, once).run()
-    renderer.update(tt.PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    renderer.update(scaled(field, 0.5))
     renderer._c.pause()
     before = renderer._fields.pair.ledger.copy()
     CLoop(library, renderer, once).run()

@@ -1,15 +1,22 @@
 """The reader in C gives the wrenches of `Renderer`, and refuses what is damaged."""
 
 import ctypes
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.kit import DRAG, InputError, ellipsoid, presses, pressing, small_scene, torso
+from tests.kit import (
+    DRAG,
+    InputError,
+    built_c,
+    ellipsoid,
+    presses,
+    pressing,
+    small_scene,
+    torso,
+)
 from ttus_opt.haptic.flat_file import write_flat
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField
@@ -22,13 +29,8 @@ OFF_GRID, BAD_POSE = -1, -2
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None or not SOURCE.exists():
-        pytest.skip("no C compiler, or no examples/c, here")
-    built = tmp_path_factory.mktemp("c") / "reader.so"
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
-    subprocess.run([compiler, *flags, str(SOURCE), "-lm", "-o", str(built)], check=True)
-    found = ctypes.CDLL(str(built))
+    flags = "-std=c99 -Wall -Wextra -O2"
+    found = built_c(SOURCE, tmp_path_factory, *flags.split())
     found.ttus_load.restype = ctypes.c_void_p
     found.ttus_load.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_char_p)]
     found.ttus_render.argtypes = [ctypes.c_void_p, REAL, REAL, REAL]

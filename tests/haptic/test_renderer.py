@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.kit import InputError, python, refuses, small_scene
+from tests.kit import InputError, deepest_pose, python, refuses, scaled, small_scene
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.haptic.wrench import render_frame
 
@@ -24,10 +24,9 @@ def test_render_is_the_row_of_the_fit(scene):
     force = (scene.N @ field.values.reshape(-1)).reshape(-1, 3)
     torque = (scene.W @ field.values.reshape(-1)).reshape(-1, 3)
     touched = 0
-    for t in range(len(scene.trajectory)):
-        wrench = renderer.render(
-            scene.trajectory.rotation[t], scene.trajectory.position[t]
-        )
+    poses = zip(scene.trajectory.rotation, scene.trajectory.position, strict=True)
+    for t, pose in enumerate(poses):
+        wrench = renderer.render(*pose)
         assert wrench.in_grid
         assert wrench.contact_points == scene.rows.contact_points[t]
         touched += wrench.contact_points > 0
@@ -40,8 +39,7 @@ def test_render_is_the_row_of_the_fit(scene):
 def test_shells_and_surfaces_of_other_numbers_render_alike(kind):
     """A frame reads addresses: single precision was read as double, and gave 0 N."""
     scene = small_scene("trilinear")
-    k = int(scene.rows.contact_points.argmax())
-    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    pose = deepest_pose(scene)
     shell = replace(scene.shell, points=scene.shell.points.astype(kind))
     surface = scene.voxmap.surface
     surface = replace(surface, radius=surface.radius.astype(kind))
@@ -81,9 +79,7 @@ def test_nothing_is_compiled_or_allocated_in_a_frame(scene):
     renderer = tt.Renderer(field, scene.shell, blend=tt.BlendLaw(force_rate=1e-9))
     known = list(render_frame.signatures)
     out = np.zeros(6)
-    trajectory = scene.trajectory
-    k = int(scene.rows.contact_points.argmax())
-    R, at = trajectory.rotation[k].copy(), trajectory.position[k].copy()
+    R, at = (array.copy() for array in deepest_pose(scene))
     frozen = R.copy()
     frozen.setflags(write=False)
     straight = renderer.render(R, at).force
@@ -165,11 +161,9 @@ def test_a_field_loaded_from_file_renders_the_same(tmp_path):
 def test_the_callers_field_is_not_the_renderers(scene):
     """Changing an array after it was handed over changes no force."""
     values = np.random.default_rng(2).normal(size=scene.voxmap.grid.shape)
-    renderer = tt.Renderer(
-        tt.PotentialField(scene.voxmap, values, scene.sampling), scene.shell
-    )
-    k = int(scene.rows.contact_points.argmax())
-    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    field = tt.PotentialField(scene.voxmap, values, scene.sampling)
+    renderer = tt.Renderer(field, scene.shell)
+    pose = deepest_pose(scene)
     before = renderer.render(*pose).force
     values *= 2.0
     np.testing.assert_array_equal(renderer.render(*pose).force, before)
@@ -178,11 +172,9 @@ def test_the_callers_field_is_not_the_renderers(scene):
 def test_an_update_before_the_first_frame_is_simply_taken(scene):
     field = random_field(scene)
     renderer = tt.Renderer(field, scene.shell)
-    new = tt.PotentialField(field.voxmap, 3 * field.values, field.sampling)
+    new, pose = scaled(field, 3), deepest_pose(scene)
     renderer.update(new)
     assert renderer.blend.progress == 1.0
-    k = int(scene.rows.contact_points.argmax())
-    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
     np.testing.assert_array_equal(
         renderer.render(*pose).force, tt.Renderer(new, scene.shell).render(*pose).force
     )
@@ -209,7 +201,7 @@ def test_a_pickled_renderer_gives_the_same_in_another_process(tmp_path):
     field = random_field(scene)
     renderer = tt.Renderer(field, scene.shell, force_limit=0.5)
     renderer.render(scene.trajectory.rotation[0], scene.trajectory.position[0])
-    newest = replace(field, values=2.0 * field.values)
+    newest = scaled(field, 2.0)
     renderer.update(newest)  # a blend that is still under way
     poses = scene.trajectory.rotation, scene.trajectory.position
     (tmp_path / "sent").write_bytes(pickle.dumps((renderer, *poses)))

@@ -7,7 +7,15 @@ import pytest
 
 import ttus_opt as tt
 from tests.haptic.test_renderer import random_field
-from tests.kit import DRAG, TWIST, InputError, deepest_pose, pressing, refuses
+from tests.kit import (
+    DRAG,
+    TWIST,
+    InputError,
+    deepest_pose,
+    pressing,
+    refuses,
+    scaled,
+)
 from ttus_opt.haptic.field_swap import swapped
 
 
@@ -16,12 +24,8 @@ def test_updates_from_another_thread_never_jump_nor_stop_the_frames(scene):
     field = random_field(scene)
     law = tt.BlendLaw(force_rate=5.0, reserve=1.0)
     renderer = tt.Renderer(field, scene.shell, blend=law)
-    fields = [
-        tt.PotentialField(field.voxmap, s * field.values, field.sampling)
-        for s in np.random.default_rng(5).uniform(0.2, 3.0, 25)
-    ]
-    k = int(scene.rows.contact_points.argmax())
-    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    fields = [scaled(field, s) for s in np.random.default_rng(5).uniform(0.2, 3.0, 25)]
+    pose = deepest_pose(scene)
     before = renderer.render(*pose).force
     failures: list[BaseException] = []
 
@@ -66,7 +70,7 @@ def test_other_threads_calls_leave_a_frames_scratch_alone(scene, call):
     renderer = tt.Renderer(field, scene.shell, blend=tt.BlendLaw(force_rate=1e-9))
     pose = deepest_pose(scene)
     renderer.render(*pose, TWIST)
-    renderer.update(tt.PotentialField(field.voxmap, 2 * field.values, field.sampling))
+    renderer.update(scaled(field, 2.0, {}))
     renderer.render(*pose, TWIST)
     before, data = scratch_of(renderer), renderer._data
     if call == "warm_up":
@@ -85,7 +89,7 @@ def test_frames_give_way_to_an_update(scene):
     field, pose = pressing(scene), deepest_pose(scene)
     renderer = tt.Renderer(field, scene.shell)
     renderer.render(*pose)
-    renderer.update(tt.PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    renderer.update(scaled(field, 0.5))
     renderer._waiting = True
     before = renderer._fields.pair.ledger.copy()
     force = renderer.render(*pose).force

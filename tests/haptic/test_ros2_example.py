@@ -18,11 +18,11 @@ from tests.kit import (
     deepest_pose,
     pressing,
     refuses,
+    scaled,
     small_scene,
 )
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.field import PotentialField
 
 FOLDER = Path(__file__).parents[2] / "examples" / "ros2"
 PROBE = "ellipsoid:0.02,0.015,0.015"
@@ -43,8 +43,7 @@ def files(tmp_path):
     """A field, one twice as stiff, one on another grid."""
     field = pressing(small_scene("trilinear"))
     field.save(tmp_path / "field.nc")
-    stiff = PotentialField(field.voxmap, 2.0 * field.values, field.sampling)
-    stiff.save(tmp_path / "stiff.nc")
+    scaled(field, 2.0).save(tmp_path / "stiff.nc")
     pressing(small_scene("trilinear", (9, 20, 12))).save(tmp_path / "other.nc")
     return tmp_path
 

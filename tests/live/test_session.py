@@ -16,7 +16,6 @@ from ttus_opt.live.messages import (
     MOST_TICKS,
     TICKS,
     Hello,
-    PoseCommand,
     Sample,
     StateReport,
     measurement,
@@ -399,19 +398,45 @@ def commanded(sender, now, rotation, position):
     return [sender.pack(now, pose_command(rotation, position)).data]
 
 
+class Steered:
+    """A follower that knows its operator has the model, and who commands it."""
+
+    def __init__(self):
+        surface, _, content = parts()
+        self.side, self._sender = Follower(3, surface, content), Peer(9)
+
+    def step(self, now, sensed, *asked, skin=None):
+        """A step after a command, if one is asked for: rotation and position."""
+        data = commanded(self._sender, now, *asked) if asked else []
+        self.side._ready = True
+        found = self.side.step(now, data, sensed, skin)
+        self.side._ready = True  # the first packet tells of another process
+        return found
+
+    def follows(self, asked, at, *, skin=None, frames=1, start=0.0):
+        """Its targets where the probe stays at a place."""
+        times = start + 0.01 * np.arange(frames)
+        return [
+            self.step(now, still(now, at), np.eye(3), asked, skin=skin) for now in times
+        ]
+
+
+def still(now, at, rotation=None, wrench=0.0):
+    """What a probe senses at a place."""
+    turn = np.eye(3) if rotation is None else rotation
+    return Sample(now, turn, at, np.full(6, wrench))
+
+
+AT = np.array([0.13, 0.0, 0.15])
+
+
 def test_the_follower_turns_no_faster_than_its_limit():
-    surface, _, content = parts()
-    follower, sender = Follower(3, surface, content), Peer(9)
-    position = np.array([0.13, 0.0, 0.15])
+    follower, last, steps = Steered(), np.eye(3), []
     asked = Rotation.from_rotvec([0.0, 2.5, 1.0]).as_matrix()
-    last, steps = np.eye(3), []
     for k in range(150):
-        now, follower._ready = 0.01 * k, True
-        sensed = Sample(now, last, position, np.zeros(6))
-        found = follower.step(now, commanded(sender, now, asked, position), sensed)
+        found = follower.step(0.01 * k, still(0.01 * k, AT, last), asked, AT)
         steps.append(Rotation.from_matrix(found.rotation @ last.T).magnitude())
         last = found.rotation
-        follower._ready = True
     assert max(steps) == pytest.approx(2.0 * 0.01, rel=1e-6)
     # about one axis: it takes no longer than it must
     assert sum(steps) == pytest.approx(np.hypot(2.5, 1.0), rel=1e-5)
@@ -424,17 +449,12 @@ def test_the_follower_turns_no_faster_than_its_limit():
     + [("position", np.nan), ("skin", np.nan), ("skin", 100.0)],
 )
 def test_a_pose_that_is_not_one_stops_and_moves_nothing(which, factor):
-    surface, _, content = parts()
-    follower, sender = Follower(3, surface, content), Peer(9)
-    good = {"rotation": np.eye(3), "position": np.array([0.13, 0.0, 0.15])}
-    for k in range(3):
-        follower._ready = True
-        sensed = Sample(0.01 * k, **good, wrench=np.zeros(6))
-        data = commanded(sender, 0.01 * k, np.eye(3), good["position"])
-        before = follower.step(0.01 * k, data, sensed, np.array([0.002, 0, 0]))
-    skin = np.array([0.002, 0.0, 0.0]) * (factor if which == "skin" else 1.0)
-    bad = good if which == "skin" else good | {which: factor * good[which]}
-    found = follower.step(0.03, [], Sample(0.03, **bad, wrench=np.zeros(6)), skin)
+    follower, skin = Steered(), np.array([0.002, 0.0, 0.0])
+    before = follower.follows(AT, AT, skin=skin, frames=3)[-1]
+    good = {"rotation": np.eye(3), "position": AT, "skin": skin}
+    bad = good | {which: factor * good[which]}
+    sensed = still(0.03, bad["position"], bad["rotation"])
+    found = follower.step(0.03, sensed, skin=bad["skin"])
     assert found.state is State.STOP
     assert "not a " in found.cause
     np.testing.assert_allclose(found.position, before.position, atol=2e-3)
@@ -442,67 +462,44 @@ def test_a_pose_that_is_not_one_stops_and_moves_nothing(which, factor):
 
 
 def test_retraction_starts_where_the_probe_is_whatever_stopped_it():
-    surface, _, content = parts()
-    there = np.array([0.115, 0.0, 0.15])
-    stops = {
-        "button": lambda follower, sensed: follower.stop(),
-        "limit": lambda follower, sensed: sensed.wrench.fill(30.0),
-    }
-    for stop in stops.values():
-        follower, sender = Follower(3, surface, content), Peer(9)
+    there, asked = np.array([0.115, 0.0, 0.15]), np.array([0.085, 0.0, 0.15])
+    for wrench in (0.5, 30.0):  # the button, a limit
+        follower = Steered()
         for k in range(40):
-            follower._ready = True
-            sensed = Sample(0.01 * k, np.eye(3), there, np.full(6, 0.5))
-            data = commanded(sender, 0.01 * k, np.eye(3), there - [0.03, 0, 0])
-            found = follower.step(0.01 * k, data, sensed)
+            sensed = still(0.01 * k, there, wrench=0.5)
+            found = follower.step(0.01 * k, sensed, np.eye(3), asked)
         assert found.position[0] < there[0] - 0.02  # a robot that lags far behind
-        sensed = Sample(0.4, np.eye(3), there, np.full(6, 0.5))
-        stop(follower, sensed)
-        found = follower.step(0.4, [], sensed)
+        if wrench == 0.5:
+            follower.side.stop()
+        found = follower.step(0.4, still(0.4, there, wrench=wrench))
         assert found.state is State.STOP
         assert there[0] <= found.position[0] < there[0] + 1e-3
 
 
-def follows(asked, at, *, skin=None, frames=1, follower=None, start=0.0):
-    """Targets of a follower whose probe is there; by default a new one."""
-    surface, _, content = parts()
-    follower, found = follower or Follower(3, surface, content), []
-    for k in range(frames):
-        now, follower._ready = start + 0.01 * k, True
-        sensed = Sample(now, np.eye(3), at, np.zeros(6))
-        sender = Peer(9)
-        sender._sequence = round(1e3 * now)
-        data = commanded(sender, now, np.eye(3), asked)
-        found.append(follower.step(now, data, sensed, skin))
-        follower._ready = True
-    return follower, found
-
-
 def test_a_skin_that_jumps_moves_the_probe_no_faster_than_its_limit():
-    at = np.array([0.13, 0.0, 0.15])
-    follower, _ = follows(at, at, skin=np.zeros(3), frames=5)
-    skin = np.array([0.04, 0.0, 0.0])
-    _, found = follows(at, at, skin=skin, frames=3, follower=follower, start=0.05)
-    steps = np.diff([at[0], *(step.position[0] for step in found)])
+    follower, skin = Steered(), np.array([0.04, 0.0, 0.0])
+    follower.follows(AT, AT, skin=np.zeros(3), frames=5)
+    found = follower.follows(AT, AT, skin=skin, frames=3, start=0.05)
+    steps = np.diff([AT[0], *(step.position[0] for step in found)])
     assert steps.max() <= 0.25 * 0.01 + 1e-9
     assert steps.min() > 0.0
 
 
 def test_a_probe_that_was_moved_by_hand_is_followed_from_there():
-    at, moved = np.array([0.13, 0.0, 0.15]), np.array([0.13, 0.0, 0.25])
-    follower, _ = follows(at, at, frames=5)
-    follower.stop()
-    follows(at, at, frames=5, follower=follower, start=0.05)
-    follows(at, moved, frames=5, follower=follower, start=0.10)
-    follower.rearm(0.0)
-    _, found = follows(at, moved, frames=2, follower=follower, start=0.15)
+    follower, moved = Steered(), np.array([0.13, 0.0, 0.25])
+    follower.follows(AT, AT, frames=5)
+    follower.side.stop()
+    follower.follows(AT, AT, frames=5, start=0.05)
+    follower.follows(AT, moved, frames=5, start=0.10)
+    follower.side.rearm(0.0)
+    found = follower.follows(AT, moved, frames=2, start=0.15)
     assert found[-1].state is State.NORMAL
     assert np.linalg.norm(found[-1].position - moved) <= 2 * 0.25 * 0.01 + 1e-9
 
 
 def test_the_way_to_a_far_command_does_not_lead_through_the_patient():
     at, asked = np.array([0.12, 0.0, 0.15]), np.array([-0.12, 0.02, 0.15])
-    _, found = follows(asked, at, frames=400)
+    found = Steered().follows(asked, at, frames=400)
     radius = [np.hypot(*step.position[:2]) for step in found]
     assert min(radius) >= 0.10 - 0.03 - 1e-4
     steps = np.linalg.norm(np.diff([s.position for s in found], axis=0), axis=1)
@@ -510,26 +507,14 @@ def test_the_way_to_a_far_command_does_not_lead_through_the_patient():
 
 
 def test_a_first_pose_that_is_not_a_number_is_refused():
-    surface, _, content = parts()
-    sensed = Sample(0.0, np.eye(3), np.full(3, np.nan), np.zeros(6))
-    refuses(InputError, "tracker", Follower(3, surface, content).step, 0.0, [], sensed)
+    sensed = still(0.0, np.full(3, np.nan))
+    refuses(InputError, "tracker", Steered().step, 0.0, sensed)
 
 
 def test_the_follower_keeps_speed_and_workspace():
-    surface, _, content = parts()
-    follower, sender = Follower(3, surface, content), Peer(9)
-    start = np.array([0.13, 0.0, 0.15])
-    inside = np.array([0.01, 0.0, 9.0], dtype="<f4")
-    pose = PoseCommand(np.concatenate([inside, [1, 0, 0, 0]]).astype("<f4").tobytes())
-    follower._ready, last = True, start
+    follower, last, inside = Steered(), AT, np.array([0.01, 0.0, 9.0])
     for k in range(400):
-        now = 0.01 * k
-        data = [sender.pack(now, pose).data]
-        sensed = Spring().sense(now, np.eye(3), last)
-        sensed.wrench[:] = 0.0
-        # the sender says hello with its first packet: ready again
-        follower._ready = True
-        found = follower.step(now, data, sensed)
+        found = follower.step(0.01 * k, still(0.01 * k, last), np.eye(3), inside)
         assert np.linalg.norm(found.position - last) <= 0.25 * 0.01 + 1e-9
         last = found.position
     np.testing.assert_allclose(last, [0.07, 0.0, 0.3], atol=1e-6)

@@ -123,7 +123,11 @@ def settled_ledger(tank: float) -> Array:
 
 
 def opened_ledger(
-    before: Array, current: Array, target: Array, data: FrameData
+    before: Array,
+    current: Array,
+    target: Array,
+    data: FrameData,
+    over: FrameData | None = None,
 ) -> Array:
     """The ledger at the start of a swap.
 
@@ -132,13 +136,14 @@ def opened_ledger(
         current: Present field, flat, shape (V,).
         target: New field, flat, shape (V,).
         data: Probe and surface, with its own scratch arrays.
+        over: The same with the new field's surface, where that is another.
 
     Returns:
         Progress 0; pose, tank and injected energy of ``before``; ΔU at that pose.
     """
     ledger = before.copy()
     ledger[PROGRESS] = 0.0
-    open_gap(ledger, current, target, data, data, True)
+    open_gap(ledger, current, target, data, over or data, over is None)
     return ledger
 
 

@@ -25,7 +25,7 @@ from ttus_opt.haptic.blend import (
     BlendState,
     advance,
     follow,
-    open_gap,
+    opened_ledger,
     refill,
     settled_ledger,
 )
@@ -130,12 +130,9 @@ class PatientRenderer:
         self._now, self._field = new, field
         if self._ledger[SEEN] == 0.0:
             return  # before the first frame: nothing to blend
-        ledger = self._ledger.copy()
-        ledger[PROGRESS] = 0.0
-        values, data = old.present()
-        target, over = new.present()
-        open_gap(ledger, values, target, data, over, False)
-        self._ledger, self._old = ledger, old
+        (values, data), (target, over) = old.present(), new.present()
+        self._ledger = opened_ledger(self._ledger, values, target, data, over)
+        self._old = old
 
     def _close(self) -> None:
         """End a swap, and begin that which waits."""

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects, label
 
 from ttus_opt.core.arguments import expect
 from ttus_opt.core.arrays import Array
@@ -346,11 +347,7 @@ def _work(trajectory: Trajectory, shell: PointShell) -> Array:
 
 def _presses(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Last frame before and first frame after every complete press."""
-    change = np.diff(touching.astype(int))
-    starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1) + 1
-    pairs = []
-    for start in starts:
-        after = stops[stops > start]
-        if after.size and after[0] - start > SHORTEST:
-            pairs.append((int(start), int(after[0])))
-    return pairs
+    within = [own for (own,) in find_objects(label(touching)[0])]
+    around = [(own.start - 1, own.stop) for own in within if own.start > 0]
+    whole = [(a, b) for a, b in around if b < len(touching)]
+    return [(a, b) for a, b in whole if b - a > SHORTEST]

@@ -15,8 +15,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.standing import (
-    STEPS,
-    TOLERANCE,
     depth_of,
     places_below,
     skin_frames,
@@ -90,7 +88,7 @@ class ViewState:
             self.recording = Recording.of(trajectory, self.renderers())
             self.hold = self._held(trajectory, shell)
         place = self._first_place()
-        self._pose = self._standing(*place, FIRST)
+        self._pose = self._standing(*place, FIRST, self.hold)
         self._known = self._pose, place
         self._motion = HandMotion(shell, *self._pose)
         self._render()
@@ -147,7 +145,7 @@ class ViewState:
     def slide(self, theta: float, z: float) -> None:
         """Go to a place of the skin, as deep and as tilted as now."""
         with self.lock:
-            self._stand(theta, z, self.depth, self.angles)
+            self._stand(theta, self._on_skin(z), self.depth)
 
     def move(
         self, around: float = 0.0, along: float = 0.0, deeper: float = 0.0
@@ -158,22 +156,19 @@ class ViewState:
             depth = float(np.clip(self.depth + deeper, LEAST, MOST))
             if around or along:
                 radius = float(self.surface.radius_at(np.array(theta), np.array(z)))
-                self._stand(theta + around / radius, z + along, depth, self.angles)
-            else:
-                self.press(depth)
+                theta, z = theta + around / radius, self._on_skin(z + along)
+            self._stand(theta, z, depth)
 
     def press(self, depth: float) -> None:
         """Go to a depth along the skin's normal [m]."""
         with self.lock:
-            self._sink(*self.pose, float(np.clip(depth, LEAST, MOST)))
+            self._stand(*self.place, float(np.clip(depth, LEAST, MOST)))
 
     def tilt(self, angles: Array) -> None:
         """Hold the probe at these angles, see `angles`, as deep as now [deg]."""
+        turned = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
         with self.lock:
-            depth, (rotation, position) = self.depth, self.pose
-            pivot = position + rotation @ self.probe.reference
-            rotation = self._frame(*self.place) @ _turned(angles) @ self.hold
-            self._sink(rotation, pivot - rotation @ self.probe.reference, depth)
+            self._stand(*self.place, self.depth, turned @ self.hold)
 
     def put(self, rotation: PoseLike, position: Array | None = None) -> None:
         """Go to a pose of the probe frame.
@@ -299,31 +294,25 @@ class ViewState:
         frame = skin_frames(self.surface, np.array([theta]), np.array([z]))
         return np.asarray(frame[0])
 
+    def _on_skin(self, z: float) -> float:
+        """A height within the skin's [m]."""
+        return float(np.clip(z, self.surface.z[0], self.surface.z[-1]))
+
     def _standing(
-        self, theta: float, z: float, depth: float, angles: Array | None = None
+        self, theta: float, z: float, depth: float, hold: Array
     ) -> tuple[Array, Array]:
-        """The pose at a place and depth, turned from the usual one by angles."""
-        hold = self.hold if angles is None else _turned(angles) @ self.hold
+        """The pose at a place and depth, held so relative to the skin."""
         place = np.array([theta]), np.array([z])
         rotation, position = standing(self.surface, self.probe, hold, *place, depth)
         return rotation[0], position[0]
 
-    def _stand(self, theta: float, z: float, depth: float, angles: Array) -> None:
-        """Stand at a place, as deep and as tilted as told."""
-        z = float(np.clip(z, self.surface.z[0], self.surface.z[-1]))
-        self._hand(self._standing(theta, z, depth, angles), (theta, z))
-
-    def _sink(self, rotation: Array, position: Array, depth: float) -> None:
-        """Shift a pose above the present place along the normal there to a depth."""
-        place = self.place
-        outward = self._frame(*place)[:, 0]
-        for _ in range(STEPS):
-            one = rotation[None], position[None]
-            excess = float(depth_of(self.surface, self.probe, *one)[0]) - depth
-            position = position + excess * outward
-            if abs(excess) < TOLERANCE:
-                break
-        self._hand((rotation, position), place)
+    def _stand(
+        self, theta: float, z: float, depth: float, hold: Array | None = None
+    ) -> None:
+        """Be led by hand to stand at a place, held relative to the skin as now."""
+        if hold is None:
+            hold = self._frame(*self.place).T @ self.pose[0]
+        self._hand(self._standing(theta, z, depth, hold), (theta, z))
 
     def _held(self, trajectory: Trajectory, shell: PointShell) -> Array:
         """How the recordings hold the probe in contact."""
@@ -342,11 +331,6 @@ class ViewState:
         grid, z = self.fields[0].voxmap.grid, self.surface.z
         angle = 0.5 * np.pi if grid.sector is None else 0.5 * sum(grid.sector)
         return float(angle), 0.5 * float(z[0] + z[-1])
-
-
-def _turned(angles: Array) -> Array:
-    """Rotation in the skin's frame, shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix())
 
 
 def _one_patient(fields: Sequence[PotentialField]) -> Surface:

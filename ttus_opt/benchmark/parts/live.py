@@ -20,7 +20,6 @@ from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.row import Row, RunSpec, Settings
 from ttus_opt.core.errors import NumericalError
-from ttus_opt.scan.surface import Surface
 
 if TYPE_CHECKING:  # needs the extra live
     from ttus_opt.live.real_time import Lateness, Link
@@ -93,20 +92,15 @@ def haptic_loop(seconds: float) -> Lateness:
         NumericalError: The loop's process died.
     """
     from ttus_opt.live.haptic_process import HapticProcess, LoopPlan
-    from ttus_opt.live.model import decode_model
+    from ttus_opt.live.model import LiveModel, ModelPlan
     from ttus_opt.live.real_time import Metronome
     from ttus_opt.live.safety import State
     from ttus_opt.live.subject import example_subject
-    from ttus_opt.live.trial import prepared
-    from ttus_opt.message import decode
 
-    sent, content = prepared()
     who = example_subject()
-    seen, shell = decode(sent), who.shell
-    assert isinstance(seen, Surface)
-    first = decode_model(content, seen, shell).field
+    first = LiveModel(who.surface, who.shell, ModelPlan()).field
     fields = first, replace(first, values=0.9 * first.values)
-    with HapticProcess(LoopPlan(shell, who.device())) as process:
+    with HapticProcess(LoopPlan(who.shell, who.device())) as process:
         process.begin(first)
         while process.frames == 0 and process.alive:
             process.tell(0.0, State.NORMAL)
