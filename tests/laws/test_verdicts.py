@@ -150,8 +150,7 @@ def _few_iterations(patch, n):
 def _few_of(name, key):
     def stop(patch, n):
         solver = registry.solvers()[name]
-        fixed = {**solver.package.fixed, key: n}
-        patch.setattr(solver, "package", replace(solver.package, fixed=fixed))
+        patch.setattr(solver, "fixed", {**solver.fixed, key: n})
 
     return stop
 

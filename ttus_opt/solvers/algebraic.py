@@ -1,8 +1,9 @@
 """Any sum of squares without a Laplace term: a factor or a multigrid.
 
-One Newton step of `proximal.field_newton`, repeated for rounding's sake. Its
-preconditioner inverts the matrix of all short rows approximately and takes the few long
-rows, those of measurements, by their Schur complement. With a Laplace term,
+The method of multipliers without multipliers: one Newton step of
+`proximal.field_newton`, repeated for rounding's sake. Its preconditioner inverts the
+matrix of all short rows approximately and takes the few long rows, those of
+measurements, by their Schur complement. With a Laplace term,
 `normal_equations` is faster.
 
 See docs/method/solver-variants.md, section 10.10.
@@ -10,7 +11,7 @@ See docs/method/solver-variants.md, section 10.10.
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,68 +20,55 @@ from ttus_opt.core.errors import MissingPackageError
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
+    LEAST_TOLERANCE,
     Candidate,
     Capabilities,
     Claim,
+    Prepared,
     Solver,
-    is_late,
 )
-from ttus_opt.solvers.conjugate_gradients import norm
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
-from ttus_opt.solvers.proximal.method_of_multipliers import State
+from ttus_opt.solvers.proximal.method_of_multipliers import MethodOfMultipliers, State
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.sizes import Sizes
-from ttus_opt.solvers.verified import Verified
 
-#: Most rounds per solve, each from a recomputed residual; relative residual at which a
-#: round ends at the latest [–]
-ROUNDS, ROUND = 6, 1e-6
+#: Relative KKT residual aimed for, over the tolerance, which is that of the program
+#: before its measured rows were compressed [–]
+MARGIN = 0.1
 
 
-class _Loaded(Verified):
-    margin, floor = 1e-2, 1e-15
+class _Loaded(Prepared):
     _last: Array | None = None
     _made: tuple[tuple[ProgramTerm, ...], FieldNewton] | None = None
 
-    def _load(self, program: Program) -> None:
+    def update(self, program: Program) -> None:
         """Take other data; keep the preconditioner while the matrices stay the same."""
         self._problem = problem = PenalisedProblem.of(program)
         self._missing = ""
         at = problem.values if self._last is None else self._last
-        self._x = np.where(problem.fixed, problem.values, at)
+        self._last = np.where(problem.fixed, problem.values, at)
         terms = tuple(t for t in program.terms if t.weight > 0.0)
         if self._made is None or not _same(self._made[0], terms):
             self._made = None
             system = FieldNewton(problem, squares=True)
             try:
-                system.preconditioner(State.of(self._x, problem.blocks).slopes)
+                system.preconditioner(State.of(self._last, problem.blocks).slopes)
                 self._made = terms, system
             except MissingPackageError as error:
                 self._missing = str(error)
 
-    def _attempt(self, eps: float, deadline: float | None) -> Candidate:
+    def solve(self) -> Candidate:
         """Newton steps from the last answer; one is enough, but for rounding."""
-        if self._made is None:
+        if self._made is None or self._last is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail=self._missing)
-        problem, system = self._problem, self._made[1]
-        steps, before = 0, math.inf
-        state = State.of(self._x, problem.blocks)
-        for _ in range(ROUNDS):
-            largest = max((norm(g) for g in state.parts), default=0.0)
-            gradient = np.where(problem.fixed, 0.0, state.gradient)
-            size = norm(gradient)
-            if size <= eps * largest or size > 0.5 * before or is_late(deadline):
-                break
-            before = size
-            rtol = max(0.5 * eps * largest / size, ROUND)
-            given = gradient, state.multipliers, state.slopes
-            d, spent = system.step(*given, rtol, deadline)
-            steps += spent
-            state = State.of(state.x + d, problem.blocks)
-        self._x = self._last = state.x
-        duals = problem.duals(state.multipliers, state.gradient)
-        detail = f"{system.description}, {steps} steps"
-        return Candidate(state.x, duals, steps, detail=detail)
+        tolerance = max(MARGIN * self._request.tolerance, LEAST_TOLERANCE)
+        request = replace(self._request, tolerance=tolerance)
+        method = MethodOfMultipliers(self._problem, self._made[1], request)
+        found = method.solve(self._last)
+        self._last = found.x
+        claim = Claim.DONE if found.claim is Claim.GAVE_UP else found.claim
+        detail = f"{self._made[1].description}, {method.steps} steps"
+        return replace(found, iterations=method.steps, claim=claim, detail=detail)
 
 
 class Algebraic(Solver):

@@ -36,9 +36,6 @@ from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
 from ttus_opt.solvers.sizes import Sizes
 
-#: Most rows beside Laplace's, over the voxels, for Newton steps in the dual [–]
-FEW = 0.1
-
 #: Weight of the anchor over the largest σ; where all penalties are squares [–]
 ANCHOR, WEAK = 10.0, 1e-3
 
@@ -67,7 +64,7 @@ class _Loaded(Prepared):
             if exact is not None:
                 return exact
         whole = _anchored(problem)
-        few = _is_laplace_and_few(problem)
+        few = problem.few_beside_laplace
         system: NewtonSystem = LaplaceNewton(whole) if few else FieldNewton(whole)
         method = MethodOfMultipliers(whole, system, self._request)
         found = method.solve(self._start(whole, system))
@@ -87,8 +84,9 @@ class _Loaded(Prepared):
         problem, request = self._problem, self._request
         deadline = request.deadline()
         program, laplace = problem.program, problem.program.laplace
-        pairs = zip(problem.blocks, problem.declared, strict=True)
-        own, rows = next((b, tag) for b, tag in pairs if tag is not None)
+        own = next(b for b in problem.blocks if b.laplace is not None)
+        rows = own.laplace
+        assert rows is not None
         few = [t for t in program.terms if t.weight and t.name != own.name]
         free = np.flatnonzero(laplace.free)
         scale = np.ones(len(free)) if rows.scale is None else rows.scale[free]
@@ -222,9 +220,9 @@ def _is_limited_alone(program: Program) -> bool:
 def _anchored(problem: PenalisedProblem) -> PenalisedProblem:
     """The problem, with a proximal term where squares do not determine x."""
     program = problem.program
-    if _held_by_laplace(problem) and len(program.variables) == 1:
+    if problem.held_by_laplace and len(program.variables) == 1:
         return problem
-    if _is_laplace_and_few(problem):
+    if problem.few_beside_laplace:
         laplace, scale = program.laplace, np.ones(len(problem.fixed))
         rows = laplace.L[np.flatnonzero(laplace.free)]
         return problem.anchored(rows, LaplaceRows(scale=scale))
@@ -255,25 +253,12 @@ def _longest(matrix: sp.csr_array) -> float:
     return float(np.sqrt(squares.max(initial=0.0))) or 1.0
 
 
-def _held_by_laplace(problem: PenalisedProblem) -> bool:
-    """Whether squares of Laplace's rows determine the field."""
-    prior = problem.program.laplace_term_of("p")
-    if prior is None or prior.weight == 0.0:
-        return False
-    rows = prior.laplace_rows
-    assert rows is not None
-    part = problem.program.variables["p"]
-    given = problem.fixed[part][~problem.program.laplace.free].all()
-    return not rows.beside and (rows.scale is None or bool(given))
-
-
 def _is_sparse_sources(problem: PenalisedProblem) -> bool:
     """Whether it is absolute values of Laplace's rows beside few squares."""
-    if not _is_laplace_and_few(problem) or problem.fixed.sum() == 0:
+    if not problem.few_beside_laplace or problem.fixed.sum() == 0:
         return False
-    pairs = list(zip(problem.blocks, problem.declared, strict=True))
-    own = [b for b, rows in pairs if rows is not None]
-    few = [b for b, rows in pairs if rows is None]
+    own = [b for b in problem.blocks if b.laplace is not None]
+    few = [b for b in problem.blocks if b.laplace is None]
     free = int(problem.program.laplace.free.sum())
     return (
         len(own) == 1
@@ -281,20 +266,6 @@ def _is_sparse_sources(problem: PenalisedProblem) -> bool:
         and len(own[0].target) == free
         and all(isinstance(b.law, Squares) for b in few)
     )
-
-
-def _is_laplace_and_few(problem: PenalisedProblem) -> bool:
-    """Whether all rows but a few are Laplace's, and over p alone."""
-    program = problem.program
-    if set(program.variables) != {"p"} or program.laplace is None:
-        return False
-    laplace = program.laplace
-    own = [b for b, rows in zip(problem.blocks, problem.declared, strict=True) if rows]
-    few = sum(len(b.target) for b in problem.blocks if b not in own)
-    given = bool(np.array_equal(problem.fixed, ~laplace.free))
-    soft = _held_by_laplace(problem) and not problem.fixed.any()
-    plain = all(getattr(b.law, "rows_per_group", 1) == 1 for b in own)
-    return bool(own) and plain and (given or soft) and few <= FEW * len(problem.fixed)
 
 
 SOLVERS = [AugmentedLagrangian()]

@@ -158,3 +158,26 @@ def test_criteria_need_a_basis_without_limits():
     solve.prepare_criteria(declared)
     assert solve.criteria(declared)
     assert point_solver(declared, "closed_form", Request()).criteria(declared) == {}
+
+
+def test_only_one_field_and_few_rows_suit():
+    scene = small_scene("trilinear")
+    for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
+        assert not path_solvers._suits_sweep(load(name, scene).compile()), name
+
+
+def test_limits_are_told_from_boundary_values():
+    hard, sign = (
+        load("eq10_hard_boundary", small_scene("trilinear")),
+        load("eq10_sign_monotone", small_scene("trilinear")),
+    )
+    assert not path_solvers._is_limited(hard.compile()) and path_solvers._is_limited(
+        sign.compile()
+    )
+    program = sign.compile()
+    inside = program.laplace.solve(sign.scene.b)
+    assert path_solvers._keeps_limits(program, inside)
+    deep = int(np.argmax(inside * program.laplace.free))
+    for broken in (-inside, np.where(np.arange(len(inside)) == deep, 0.0, inside)):
+        for unit in (1.0, 1e-12):  # rounding is that of the values
+            assert not path_solvers._keeps_limits(program, unit * broken)

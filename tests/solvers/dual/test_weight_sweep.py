@@ -41,7 +41,6 @@ def test_minimisers_are_those_of_a_factorisation(name):
     sweep = weight_sweep.WeightSweep(DualData.of(declared(name).compile()))
     for force, torque in WEIGHTS:
         program = declared(name, force, torque).compile()
-        assert weight_sweep.suits_sweep(program)
         answer = sweep.solve(root_weights(program), 1e-8)
         x = exact(program)
         assert answer.settled
@@ -132,26 +131,6 @@ def test_too_few_directions_complete_nothing(monkeypatch):
     sweep = weight_sweep.WeightSweep(DualData.of(program))
     assert not sweep.complete(root_weights(program))
     assert len(sweep) == 3
-
-
-def test_only_one_field_and_few_rows_suit():
-    scene = small_scene("trilinear")
-    for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
-        assert not weight_sweep.suits_sweep(load(name, scene).compile()), name
-
-
-def test_limits_are_told_from_boundary_values():
-    hard, sign = declared("eq10_hard_boundary"), declared("eq10_sign_monotone")
-    assert not weight_sweep.is_limited(hard.compile()) and weight_sweep.is_limited(
-        sign.compile()
-    )
-    program = sign.compile()
-    inside = program.laplace.solve(sign.scene.b)
-    assert weight_sweep.keeps_limits(program, inside)
-    deep = int(np.argmax(inside * program.laplace.free))
-    for broken in (-inside, np.where(np.arange(len(inside)) == deep, 0.0, inside)):
-        for unit in (1.0, 1e-12):  # rounding is that of the values
-            assert not weight_sweep.keeps_limits(program, unit * broken)
 
 
 def test_completed_it_holds_all_that_the_rows_tell_of_each_other():

@@ -6,9 +6,11 @@ import threading
 
 from tests.kit import refuses
 from tests.solvers.problems import program, term
-from ttus_opt.solvers.packages.package import Package, PackageSolver, interruptible
+from ttus_opt.solvers.packages.package import PackageSolver, interruptible
 
-PLAIN = Package("a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10)
+PLAIN = PackageSolver(
+    "a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10
+)
 
 
 def test_every_option_has_its_number():
@@ -20,15 +22,15 @@ def test_every_option_has_its_number():
 
 
 def test_options_may_stand_within_another():
-    within = Package("a", "", "a", ("rel",), within="params")
+    within = PackageSolver("a", "", "a", ("rel",), within="params")
     assert within.options(1e-6, 5.0) == {"params": {"rel": 1e-6}}
 
 
 def test_a_package_without_an_estimate_is_never_the_cheapest():
     small = program([term([[1.0]], [1.0])])
-    cheap = Package("b", "", "b", ("rel",), cost=lambda program: 2.0)
-    assert PackageSolver(cheap).cost(small) == 2.0
-    assert PackageSolver(PLAIN).cost(small) == math.inf
+    cheap = PackageSolver("b", "", "b", ("rel",), seconds=lambda program: 2.0)
+    assert cheap.cost(small) == 2.0 and cheap.estimates
+    assert PLAIN.cost(small) == math.inf and not PLAIN.estimates
 
 
 def test_interruptible_work_returns_and_raises():

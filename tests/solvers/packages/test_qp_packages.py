@@ -23,8 +23,8 @@ def test_claims_from_words(words, found, claim):
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: s.name)
 def test_tolerances_follow_what_is_asked_for(solver):
-    loose, tight = (solver.package.options(eps, 7.0) for eps in (1e-4, 1e-7))
-    asked = {*solver.package.tolerances, *solver.package.absolute}
+    loose, tight = (solver.options(eps, 7.0) for eps in (1e-4, 1e-7))
+    asked = {*solver.tolerances, *solver.absolute}
     assert all(tight[name] < loose[name] for name in asked)
     assert solver.capabilities.time_limit == (7.0 in tight.values())
     assert (solver.name == "highs") == isinstance(solver, Highs)

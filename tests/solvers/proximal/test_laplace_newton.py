@@ -14,8 +14,8 @@ def test_through_the_dual(name, bent):
     """Few rows may all have bent; of Laplace's rows it is squares that are meant."""
     problem = dense_steps.problem_of(name)
     slopes = dense_steps.slopes_of(problem, 0, bent)
-    for k, rows in enumerate(problem.declared):
-        if rows is not None:
+    for k, b in enumerate(problem.blocks):
+        if b.laplace is not None:
             factor = slopes[k].factor
             slopes[k] = Slope(np.where(factor > 0.0, factor, factor.max() + 1e-2))
     system = LaplaceNewton(problem)
@@ -30,14 +30,14 @@ def test_heavy_rows_balance_the_others():
     """A rough step is rough beside the step, not beside what heavy rows pull at."""
     problem = dense_steps.problem_of("robust")
     slopes = dense_steps.slopes_of(problem, 0, 0.0)
-    few = [k for k, rows in enumerate(problem.declared) if rows is None]
+    few = [k for k, b in enumerate(problem.blocks) if b.laplace is None]
     for k in few:
         slopes[k] = Slope(1e8 * slopes[k].factor)
     system = LaplaceNewton(problem)
     rng, x = np.random.default_rng(8), np.zeros(len(problem.fixed))
     residuals = [rng.normal(size=len(b.target)) for b in problem.blocks]
-    for k, rows in enumerate(problem.declared):
-        if rows is not None:
+    for k, b in enumerate(problem.blocks):
+        if b.laplace is not None:
             residuals[k][:] = 0.0
     first = None
     for _ in range(2):  # the second one mends what the first left

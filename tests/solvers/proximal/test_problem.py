@@ -42,7 +42,6 @@ def test_rows_of_one_entry_give_values_and_the_rest_is_kept():
     names = [block.name for block in problem.blocks]
     assert names == ["fit", "bent", "soft", "held", "cut", BOX]
     assert [block.name for block in problem.bent] == ["bent", "held", "cut", BOX]
-    assert len(problem.declared) == len(problem.blocks)
     # the box leaves out variables whose value is given: 0 here
     box = problem.blocks[-1]
     np.testing.assert_array_equal(box.matrix.toarray(), np.eye(N)[[3, 5]])

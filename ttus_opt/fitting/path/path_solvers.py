@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import RepeatedFit, fit
 from ttus_opt.fitting.verdict import judged
@@ -22,12 +23,7 @@ from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
 from ttus_opt.solvers.dual.data import DualData, duals_without_limits, root_weights
-from ttus_opt.solvers.dual.weight_sweep import (
-    WeightSweep,
-    is_limited,
-    keeps_limits,
-    suits_sweep,
-)
+from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
 #: Energy norm of the error over that of the objective, in units of the KKT tolerance.
 #: The gap is its square, so that fields agree with those of single fits [–]
@@ -35,6 +31,12 @@ ENERGY = 10.0
 
 #: Factor on that energy where the KKT residuals do not hold, and how often [–]
 TIGHTENING, TIGHTENINGS = 1e-2, 2
+
+#: Most rows and voxels of a common basis: 60 response fields of the latter take 2 GiB
+MOST_ROWS, MOST_VOXELS = 50_000, 4_000_000
+
+#: Violation of a limit that counts as rounding, over the largest value [–]
+ROUNDING = 1e-12
 
 
 class PointSolver(abc.ABC):
@@ -82,9 +84,38 @@ def point_solver(
     """
     if declared.search is None and (program := declared.compile()).is_quadratic:
         first = registry.candidates(solver, program)[0]
-        if first.name == "structured" and suits_sweep(program):
+        if first.name == "structured" and _suits_sweep(program):
             return _CommonBasis(program, request)
     return _InTurn(solver, request)
+
+
+def _suits_sweep(program: Program) -> bool:
+    """Whether a program for `structured` has one field and few measured rows.
+
+    There must be no other terms beside the Laplace term, and memory for the response
+    fields. Limits are allowed: if the minimiser without limits satisfies them, it is
+    the minimiser with them (`_keeps_limits`).
+    """
+    prior, V = program.laplace_prior, len(program.laplace.free)
+    if prior is None or program.n_variables != V:
+        return False
+    rows = sum(len(t.target) for t in program.terms if t is not prior)
+    return rows <= min(V // 2, MOST_ROWS) and V <= MOST_VOXELS
+
+
+def _is_limited(program: Program) -> bool:
+    """Whether there are limits other than hard boundary values."""
+    return bool(program.bounds) or any(
+        constraint is not program.dirichlet for constraint in program.constraints
+    )
+
+
+def _keeps_limits(program: Program, x: Array) -> bool:
+    """Whether a point satisfies all limits up to rounding, boundary values aside."""
+    least = -ROUNDING * float(np.abs(x).max(initial=0.0))
+    slacks = [bound.slack(x) for bound in program.bounds]
+    slacks += [c.slack(x) for c in program.constraints if c is not program.dirichlet]
+    return all(float(slack.min(initial=0.0)) >= least for slack in slacks)
 
 
 class _InTurn(RepeatedFit, PointSolver):
@@ -116,7 +147,7 @@ class _CommonBasis(PointSolver):
 
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
-        self.common = not is_limited(program)
+        self.common = not _is_limited(program)
         self._data = DualData.of(program)
         self._sweep = WeightSweep(self._data)
         self._alone = _InTurn("structured", request)
@@ -131,7 +162,7 @@ class _CommonBasis(PointSolver):
         for _ in range(1 + TIGHTENINGS):
             answer = self._sweep.solve(root_weights(program), rtol, deadline)
             steps += answer.directions
-            if not keeps_limits(program, answer.p):
+            if not _keeps_limits(program, answer.p):
                 break
             late = deadline is not None and time.perf_counter() > deadline
             candidate = Candidate(

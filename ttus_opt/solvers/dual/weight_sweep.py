@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByImages
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import is_late
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData
@@ -32,17 +31,11 @@ from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPrecondi
 #: Relative residual of the solves for a response field; its error passes to all fields
 FIELD_RTOL = 1e-8
 
-#: Most rows and voxels: 60 response fields of the latter take 2 GiB
-MOST_ROWS, MOST_VOXELS = 50_000, 4_000_000
-
 #: Random multipliers whose mean energy estimates a trace
 PROBES = 8
 
 #: Response fields that share one array
 BLOCK = 16
-
-#: Violation of a limit that counts as rounding, over the largest value [–]
-ROUNDING = 1e-12
 
 #: Relative threshold below which a direction is dropped as dependent [–]
 DEPENDENT = 1e-10
@@ -50,35 +43,6 @@ DEPENDENT = 1e-10
 #: Largest energy that a direction may share with the others, over its own: beyond this
 #: it is nothing but the error of the solves [–]
 SHARED = 1e-4
-
-
-def suits_sweep(program: Program) -> bool:
-    """Whether a program for `structured` has one field and few measured rows.
-
-    There must be no other terms beside the Laplace term, and memory for the response
-    fields. Limits are allowed: if the minimiser without limits satisfies them, it is
-    the minimiser with them (`keeps_limits`).
-    """
-    prior, V = program.laplace_prior, len(program.laplace.free)
-    if prior is None or program.n_variables != V:
-        return False
-    rows = sum(len(t.target) for t in program.terms if t is not prior)
-    return rows <= min(V // 2, MOST_ROWS) and V <= MOST_VOXELS
-
-
-def is_limited(program: Program) -> bool:
-    """Whether there are limits other than hard boundary values."""
-    return bool(program.bounds) or any(
-        constraint is not program.dirichlet for constraint in program.constraints
-    )
-
-
-def keeps_limits(program: Program, x: Array) -> bool:
-    """Whether a point satisfies all limits up to rounding, boundary values aside."""
-    least = -ROUNDING * float(np.abs(x).max(initial=0.0))
-    slacks = [bound.slack(x) for bound in program.bounds]
-    slacks += [c.slack(x) for c in program.constraints if c is not program.dirichlet]
-    return all(float(slack.min(initial=0.0)) >= least for slack in slacks)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Claim
-from ttus_opt.solvers.packages.package import Package, PackageLoaded, PackageSolver
+from ttus_opt.solvers.base import Candidate, Claim
+from ttus_opt.solvers.packages.package import PackageLoaded, PackageSolver
 from ttus_opt.solvers.sizes import interior_point_seconds
 
 
@@ -19,7 +19,7 @@ class _Loaded(PackageLoaded):
         self._form = CvxpyProgram.of(program)
 
     def _solved(self, options: Mapping[str, Any]) -> None:
-        self._form.problem.solve(solver=self._package.module.upper(), **options)
+        self._form.problem.solve(solver=self._backend.module.upper(), **options)
 
     def _read(self, answer: None) -> Candidate:
         words = str(self._form.problem.status)
@@ -40,12 +40,8 @@ class _Loaded(PackageLoaded):
 class CvxpySolver(PackageSolver):
     """One of cvxpy's cone solvers, called there as its package in capitals."""
 
-    capabilities = Capabilities(inequalities=True, equalities=True, nonquadratic=True)
     loaded = _Loaded
-
-    def __init__(self, package: Package) -> None:
-        super().__init__(package)
-        self.pip_name = f"cvxpy {package.module}"
+    nonquadratic = True
 
 
 _CLAIMS = {
@@ -64,37 +60,34 @@ def _cost(program: Program) -> float:
 
 SOLVERS = [
     CvxpySolver(
-        Package(
-            "cvxpy_clarabel",
-            "interior point through cvxpy (Clarabel): any penalty",
-            "clarabel",
-            ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-            time_limit="time_limit",
-            cost=_cost,
-        )
+        "cvxpy_clarabel",
+        "interior point through cvxpy (Clarabel): any penalty",
+        "clarabel",
+        ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+        time_limit="time_limit",
+        pip_name="cvxpy clarabel",
+        seconds=_cost,
     ),
     CvxpySolver(
-        Package(
-            "cvxpy_scs",
-            "splitting through cvxpy (SCS): any penalty",
-            "scs",
-            ("eps_rel",),
-            absolute=("eps_abs",),
-            time_limit="time_limit_secs",
-            fixed={"max_iters": 20_000},
-        )
+        "cvxpy_scs",
+        "splitting through cvxpy (SCS): any penalty",
+        "scs",
+        ("eps_rel",),
+        absolute=("eps_abs",),
+        time_limit="time_limit_secs",
+        fixed={"max_iters": 20_000},
+        pip_name="cvxpy scs",
     ),
     CvxpySolver(
-        Package(
-            "cvxpy_mosek",
-            "interior point through cvxpy (MOSEK, commercial): any penalty",
-            "mosek",
-            tuple(
-                f"MSK_DPAR_INTPNT_CO_TOL_{which}"
-                for which in ("PFEAS", "DFEAS", "REL_GAP", "MU_RED")
-            ),
-            time_limit="MSK_DPAR_OPTIMIZER_MAX_TIME",
-            within="mosek_params",
-        )
+        "cvxpy_mosek",
+        "interior point through cvxpy (MOSEK, commercial): any penalty",
+        "mosek",
+        tuple(
+            f"MSK_DPAR_INTPNT_CO_TOL_{which}"
+            for which in ("PFEAS", "DFEAS", "REL_GAP", "MU_RED")
+        ),
+        time_limit="MSK_DPAR_OPTIMIZER_MAX_TIME",
+        within="mosek_params",
+        pip_name="cvxpy mosek",
     ),
 ]

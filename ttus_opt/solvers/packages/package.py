@@ -1,6 +1,7 @@
 """Solvers of other packages: names, options and a common base.
 
-Several packages share one front end (qpsolvers, cvxpy), a subclass of `PackageSolver`.
+Several packages share one front end (qpsolvers, cvxpy), a subclass of `PackageSolver`
+of which each of them is an object.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified, seconds_left
 
 T = TypeVar("T")
@@ -23,9 +24,9 @@ T = TypeVar("T")
 PAUSE = 0.1
 
 
-@dataclass(frozen=True)
-class Package:
-    """A package's solver.
+@dataclass(eq=False, repr=False)
+class PackageSolver(Solver):
+    """A package's solver, reached through a front end.
 
     Attributes:
         name: Name to choose it by.
@@ -41,13 +42,13 @@ class Package:
         margin: First tolerance over the requested one: one more iteration is often
             cheaper than a second solve [–].
         pip_name: How to install it; "" for its import name.
-        cost: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out [s].
+        seconds: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out.
     """
 
     name: str
     summary: str
     module: str
-    tolerances: tuple[str, ...]
+    tolerances: tuple[str, ...] = ()
     absolute: tuple[str, ...] = ()
     time_limit: str = ""
     fixed: Mapping[str, Any] = field(default_factory=dict)
@@ -55,7 +56,28 @@ class Package:
     within: str = ""
     margin: float = 0.1
     pip_name: str = ""
-    cost: Callable[[Program], float] | None = None
+    seconds: Callable[[Program], float] | None = None
+
+    nonquadratic: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """State what it takes: limits of every kind."""
+        self.pip_name = self.pip_name or self.module
+        self.capabilities = Capabilities(
+            inequalities=True,
+            equalities=True,
+            nonquadratic=self.nonquadratic,
+            time_limit=bool(self.time_limit),
+        )
+
+    @property
+    def estimates(self) -> bool:
+        """Whether there is an estimate."""
+        return self.seconds is not None
+
+    def cost(self, program: Program) -> float:
+        """That estimate."""
+        return self.seconds(program) if self.seconds else math.inf
 
     def options(self, eps: float, seconds: float | None) -> dict[str, Any]:
         """The package's options for a tolerance and a time limit.
@@ -72,29 +94,13 @@ class Package:
         return {self.within: own} if self.within else own
 
 
-class PackageSolver(Solver):
-    """A solver reached through a front end."""
-
-    def __init__(self, package: Package) -> None:
-        self.package = package
-        self.name, self.summary = package.name, package.summary
-        self.module = package.module
-
-    @property
-    def estimates(self) -> bool:
-        """Whether the package has an estimate."""
-        return self.package.cost is not None
-
-    def cost(self, program: Program) -> float:
-        """The package's estimate."""
-        return self.package.cost(program) if self.package.cost else math.inf
-
-
 class PackageLoaded(Verified):
     """A program in a front end's form; nothing is kept between solves."""
 
+    _backend: PackageSolver
+
     def __init__(self, solver: PackageSolver, request: Request) -> None:
-        self._package, self.margin = solver.package, solver.package.margin
+        self.margin = solver.margin
         super().__init__(solver, request)
 
     def _attempt(self, eps: float, deadline: float | None) -> Candidate:
@@ -103,7 +109,7 @@ class PackageLoaded(Verified):
             # they concern the package's defaults and status; the answer is checked here
             warnings.simplefilter("ignore")
             try:
-                options = self._package.options(eps, seconds_left(deadline))
+                options = self._backend.options(eps, seconds_left(deadline))
                 answer = interruptible(lambda: self._solved(options))
             except self._errors() as error:
                 message = f"{type(error).__name__}: {error}"

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import Candidate, Capabilities, Claim
-from ttus_opt.solvers.packages.package import Package, PackageLoaded, PackageSolver
+from ttus_opt.solvers.base import Candidate, Claim
+from ttus_opt.solvers.packages.package import PackageLoaded, PackageSolver
 from ttus_opt.solvers.packages.quadratic import OneSided, read_back
 from ttus_opt.solvers.sizes import interior_point_seconds
 
@@ -45,7 +45,7 @@ class _Loaded(PackageLoaded):
             s.lb if s.boxed else None,
             s.ub if s.boxed else None,
         )
-        return qpsolvers.solve_problem(problem, solver=self._package.name, **options)
+        return qpsolvers.solve_problem(problem, solver=self._backend.name, **options)
 
     def _read(self, answer: Any) -> Candidate:
         s = self._split
@@ -71,13 +71,6 @@ class QpPackage(PackageSolver):
     """One of qpsolvers' packages."""
 
     loaded = _Loaded
-
-    def __init__(self, package: Package) -> None:
-        super().__init__(package)
-        self.pip_name = package.pip_name or package.module
-        self.capabilities = Capabilities(
-            inequalities=True, equalities=True, time_limit=bool(package.time_limit)
-        )
 
 
 class Highs(QpPackage):
@@ -154,88 +147,71 @@ def _piqp_cost(program: Program) -> float:
 
 SOLVERS = [
     QpPackage(
-        Package(
-            "clarabel",
-            "interior point (Clarabel)",
-            "clarabel",
-            ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-            time_limit="time_limit",
-            cost=interior_point_seconds,
-        )
+        "clarabel",
+        "interior point (Clarabel)",
+        "clarabel",
+        ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+        time_limit="time_limit",
+        seconds=interior_point_seconds,
     ),
     QpPackage(
-        Package(
-            "piqp",
-            "proximal interior point (PIQP)",
-            "piqp",
-            ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
-            fixed={"check_duality_gap": True},
-            cost=_piqp_cost,
-        )
+        "piqp",
+        "proximal interior point (PIQP)",
+        "piqp",
+        ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
+        fixed={"check_duality_gap": True},
+        seconds=_piqp_cost,
     ),
     QpPackage(
-        Package(
-            "proxqp",
-            "proximal augmented Lagrangian (ProxQP)",
-            "proxsuite",
-            ("eps_rel", "eps_duality_gap_rel"),
-            absolute=("eps_abs", "eps_duality_gap_abs"),
-            fixed={"check_duality_gap": True},
-        )
+        "proxqp",
+        "proximal augmented Lagrangian (ProxQP)",
+        "proxsuite",
+        ("eps_rel", "eps_duality_gap_rel"),
+        absolute=("eps_abs", "eps_duality_gap_abs"),
+        fixed={"check_duality_gap": True},
     ),
     QpPackage(
-        Package(
-            "qpalm",
-            "proximal augmented Lagrangian (QPALM)",
-            "qpalm",
-            ("eps_rel",),
-            absolute=("eps_abs",),
-            time_limit="time_limit",
-        )
+        "qpalm",
+        "proximal augmented Lagrangian (QPALM)",
+        "qpalm",
+        ("eps_rel",),
+        absolute=("eps_abs",),
+        time_limit="time_limit",
     ),
     Highs(
-        Package(
-            "highs",
-            "active set (HiGHS): exact, for thousands of voxels at most",
-            "highspy",
-            ("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
-            time_limit="time_limit",
-            fixed={"qp_regularization_value": REGULARISATION},
-            least=1e-10,
-            margin=1.0,
-        )
+        "highs",
+        "active set (HiGHS): exact, for thousands of voxels at most",
+        "highspy",
+        ("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
+        time_limit="time_limit",
+        fixed={"qp_regularization_value": REGULARISATION},
+        least=1e-10,
+        margin=1.0,
     ),
     # commercial or young: not installed in this project's own test runs; the tests run
     # every solver that is installed
     QpPackage(
-        Package(
-            "gurobi",
-            "interior point (Gurobi, commercial)",
-            "gurobipy",
-            ("BarConvTol",),
-            time_limit="TimeLimit",
-            fixed={"FeasibilityTol": 1e-9, "OptimalityTol": 1e-9},  # its least
-        )
+        "gurobi",
+        "interior point (Gurobi, commercial)",
+        "gurobipy",
+        ("BarConvTol",),
+        time_limit="TimeLimit",
+        fixed={"FeasibilityTol": 1e-9, "OptimalityTol": 1e-9},  # its least
     ),
     QpPackage(
-        Package(
-            "copt",
-            "interior point (COPT, commercial)",
-            "coptpy",
-            (),
-            time_limit="TimeLimit",
-            fixed={"FeasTol": 1e-9, "DualTol": 1e-9},  # its least
-        )
+        "copt",
+        "interior point (COPT, commercial)",
+        "coptpy",
+        time_limit="TimeLimit",
+        fixed={"FeasTol": 1e-9, "DualTol": 1e-9},  # its least
     ),
-    QpPackage(Package("qtqp", "interior point (QTQP)", "qtqp", ("atol", "rtol"))),
+    QpPackage("qtqp", "interior point (QTQP)", "qtqp", ("atol", "rtol")),
     QpPackage(
-        Package(
-            "sip",
-            "barrier augmented Lagrangian (SIP)",
-            "sip_qp_python",
-            ("eps_abs", "eps_rel"),
-            time_limit="time_limit",
-            pip_name="sip-qp-python",
-        )
+        "sip",
+        "barrier augmented Lagrangian (SIP)",
+        "sip_qp_python",
+        ("eps_abs", "eps_rel"),
+        time_limit="time_limit",
+        pip_name="sip-qp-python",
     ),
 ]

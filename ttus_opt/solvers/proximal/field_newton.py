@@ -38,6 +38,9 @@ from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
 Indices = NDArray[np.int32] | NDArray[np.int64]
 
+#: Relative residual of a step with kinks ahead, and of one that may be the last [–]
+ROUGH, SQUARES = 1e-2, 1e-4
+
 #: Most steps of conjugate gradients; steps after which the diagonal is too weak
 MOST_STEPS, MANY = 400, 16
 
@@ -60,7 +63,6 @@ class FieldNewton:
         description: The preconditioner, in words.
     """
 
-    rtol = 1e-2
     description = "the diagonal"
 
     def __init__(self, problem: PenalisedProblem, squares: bool = False) -> None:
@@ -74,7 +76,7 @@ class FieldNewton:
         self._program, self._fixed = problem.program, problem.fixed
         self._held = np.flatnonzero(problem.fixed)
         self._blocks, self._anchor = problem.blocks, problem.anchor
-        self._squares = squares
+        self._squares, self.rtol = squares, SQUARES if squares else ROUGH
         self._wide = [len(b.target) > FEW_ROWS for b in self._blocks]
         if squares:
             short = [not b.measured and b.nnz <= LONG for b in self._blocks]

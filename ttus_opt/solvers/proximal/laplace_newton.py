@@ -42,11 +42,10 @@ class LaplaceNewton:
     def __init__(self, problem: PenalisedProblem) -> None:
         """Sort the rows of a problem over p alone."""
         self._laplace, self._fixed = problem.program.laplace, problem.fixed
-        blocks, declared = problem.blocks, problem.declared
-        self._declared = declared
+        self._blocks = problem.blocks
         self._free = np.flatnonzero(self._laplace.free)
-        self._few = [k for k, rows in enumerate(declared) if rows is None]
-        self._rows = [blocks[k].matrix for k in self._few]
+        self._few = [k for k, b in enumerate(problem.blocks) if b.laplace is None]
+        self._rows = [self._blocks[k].matrix for k in self._few]
         #: v of the few blocks, and its value after a full last step
         self._balance: list[Array] | None = None
         self._aim: list[Array] = []
@@ -115,11 +114,11 @@ class LaplaceNewton:
     def _compliance(self, slopes: Sequence[Slope]) -> Array:
         """1/W of every row of L, shape (V,); zero at given values."""
         W = np.zeros(len(self._fixed))
-        for slope, rows in zip(slopes, self._declared, strict=True):
-            if rows is None:
+        for slope, b in zip(slopes, self._blocks, strict=True):
+            if b.laplace is None:
                 continue
             at = np.arange(len(W)) if len(slope.factor) == len(W) else self._free
-            scale = 1.0 if rows.scale is None else rows.scale[at]
+            scale = 1.0 if b.laplace.scale is None else b.laplace.scale[at]
             W[at] += scale**2 * slope.factor
         return np.where(self._fixed, 0.0, 1.0 / np.where(W > 0.0, W, 1.0))
 

@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.terms.penalties import Slope, Squares
+from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.solvers.conjugate_gradients import inner_product
 
 #: σ over the weight of a smooth penalty; the difference to σ → ∞ is below rounding
@@ -66,6 +67,7 @@ class PenalisedRows:
         exact: Whether the penalty is smooth and enters exactly.
         sigma: σ.
         measured: Whether they are measurements.
+        laplace: How they are Laplace's rows; None for others.
         multipliers: y, shape (m,).
     """
 
@@ -81,6 +83,7 @@ class PenalisedRows:
         self.name, self.matrix, self.target = name, matrix, target
         self.weight, self.law, self.exact = weight, law, exact
         self.sigma, self.measured = EXACT * weight, False
+        self.laplace: LaplaceRows | None = None
         self.multipliers = np.zeros(len(target))
 
     @classmethod
@@ -90,7 +93,7 @@ class PenalisedRows:
         rows = cls(
             term.name, term.matrix, term.target, term.weight, term.penalty, smooth
         )
-        rows.measured = term.is_measured
+        rows.measured, rows.laplace = term.is_measured, term.laplace_rows
         return rows
 
     @property
@@ -128,10 +131,11 @@ class PenalisedRows:
 class Anchor(PenalisedRows):
     """The proximal term w ‖E (x − x̄)‖², which keeps x where nothing else does."""
 
-    def __init__(self, rows: sp.csr_array) -> None:
-        """Take E."""
+    def __init__(self, rows: sp.csr_array, laplace: LaplaceRows | None = None) -> None:
+        """Take E, which may be Laplace's rows."""
         zero = np.zeros(rows.shape[0])
         super().__init__("proximal term", rows, zero, 1.0, Squares(), exact=True)
+        self.laplace = laplace
 
     def weigh(self, weight: float) -> None:
         """Take another weight w."""

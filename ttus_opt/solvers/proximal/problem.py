@@ -16,6 +16,9 @@ from ttus_opt.problem.verify.distance import held_by_equalities
 from ttus_opt.problem.verify.kkt import Duals
 from ttus_opt.solvers.proximal.penalised_rows import Anchor, Between, PenalisedRows
 
+#: Most rows beside Laplace's, over the voxels, that are few [–]
+FEW = 0.1
+
 #: Name of the rows that stand for the box; no constraint is called so
 BOX = "box of all bounds"
 
@@ -27,7 +30,6 @@ class PenalisedProblem:
     Attributes:
         program: As it was declared.
         blocks: Terms with a weight, rows between limits, the box, the proximal term.
-        declared: Tag of every block of Laplace's rows, None for other blocks.
         fixed: Variables whose values are given, shape (n,).
         values: Those values, zero elsewhere, shape (n,).
         given: By constraint, which of its rows give values.
@@ -35,7 +37,6 @@ class PenalisedProblem:
 
     program: Program
     blocks: tuple[PenalisedRows, ...] = field(repr=False)
-    declared: tuple[LaplaceRows | None, ...] = field(repr=False)
     fixed: Mask = field(repr=False)
     values: Array = field(repr=False)
     given: Mapping[str, Mask] = field(repr=False)
@@ -46,7 +47,6 @@ class PenalisedProblem:
         fixed = held_by_equalities(program)
         values = np.zeros(program.n_variables)
         blocks = [PenalisedRows.of(t) for t in program.terms if t.weight > 0.0]
-        declared = [t.laplace_rows for t in program.terms if t.weight > 0.0]
         given = {}
         for constraint in program.constraints:
             own = given[constraint.name] = constraint.fixing
@@ -63,15 +63,13 @@ class PenalisedProblem:
             if len(at):
                 law = Between(lower[at], upper[at])
                 blocks.append(_limits(BOX, unit_rows(at, len(fixed)), law))
-        declared += [None] * (len(blocks) - len(declared))
-        return cls(program, tuple(blocks), tuple(declared), fixed, values, given)
+        return cls(program, tuple(blocks), fixed, values, given)
 
     def anchored(
-        self, rows: sp.csr_array, declared: LaplaceRows | None = None
+        self, rows: sp.csr_array, laplace: LaplaceRows | None = None
     ) -> PenalisedProblem:
         """With a proximal term of some rows, which may be Laplace's."""
-        blocks = (*self.blocks, Anchor(rows))
-        return replace(self, blocks=blocks, declared=(*self.declared, declared))
+        return replace(self, blocks=(*self.blocks, Anchor(rows, laplace)))
 
     @property
     def anchor(self) -> Anchor | None:
@@ -82,6 +80,28 @@ class PenalisedProblem:
     def bent(self) -> list[PenalisedRows]:
         """Blocks that are not smooth, whose multipliers are estimated."""
         return [rows for rows in self.blocks if not rows.exact]
+
+    @property
+    def held_by_laplace(self) -> bool:
+        """Whether squares of Laplace's rows determine the field."""
+        prior = self.program.laplace_prior
+        if prior is None or prior.weight == 0.0:
+            return False
+        rows = prior.laplace_rows
+        fixed, free = self.fixed[self.program.variables["p"]], self.program.laplace.free
+        return rows is not None and (rows.scale is None or bool(fixed[~free].all()))
+
+    @property
+    def few_beside_laplace(self) -> bool:
+        """Whether all rows but a few are Laplace's, and over p alone."""
+        program, own = self.program, [b for b in self.blocks if b.laplace is not None]
+        if set(program.variables) != {"p"} or program.laplace is None or not own:
+            return False
+        few = sum(len(b.target) for b in self.blocks if b.laplace is None)
+        given = bool(np.array_equal(self.fixed, ~program.laplace.free))
+        soft = self.held_by_laplace and not self.fixed.any()
+        plain = all(getattr(b.law, "rows_per_group", 1) == 1 for b in own)
+        return plain and (given or soft) and few <= FEW * len(self.fixed)
 
     def duals(self, multipliers: list[Array], gradient: Array) -> Duals:
         """Multipliers by name.
