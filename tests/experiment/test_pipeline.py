@@ -163,7 +163,6 @@ def test_the_default_on_refined_poses_stands_beside_it():
     plan = experiment.Plan(formulations=("eq10",), weights="default", refine=True)
     *_, plain, refined = plan.settings
     assert (plain.formulation, refined.formulation) == (None, None)
-    assert plain.scene_key != refined.scene_key
     assert "refined" not in plain.as_dict() and refined.as_dict()["refined"]
     assert title(refined.name) == "default, poses refined"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -170,19 +170,13 @@ class PatientFits:
         self.shell = PointShell.from_spec(PROBE_SPEC)
         self.folder, self._shape, self.digest = folder, shape, digest
         self.stamp = f"{digest} {shape}"
-        self._scenes: dict[tuple[object, ...], Scene] = {}
+        self._scenes: dict[tuple[ScenePlan, bool], Scene] = {}
 
     def scene(self, setting: Setting) -> Scene:
         """The scene of a setting over the recordings in `FITTED`."""
-        key = setting.scene_key
+        key = setting.plan, setting.refined
         if key not in self._scenes:
-            plan = ScenePlan(
-                self._shape,
-                inner=setting.inner,
-                outer=setting.outer,
-                sampling=setting.sampling,
-                boundary=setting.boundary,
-            )
+            plan = replace(setting.plan, shape=self._shape)
             recorded = self._refined if setting.refined else self._recorded
             surface = self.examination.surface
             self._scenes[key] = plan.build(surface, self.shell, recorded)

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 from ttus_opt import paper
+from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.core import io
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.weights import weight_choice
@@ -28,6 +29,12 @@ WEIGHTS = (GIVEN, AUTO, DEFAULT) = ("given", weight_choice.AUTO, "default")
 #: Suffix of settings whose weights are chosen from the recordings
 CHOSEN = "_auto"
 
+#: The plan of most, but for its shape
+USUAL = ScenePlan(inner="fit")
+
+#: What settings tell of their plan
+SCENE = ("inner", "outer", "sampling", "boundary")
+
 #: Names of other files in a patient's folder
 RESERVED = ("boundary", "surface")
 
@@ -41,10 +48,7 @@ class Setting:
         formulation: Its name, or the path of a user's own file; None for the
             default model.
         options: Options of the formulation.
-        inner: p_in, or "fit".
-        outer: p_out; where p_in is fitted the ratio p_out / p_in.
-        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
-        boundary: ``subvoxel`` or ``staircase``.
+        plan: Of the scene but for its shape; settings with the same share a scene.
         weights: How weights are chosen, one of `WEIGHTS`.
         refined: Whether it is fitted to refined poses.
     """
@@ -52,17 +56,9 @@ class Setting:
     name: str
     formulation: str | None
     options: Mapping[str, Any] = field(default_factory=dict)
-    inner: float | Literal["fit"] = "fit"
-    outer: float = 1.0
-    sampling: str = "trilinear"
-    boundary: str = "subvoxel"
+    plan: ScenePlan = USUAL
     weights: str = GIVEN
     refined: bool = False
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """Settings with the same key share a scene."""
-        return (self.inner, self.outer, self.sampling, self.boundary, self.refined)
 
     @property
     def source(self) -> dict[str, str]:
@@ -72,18 +68,19 @@ class Setting:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and the cache's key."""
-        values = {**vars(self), "options": dict(self.options)}
-        del values["weights"]  # so that older caches stay valid
-        if not self.refined:
-            del values["refined"]
+        scene = {name: getattr(self.plan, name) for name in SCENE}
+        own = {"name": self.name, "formulation": self.formulation}
+        values: dict[str, Any] = {**own, "options": dict(self.options), **scene}
+        if self.refined:  # so that older caches stay valid
+            values["refined"] = True
         chosen = self.weights == AUTO
         return values | ({"chooses": self.formulation or DEFAULT} if chosen else {})
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights
-_PAPER = {**paper.SCENE, **paper.VOXMAP}
-PAPER_WITHOUT = Setting("paper_without", "laplace_only", **_PAPER)
-PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **_PAPER)
+_PAPER = ScenePlan(**paper.SCENE, **paper.VOXMAP)
+PAPER_WITHOUT = Setting("paper_without", "laplace_only", plan=_PAPER)
+PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, _PAPER)
 
 #: The Laplace field alone, its boundary values scaled to the measured forces
 LAPLACE = Setting("laplace_scaled", "laplace_only")
