@@ -156,7 +156,8 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
         each.compile()  # fills the caches of terms and constraints for every solver
     if solver == AUTO:  # it may have chosen another solver on the small case
         begin("warm-up")
-        _warm_up(spec, _first_choice(both[0]), request)
+        chosen = candidates(AUTO, reduce(both[0].compile()).program)[0]
+        _warm_up(spec, chosen, request)
     base = machine.resident_bytes()
     solves = _solved(spec, solver, request, both, begin)
     begin.end()
@@ -223,11 +224,6 @@ def _warm_up(spec: RunSpec, solver: Solver | Literal["auto"], request: Request) 
         fitter.solve()
         fitter.update(small)
         fitter.solve()
-
-
-def _first_choice(declared: Formulation) -> Solver:
-    """The solver that "auto" tries first on the case."""
-    return candidates(AUTO, reduce(declared.compile()).program)[0]
 
 
 def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:

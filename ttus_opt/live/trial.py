@@ -21,6 +21,7 @@ from ttus_opt.core.errors import InputError
 from ttus_opt.live.feedback import Feedback, MeasuredForce, PassiveForce
 from ttus_opt.live.follower import Follower
 from ttus_opt.live.impairment import LONGEST_DELAY, Impairment
+from ttus_opt.live.messages import decoded_surface
 from ttus_opt.live.model import LiveModel, ModelPlan, encode_model
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Breathing, SimulatedPatient, SkinMotion
@@ -34,7 +35,7 @@ from ttus_opt.live.subject import (
     probe_shell,
 )
 from ttus_opt.live.tissue import TORSO_LAW, ElasticTorso, FieldTissue, Tissue
-from ttus_opt.message import decode, encode
+from ttus_opt.message import encode
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.terms.depth_profile import DepthProfile
 from ttus_opt.scan.surface import Surface
@@ -185,8 +186,7 @@ def prepared(
         shell: The probe of both sides; by default the example's.
     """
     sent = encode(surface or patient_surface())
-    seen = decode(sent)
-    assert isinstance(seen, Surface)
+    seen, _ = decoded_surface(sent, None)
     scaled = replace(law, coefficients=(prior * law.coefficients[0],))
     model = LiveModel(seen, shell or probe_shell(), ModelPlan(law=scaled))
     return sent, encode_model(model)

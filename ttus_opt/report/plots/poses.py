@@ -28,8 +28,9 @@ from ttus_opt.scan.surface import Surface
 #: Largest number of recordings, and of arrows and probe outlines in each
 RECORDINGS, ARROWS, PROBES = 8, 60, 3
 
-#: Length of an arrow of the largest force [cm]
+#: Length of an arrow of the largest force [cm], and how arrows are drawn
 LONGEST = 6.0
+ARROW = dict(angles="xy", scale_units="xy", scale=1.0, width=3e-3, headwidth=4.5)
 
 #: Label, colour and marker by contact of the geometry and contact by force
 _KINDS: dict[tuple[bool, bool], tuple[str, str, str]] = {
@@ -78,7 +79,8 @@ def pose_picture(
         )
     shown = recordings[:RECORDINGS]
     views = _views(surface)
-    longest = _largest_force(trajectory)
+    largest = 0.0 if trajectory.force is None else np.abs(trajectory.force).max()
+    longest = round_up(float(largest))  # [N]
     with look():
         figure = new_figure(11.0, 0.7 + 3.3 * len(shown))
         axes = figure.subplots(
@@ -108,12 +110,6 @@ def pose_picture(
             fontsize=10,
         )
     return figure
-
-
-def _largest_force(trajectory: Trajectory) -> float:
-    """The force of an arrow of length `LONGEST`, a round number [N]."""
-    force = trajectory.force
-    return 1.0 if force is None else round_up(float(np.abs(force).max()))
 
 
 def _views(surface: Surface) -> tuple[_View, _View, _View]:
@@ -179,25 +175,11 @@ def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
         )
         if frames.force is not None:
             along = frames.force[alike] @ plane * (LONGEST / longest / 100.0)
-            _draw_arrows(axis, at, along, ink)
+            axis.quiver(*at.T, *along.T, color=ink, **ARROW)
+            axis.update_datalim(at + along)
     axis.set_aspect("equal", adjustable="datalim")
     axis.autoscale_view()
     _label(axis, view)
-
-
-def _draw_arrows(axis: Any, at: Array, along: Array, ink: str) -> None:
-    """Draw arrows that start at points, both of shape (n, 2) [cm]."""
-    axis.quiver(
-        *at.T,
-        *along.T,
-        color=ink,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=3e-3,
-        headwidth=4.5,
-    )
-    axis.update_datalim(at + along)
 
 
 def _label(axis: Any, view: _View) -> None:

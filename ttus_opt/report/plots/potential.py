@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError
@@ -195,9 +196,7 @@ def _enlarge(whole: Any, part: Any, spot: Array) -> None:
     part.set_xlim(low[0], low[0] + edge)
     part.set_ylim(low[1], low[1] + edge)
     part.set_xlabel("x [cm]")
-    x = low[0] + edge * np.array([0, 1, 1, 0, 0])
-    y = low[1] + edge * np.array([0, 0, 1, 1, 0])
-    whole.plot(x, y, color="black", linewidth=0.8)
+    whole.add_patch(Rectangle(tuple(low), edge, edge, fill=False, linewidth=0.8))
 
 
 def draw_slice(

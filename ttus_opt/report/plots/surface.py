@@ -78,25 +78,16 @@ def draw_section(axes: Any, surface: Surface, z: float, points: Array | None) ->
 
 
 def _draw_unrolled(axes: Any, bar: Any, surface: Surface) -> None:
-    step = 360.0 / len(surface.theta)
-    degrees = np.degrees(surface.theta)
-    edges = np.append(degrees, degrees[-1] + step) - step / 2
-    z = 100.0 * surface.z
-    half = (z[1] - z[0]) / 2
-    z_edges = np.append(z - half, z[-1] + half)
-    mesh = axes.pcolormesh(
-        edges, z_edges, 100.0 * surface.radius.T, cmap=SHADES, rasterized=True
+    nodes, radius = (
+        (np.degrees(surface.theta), 100.0 * surface.z),
+        100.0 * surface.radius,
     )
+    drawn = {"cmap": SHADES, "shading": "nearest", "rasterized": True}
+    mesh = axes.pcolormesh(*nodes, radius.T, **drawn)
     unseen = (~surface.observed.T).astype(float)
     if unseen.any():
-        axes.contourf(
-            degrees,
-            z,
-            unseen,
-            levels=[0.5, 1.5],
-            colors="none",
-            hatches=["////"],
-        )
+        hatched = {"colors": "none", "hatches": ["////"]}
+        axes.contourf(*nodes, unseen, levels=[0.5, 1.5], **hatched)
     axes.figure.colorbar(mesh, cax=bar, label="radius R [cm]")
     share = 100.0 * surface.observed.mean()
     axes.set_title(f"unrolled: {share:.0f} % observed, hatched = filled")
@@ -109,8 +100,8 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
     nodes = surface.points()
     closed = 100.0 * np.concatenate([nodes, nodes[:1]])
     seen = np.concatenate([surface.observed, surface.observed[:1]])[:-1, :-1]
-    frame = _view_frame(surface)
-    placed = closed @ frame.T
+    along, up = np.array([0.0, 0.0, 1.0]), surface.front
+    placed = closed @ np.stack([along, np.cross(up, along), up]).T
     x, y, z = np.moveaxis(placed, -1, 0)
     normal = np.cross(
         placed[1:, :-1] - placed[:-1, :-1], placed[:-1, 1:] - placed[:-1, :-1]
@@ -139,9 +130,3 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_axis_off()
     axes.set_title("tinted = seen, white = filled")
-
-
-def _view_frame(surface: Surface) -> Array:
-    """Directions along, across and towards the seen side as rows, (3, 3) [–]."""
-    along, up = np.array([0.0, 0.0, 1.0]), surface.front
-    return np.stack([along, np.cross(up, along), up])
