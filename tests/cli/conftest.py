@@ -1,5 +1,6 @@
 """What every command's test needs: a way to run it and a small torso's files."""
 
+import json
 import re
 import shlex
 from collections.abc import Callable
@@ -28,6 +29,12 @@ class Answer:
         """Lines on stderr without progress bars, which a slow machine shows."""
         lines = BAR.sub("", self.err).splitlines()
         return [line.strip() for line in lines if line.strip()]
+
+    @property
+    def told(self):
+        """What ``--json`` says, of a command that ended well."""
+        assert self.status == 0, self.err
+        return json.loads(self.out)
 
 
 Run = Callable[[str], Answer]
@@ -69,6 +76,11 @@ def scene_words(files, shape="10,16,8", n_points=200):
         f"--surface {files / 'surface.nc'} --probe {PROBE} --points {n_points} "
         f"--trajectory {files / 'press.csv'} --shape {shape}"
     )
+
+
+def judged(files):
+    """Probe and recording by which a field is judged, those of `fit_words`."""
+    return f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
 
 
 def fit_words(files, output, more=""):

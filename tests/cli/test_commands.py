@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.cli.conftest import PROBE, fit_words, refused
+from tests.cli.conftest import PROBE, fit_words, judged, refused
 from tests.kit import presses, python, torso
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.haptic.flat_file import write_flat
@@ -17,13 +17,11 @@ from ttus_opt.haptic.flat_file import write_flat
 @pytest.mark.slow
 def test_surface_writes_what_it_says(run, files, tmp_path):
     output, picture = tmp_path / "s.nc", tmp_path / "s.png"
-    answer = run(
+    told = run(
         f"surface {files / 'scan.npy'} -o {output} --n-theta 90 --n-z 20 --no-support "
         "--axis-origin 0,0,0 --axis-direction 0,0,2 "
         f"--picture {picture} --json"
-    )
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
+    ).told
     found = tt.Surface.load(output)
     assert told["n_theta"] == 90 and found.radius.shape == (90, 20)
     np.testing.assert_array_equal(found.axis.rotation, np.eye(3))
@@ -48,7 +46,7 @@ def test_surface_tells_how_sure_it_is_of_what_it_filled(run, files, tmp_path):
         f"surface {tmp_path / 'front.npy'} -o {tmp_path / 's.nc'} --no-support "
         f"--n-theta 60 --n-z 20 --axis-from {files / 'surface.nc'}"
     )
-    told = json.loads(run(words + " --json").out)
+    told = run(words + " --json").told
     found = tt.Surface.load(tmp_path / "s.nc")
     seen, std = found.observed, found.radius_std
     for name, own in (("observed", std[seen]), ("filled", std[~seen])):
@@ -60,9 +58,7 @@ def test_surface_tells_how_sure_it_is_of_what_it_filled(run, files, tmp_path):
 
 def test_fit_json_has_the_stable_keys(run, files, tmp_path):
     output = tmp_path / "field.nc"
-    answer = run(fit_words(files, output, "--force-weight 1e-2 --json"))
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
+    told = run(fit_words(files, output, "--force-weight 1e-2 --json")).told
     assert told["status"] == "solved"
     assert told["formulation"] == "eq10"
     assert told["voxels"] == 16 * 24 * 12
@@ -89,7 +85,7 @@ def test_fit_tells_how_well_parameters_are_known(run, files, tmp_path):
     words = fit_words(files, tmp_path / "f.nc", "--formulation coulomb_global")
     words = words.replace("--inner fit", "--inner 3.0")
     words = words.replace(str(files / "press.csv"), str(still))
-    told = json.loads(run(f"{words} --json").out)
+    told = run(f"{words} --json").told
     assert told["parameters"]["friction_coefficient"] == 0.0
     assert told["not_identified"] == {"friction_coefficient": "no sliding"}
     assert told["standard_errors"] == {}
@@ -98,7 +94,7 @@ def test_fit_tells_how_well_parameters_are_known(run, files, tmp_path):
     assert line in answer.out.splitlines()
     eq10 = "--formulation eq10"
     answer = run(fit_words(files, tmp_path / "f.nc", eq10))
-    told = json.loads(run(fit_words(files, tmp_path / "f.nc", f"{eq10} --json")).out)
+    told = run(fit_words(files, tmp_path / "f.nc", f"{eq10} --json")).told
     scale, error = (
         told[key]["boundary_scale"] for key in ("parameters", "standard_errors")
     )
@@ -153,9 +149,8 @@ def test_options_reach_the_formulation(run, files, tmp_path):
 
 
 def test_evaluate_says_what_a_hand_could_tell_apart(run, files, field):
-    words = f"evaluate --field {field} --probe {PROBE} --points 300"
-    words += f" --trajectory {files / 'press.csv'}"
-    told, spoken = json.loads(run(f"{words} --json").out), run(words).out
+    words = f"evaluate --field {field} {judged(files)}"
+    told, spoken = run(f"{words} --json").told, run(words).out
     share = told["share_told_apart"]
     assert 0.0 < share <= 1.0
     assert f"{100 * share:.1f} % of the frames in contact differ" in spoken
@@ -169,9 +164,9 @@ def test_evaluate_tells_errors_by_recording_distance_and_depth(
 ):
     other = tmp_path / "other.csv"
     presses(torso(), 20, np.random.default_rng(5)).save(other)
-    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
+    words = judged(files)
     both = f"evaluate --field {field} {words} --trajectory {other}"
-    told = json.loads(run(f"{both} --json").out)
+    told = run(f"{both} --json").told
     alone = run(f"evaluate --field {field} {words} --json")
     own, unseen = told["by_recording"]
     whole = json.loads(alone.out)
@@ -196,14 +191,11 @@ def test_evaluate_says_when_the_fitted_places_are_unknown(run, files, field, tmp
     kept = {k: v for k, v in older.provenance.items() if k != "contacts"}
     replace(older, provenance=kept).save(tmp_path / "older.nc")
     replace(older, provenance={**kept, "contacts": "{}"}).save(tmp_path / "damaged.nc")
-    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
-    answer = run(f"evaluate --field {tmp_path / 'older.nc'} {words}")
-    assert answer.status == 0 and "near and far: unknown" in answer.out
-    told = json.loads(
-        run(f"evaluate --field {tmp_path / 'older.nc'} {words} --json").out
-    )
+    words = f"evaluate --field {tmp_path / 'older.nc'} {judged(files)}"
+    assert "near and far: unknown" in run(words).out
+    told = run(f"{words} --json").told
     assert told["by_distance_m"] is None and told["by_relative_depth"] is None
-    damaged = run(f"evaluate --field {tmp_path / 'damaged.nc'} {words}")
+    damaged = run(words.replace("older.nc", "damaged.nc"))
     refused(damaged, "contacts are damaged", "fit the field again")
 
 
@@ -213,18 +205,18 @@ def test_fit_keeps_its_uncertainty_for_evaluate(run, files, field, tmp_path):
     more = f"--formulation depth_map --uncertainty-picture {picture}"
     assert run(fit_words(files, own, more)).status == 0
     assert picture.stat().st_size > 0
-    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
-    answer = run(f"evaluate --field {own} {words} --uncertainty --json")
-    (one,) = json.loads(answer.out)["by_recording"]
+    words = f"evaluate --field {own} {judged(files)}"
+    (one,) = run(f"{words} --uncertainty --json").told["by_recording"]
     assert one["name"] == "press.csv" and one["frames"] == 30
     told = one["uncertainty"]
     assert told["force_std_N"] > 0.0 and 0.0 <= told["force_coverage"] <= 1.0
     drawn = tmp_path / "calibration.png"
-    spoken = run(f"evaluate --field {own} {words} --calibration-picture {drawn}")
+    spoken = run(f"{words} --calibration-picture {drawn}")
     assert drawn.stat().st_size > 0
     assert "the 95 % interval covers" in spoken.out
     drawn.unlink()
-    refused = run(f"evaluate --field {field} {words} --calibration-picture {drawn}")
+    words = words.replace(str(own), str(field))
+    refused = run(f"{words} --calibration-picture {drawn}")
     assert not drawn.exists()
     assert refused.status == 2 and "fit --uncertainty" in refused.errors[-1]
 
@@ -239,33 +231,22 @@ def test_fit_says_when_there_is_no_uncertainty(run, files, tmp_path):
 
 def test_render_gives_what_evaluate_compares(run, files, field, tmp_path):
     output = tmp_path / "rendered.csv"
-    words = f"--field {field} --probe {PROBE} --points 300"
-    answer = run(
-        f"render {words} --trajectory {files / 'press.csv'} -o {output} --json"
-    )
-    assert answer.status == 0, answer.err
-    assert json.loads(answer.out)["frames"] == 30
-    again = run(f"evaluate {words} --trajectory {output} --json")
-    assert json.loads(again.out)["force_vector_rmse_N"] < 1e-12
-    refused = run(
-        f"render {words} --trajectory {files / 'press.csv'} -o {tmp_path / 'r.csv'} "
-        "--presliding-length -1"
-    )
+    words = f"--field {field} {judged(files)}"
+    assert run(f"render {words} -o {output} --json").told["frames"] == 30
+    own = words.replace(str(files / "press.csv"), str(output))
+    assert run(f"evaluate {own} --json").told["force_vector_rmse_N"] < 1e-12
+    length = f"render {words} -o {tmp_path / 'r.csv'} --presliding-length"
+    refused = run(f"{length} -1")
     assert refused.status == 2 and not (tmp_path / "r.csv").exists()
     assert "--presliding-length of a field must not be negative" in refused.err
-    without = run(
-        f"render {words} --trajectory {files / 'press.csv'} -o {tmp_path / 'r.csv'} "
-        "--presliding-length 1e-3"
-    )
+    without = run(f"{length} 1e-3")
     assert without.status == 0 and "has no friction" in without.err
 
 
 def test_render_writes_the_flat_file_too(run, files, field, tmp_path):
     flat = tmp_path / "field.flat"
-    answer = run(
-        f"render --field {field} --probe {PROBE} --points 300 --trajectory "
-        f"{files / 'press.csv'} -o {tmp_path / 'r.csv'} --flat {flat} --force-limit 15"
-    )
+    words = f"render --field {field} {judged(files)} -o {tmp_path / 'r.csv'}"
+    answer = run(f"{words} --flat {flat} --force-limit 15")
     assert answer.status == 0 and f"{flat}: field and probe" in answer.out
     shell = tt.PointShell.from_spec(PROBE, n_points=300)
     expected = tmp_path / "expected.flat"
@@ -278,11 +259,8 @@ def test_render_takes_another_presliding_length(run, files, field, tmp_path):
     potential = tt.PotentialField.load(field)
     law = {"friction_coefficient": 0.3, "presliding_length": 1e-2}
     replace(potential, parameters=law).save(held)
-    answer = run(
-        f"render --field {held} --probe {PROBE} --points 300 -o {output} "
-        f"--trajectory {files / 'press.csv'} --presliding-length 1e-3"
-    )
-    assert answer.status == 0, answer.err
+    words = f"render --field {held} {judged(files)} -o {output}"
+    assert run(f"{words} --presliding-length 1e-3").status == 0
     own = replace(potential, parameters={**law, "presliding_length": 1e-3})
     shell = tt.PointShell.from_spec(PROBE, n_points=300)
     expected = wrenches_along(own, shell, tt.read_trajectory(files / "press.csv"))

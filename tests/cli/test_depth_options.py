@@ -54,7 +54,7 @@ def words(scans, *more):
 def test_three_sides(run, scans, tmp_path):
     out = tmp_path / "surface.nc"
     noise = ["--noise", "time-of-flight:0.0012", "--json", "-o", str(out)]
-    told = json.loads(run(words(scans, *noise)).out)
+    told = run(words(scans, *noise)).told
     assert len(told["dropped"]) == 3
     assert all(one["invalid"] > 0 for one in told["dropped"])
     assert told["refinements"] == []
@@ -96,7 +96,7 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(run, scans, tmp_path):
     earlier = tt.Surface.load(first)
     np.testing.assert_allclose(earlier.axis.rotation, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(earlier.axis.origin, [0, 0.11, 0.05], atol=0.005)
-    told = json.loads(run(f"{left} --update {first} --json -o {second}").out)
+    told = run(f"{left} --update {first} --json -o {second}").told
     later = tt.Surface.load(second)
     assert told["kept"] > 0.05 and told["added"] > 0.01
     assert told["averaged"] > 0.8 * (told["averaged"] + told["replaced"])

@@ -47,7 +47,7 @@ def test_every_kind_of_file(run, tmp_path, files):
         assert said in answer.out
     assert max(map(len, answer.out.splitlines())) <= 80 + len(str(tmp_path))
     assert (tmp_path / "all.png").stat().st_size > 10_000
-    told = json.loads(run(f"doctor {words} --json").out)
+    told = run(f"doctor {words} --json").told
     assert [Path(f["file"]).name for f in told["files"]][:2] == list(SAMPLES)[:2]
     assert told["files"][0]["streams"][0]["rate_Hz"] == pytest.approx(20)
 

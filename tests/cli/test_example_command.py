@@ -1,7 +1,6 @@
 """``ttus-opt example``: a folder to try the commands in."""
 
 import hashlib
-import json
 
 import numpy as np
 import pytest
@@ -57,7 +56,7 @@ def test_the_command_lists_the_files(run, tmp_path, monkeypatch):
     lines = run(f"example {tmp_path}").out.splitlines()
     assert [line.split()[0] for line in lines[: len(FILES)]] == list(FILES)
     assert max(map(len, lines[: len(FILES)])) <= 80
-    assert json.loads(run(f"example {tmp_path} --json").out)["files"] == FILES
+    assert run(f"example {tmp_path} --json").told["files"] == FILES
 
 
 def test_recordings_lie_on_the_skin_that_the_scan_shows(folder):

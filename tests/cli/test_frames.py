@@ -1,6 +1,5 @@
 """Recordings of a camera's or a robot's frame and of forces alone, by the commands."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -66,8 +65,7 @@ def test_every_frame_gives_the_same_field(run, tmp_path):
     rendered = tmp_path / "rendered.csv"
     words = evaluate_words(tmp_path / "base.nc", tmp_path / "base.csv", options)
     assert run(words.replace("evaluate", f"render -o {rendered}")).status == 0
-    again = run(evaluate_words(tmp_path / "base.nc", rendered, options))
-    errors = json.loads(again.out)
+    errors = run(evaluate_words(tmp_path / "base.nc", rendered, options)).told
     assert errors["force_magnitude_error_N"] < 1e-9
     assert errors["torque_magnitude_error_Nm"] < 1e-9
     np.testing.assert_allclose(
@@ -115,7 +113,7 @@ def test_forces_alone(run, tmp_path):
     assert "no torques were measured: forces alone were fitted" in fitted.out
     assert "no torques, " in fitted.out
     words = evaluate_words(tmp_path / "f.nc", tmp_path / "force.csv")
-    told = json.loads(run(words).out)
+    told = run(words).told
     assert told["torque_magnitude_error_Nm"] is None
     assert told["force_magnitude_error_N"] < 2.0
     assert "torque  not measured" in run(words.replace("--json", "")).out
@@ -131,8 +129,7 @@ def test_head_and_box(run, tmp_path):
     assert "the head lies towards (-0.96, -0.22, -0.17)" in found.out
     assert "if not, add --flip-axis" in found.out
     z = tt.Surface.load(tmp_path / "s.nc").axis.rotation[:, 2]
-    told = run(f"{words} --head 1,0,0 --box -2,2,-2,2,-2,2 --json")
-    given = json.loads(told.out)
+    given = run(f"{words} --head 1,0,0 --box -2,2,-2,2,-2,2 --json").told
     np.testing.assert_allclose(np.array(given["axis_rotation"])[:, 2], -z, atol=1e-12)
     refused(run(f"{words} --head 0,0,1"), "away from the body's axis")
     refused(run(f"{words} --head 1,0,0 --flip-axis"), "--head or --flip-axis")

@@ -1,7 +1,5 @@
 """``ttus-opt hand-eye``: from two files to a motion that other commands read."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -17,8 +15,7 @@ def test_two_files(run, tmp_path):
     carried.save(tmp_path / "robot.csv")
     files = f"{tmp_path / 'tracker.csv'} {tmp_path / 'robot.csv'}"
     words = f"hand-eye {files} --camera fixed -o {tmp_path / 'x.json'}"
-    answer = run(f"{words} --largest-offset 1.5 --json")
-    told = json.loads(answer.out)
+    told = run(f"{words} --largest-offset 1.5 --json").told
     found = read_rigid_motion(tmp_path / "x.json")
     np.testing.assert_allclose(found, CAMERA, atol=2e-3)
     np.testing.assert_array_equal(told["camera_to_base"], found)

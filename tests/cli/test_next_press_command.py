@@ -1,7 +1,5 @@
 """``ttus-opt next-press``: what it tells, writes and refuses."""
 
-import json
-
 import pytest
 
 import ttus_opt as tt
@@ -15,9 +13,7 @@ def words(files, more=""):
 @pytest.mark.slow
 def test_it_names_places_and_writes_them(run, files, output):
     poses, picture = output / "next.csv", output / "next.png"
-    answer = run(words(files, f"--count 2 --json -o {poses} --picture {picture}"))
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
+    told = run(words(files, f"--count 2 --json -o {poses} --picture {picture}")).told
     assert len(told["presses"]) == 2 and told["model"]
     assert told["region_std_after_N"] < told["region_std_before_N"]
     read = tt.read_trajectory(poses)

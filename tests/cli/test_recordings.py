@@ -37,11 +37,12 @@ def as_ros(source, target):
 
 
 def words(recording, output, more=""):
+    if recording.name == "press.csv":  # as ROS names them
+        more += " --columns t=__time"
     return (
         f"fit --surface {example.path('surface.nc')} --probe {example.PROBE} "
         f"--trajectory {recording} --shape 16,36,16 --points 150 --inner 10 "
-        f"--sampling trilinear --formulation eq10 --weights own -o {output} "
-        f"--columns t=__time {more}"
+        f"--sampling trilinear --formulation eq10 --weights own -o {output} {more}"
     )
 
 
@@ -57,16 +58,13 @@ def test_the_command_names_the_mistake_and_the_option_mends_it(run, tmp_path):
     assert "opposite" not in right.err
     # an option that is itself the mistake is to be taken away
     own_sign = words(example.path("press_fit.csv"), tmp_path / "o.nc", "--flip-wrench")
-    told_twice = run(own_sign.replace("--columns t=__time", ""))
+    told_twice = run(own_sign)
     assert "read them with none of those options" in told_twice.err
     assert told["mistake"] is None
     assert told["recordings"][0]["name"] == "press.csv"
-    own = run(
-        words(example.path("press_fit.csv"), tmp_path / "own.nc", "--json").replace(
-            "--columns t=__time", ""
-        )
-    )
-    expected = json.loads(own.out)["sanity"]["recordings"][0]
+    expected = run(
+        words(example.path("press_fit.csv"), tmp_path / "own.nc", "--json")
+    ).told["sanity"]["recordings"][0]
     for name in ("force_residual_N", "torque_residual_Nm"):
         assert told["recordings"][0][name] == pytest.approx(expected[name], rel=1e-6)
 
@@ -96,7 +94,7 @@ def test_strict_refuses_a_likely_mistake(run, tmp_path, command):
 
 def test_strict_judges_before_a_picture_or_a_rendering(run, tmp_path):
     press, field = example.path("press_fit.csv"), tmp_path / "field.nc"
-    fitted = words(press, field).replace("--columns t=__time", "--strict")
+    fitted = words(press, field, "--strict")
     assert run(fitted).status == 0
     shared = f"--field {field} --points 300 --trajectory {press} --strict"
     picture, poses = tmp_path / "p.png", tmp_path / "r.csv"
@@ -119,10 +117,10 @@ def test_no_contact_and_a_delay_beyond_the_recording(run, tmp_path):
     away, output = tmp_path / "away.csv", tmp_path / "f.nc"
     up = 0.05 * press.position / np.linalg.norm(press.position, axis=1)[:, None]
     replace(press, position=press.position + up).save(away)
-    own = words(away, output).replace("--columns t=__time", "")
+    own = words(away, output)
     assert "in none of" in run(own).errors[-1]
     late = words(example.path("press_fit.csv"), output, "--wrench-delay 1e9")
-    told = run(late.replace("--columns t=__time", ""))
+    told = run(late)
     assert "--wrench-delay of 1e+09 s is longer than the recording" in told.errors[-1]
     assert told.status == 2
     assert not output.exists()
@@ -133,7 +131,7 @@ def test_torques_about_the_origin_come_back_about_the_origin(run, tmp_path):
     """What `render` writes is compared by `evaluate` with the same point: no error."""
     fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
     about = "--torque-about 0,0,0.05"
-    fit = run(f"{fitted.replace('--columns t=__time', '')} {about}")
+    fit = run(f"{fitted} {about}")
     assert fit.status == 0
     assert "torques about: 0,0,0.05" in fit.out
     shared = (
@@ -174,6 +172,6 @@ def test_a_tracker_s_jump_is_a_likely_mistake(run, tmp_path):
     late = (np.arange(len(press)) >= 50)[:, None]
     replace(press, position=press.position + late * [0.05, 0.0, 0.0]).save(jumped)
     own = words(jumped, tmp_path / "f.nc", "--strict")
-    answer = run(own.replace("--columns t=__time", ""))
+    answer = run(own)
     assert answer.status == 2
     assert "the poses jump by 50 mm" in answer.errors[-1]

@@ -1,7 +1,5 @@
 """``ttus-opt refine-poses``: what it writes, tells and refuses."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -21,9 +19,7 @@ def test_it_writes_recordings_for_fit(run, files, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     monkeypatch.setattr(Check, "better", True)
     output = tmp_path / "refined.csv"
-    answer = run(words(files, output, "--json --position-noise 0.3 --correlation 2"))
-    assert answer.status == 0, answer.err
-    told = json.loads(answer.out)
+    told = run(words(files, output, "--json --position-noise 0.3 --correlation 2")).told
     (one,) = told["recordings"]
     given, found = (tt.read_trajectory(path) for path in (files / "press.csv", output))
     assert told["frames"] == len(found) == len(given)

@@ -26,8 +26,7 @@ def given(tmp_path):
 
 def test_where_a_camera_is(run, given, output):
     words = f"register hand-eye {given / 'pairs.json'} --camera fixed"
-    answer = run(f"{words} -o {output / 'x.json'} --json")
-    told = json.loads(answer.out)
+    told = run(f"{words} -o {output / 'x.json'} --json").told
     assert told["loop_m"] < 1e-6
     assert len(told["solvers"]) == 7
     np.testing.assert_allclose(told["camera_to_base"], X, atol=1e-6)
@@ -50,11 +49,11 @@ def test_a_board_and_its_markers(run, shared, given, output):
     (output / "b.json").unlink()
     refused(run(f"{words} --columns 4 --rows 3 -o {output / 'b.json'}"), "41.9 pixels")
     assert empty(output)
-    answer = run(
+    told = run(
         f"register markers {photo} --intrinsics {given / 'camera.json'} --dictionary "
         "4X4_250 --marker 0.0256 --json"
-    )
-    assert len(json.loads(answer.out)["markers_to_camera"]) == 12
+    ).told
+    assert len(told["markers_to_camera"]) == 12
 
 
 def test_what_is_refused(run, given, output):

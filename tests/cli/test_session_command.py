@@ -70,7 +70,7 @@ def test_a_recording_of_openigtlink(run, output):
     sent = [m for i in range(5) for m in (transform(i), sensor(i))]
     words = f"--poses {poses} --wrenches {forces} --seconds 0.1 --json"
     with serving([at_once(sent)]) as port:
-        told = json.loads(run(f"record 127.0.0.1:{port} {words}").out)
+        told = run(f"record 127.0.0.1:{port} {words}").told
     assert told["pose_frames"] == told["wrench_frames"] == 5
     assert len(read_trajectory(poses)) == 5
     assert read_wrenches(forces).force[0].tolist() == [1, 2, 3]

@@ -1,6 +1,5 @@
 """``ttus-opt synchronise``."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -46,7 +45,7 @@ def test_the_offset_is_found(run, given, output, by):
         f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} --by "
         f"{by} --surface {given / 'surface.nc'} -o {output / 'both.csv'}"
     )
-    told = json.loads(run(f"{words} --json").out)
+    told = run(f"{words} --json").told
     assert told["offset_s"] == pytest.approx(0.6, abs=0.04)
     assert told["left_out"] > 0
     joined = read_trajectory(output / "both.csv")
@@ -77,7 +76,7 @@ def test_nanoseconds_of_one_clock_and_columns_of_each_file(run, given, output):
         f"-o {output / 'both.csv'} --columns t=stamp --wrench-columns t=when"
     )
     for how in ("--offset 0", "--by angular-speed"):
-        told = json.loads(run(f"{words} {how} --json").out)
+        told = run(f"{words} {how} --json").told
         assert told["offset_s"] == pytest.approx(0.0, abs=2e-3)
         assert told["left_out"] == pytest.approx(len(robot) - len(late), abs=1)
         joined = read_trajectory(output / "both.csv")
@@ -108,7 +107,7 @@ def test_poses_of_a_tracker_on_a_clock_of_its_own(run, given, output):
     words += f" --base-to-scan {given / 'motion.txt'}"
     refused(run(words), "--together")
     assert empty(output)
-    told = json.loads(run(f"{words} --together --json").out)
+    told = run(f"{words} --together --json").told
     assert told["offset_s"] == pytest.approx(900.6, abs=0.04)
     joined = read_trajectory(output / "both.csv")  # in the tracker's frame, as it was
     near = np.interp(joined.time, based.time + 900.0, based.position[:, 0])

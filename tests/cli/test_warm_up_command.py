@@ -1,6 +1,5 @@
 """After `warm-up` nothing that the main job uses is left to compile."""
 
-import json
 from pathlib import Path
 
 import numba.core.event as events
@@ -53,5 +52,5 @@ def test_it_says_where_the_code_is_kept(run, folder, monkeypatch):
     monkeypatch.setattr(cache_folder, "cache_folder", lambda: folder)
     where = "not kept" if folder is None else "kept in somewhere"
     assert run("warm-up").out.strip().endswith(f"compiled in 12 s, {where}")
-    told = json.loads(run("warm-up --json").out)
+    told = run("warm-up --json").told
     assert told == {"seconds": 12.0, "folder": folder and "somewhere"}

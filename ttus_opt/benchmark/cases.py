@@ -8,20 +8,20 @@ be sent to another process.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from ttus_opt import example
 from ttus_opt.contact.scene import Scene, ScenePlan
-from ttus_opt.core.arguments import chosen
+from ttus_opt.core.arguments import chosen, expect_one_of
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.io import existing_file
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.sampling import check_sampling
-from ttus_opt.voxmap.voxmap import checked_boundary
+from ttus_opt.voxmap.voxmap import Boundary
 
 #: Voxels in r, θ, z and number of poses
 REFERENCE = {
@@ -134,7 +134,8 @@ class CaseSpec(ScenePlan):
         Raises:
             InputError: An unknown boundary.
         """
-        return self._with("boundary", checked_boundary(boundary))
+        expect_one_of(boundary, get_args(Boundary), "boundary")
+        return self._with("boundary", boundary)
 
     def sampled(self, sampling: str) -> CaseSpec:
         """The same with another sampling, and a name that says so.

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import numbers
 from ttus_opt.cli.recording_options import ProbeOptions
-
-if TYPE_CHECKING:
-    from ttus_opt.sensors.force_sensor import ForceSensor
 
 
 def compensate(
@@ -56,13 +53,21 @@ def compensate(
         --point 0,0,0.08 --sign on-probe --probe ellipsoid:0.030,0.0125,0.018 -o
         press.csv
     """
+    import numpy as np
+
     from ttus_opt.core import io
+    from ttus_opt.probe.pose import from_quaternions
     from ttus_opt.sensors.column_map import read_column_map
+    from ttus_opt.sensors.force_sensor import ForceSensor
     from ttus_opt.sensors.stream_files import read_recording
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated
 
-    sensor = _sensor(axes, point, sign)
+    sensor = ForceSensor(
+        from_quaternions(np.array([numbers(axes, 4, "--axes")]), "xyzw")[0],
+        np.array(numbers(point, 3, "--point")),
+        sign,  # type: ignore[arg-type]  # checked there
+    )
     direction = numbers(down, 3, "--down")
     how = stream, read_column_map(columns)
     raw = read_recording(recording, *how, repair=repair)
@@ -86,17 +91,3 @@ def compensate(
     if not load.handedness_told:
         lines.append("the free poses cannot reveal a left-handed sensor")
     tell(facts, *lines)
-
-
-def _sensor(axes: str, point: str, sign: str) -> ForceSensor:
-    import numpy as np
-
-    from ttus_opt.probe.pose import from_quaternions
-    from ttus_opt.sensors.force_sensor import ForceSensor
-
-    quaternion = np.array([numbers(axes, 4, "--axes")])
-    return ForceSensor(
-        from_quaternions(quaternion, "xyzw")[0],
-        np.array(numbers(point, 3, "--point")),
-        sign,  # type: ignore[arg-type]  # checked there
-    )

@@ -16,7 +16,7 @@ from ttus_opt.core.errors import FileError, InputError, located
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage
-    from ttus_opt.sensors.stitching import PoseUncertainty, Stitched
+    from ttus_opt.sensors.stitching import Stitched
 
 #: Suffix of a RealSense's recording
 RECORDING = ".bag"
@@ -97,11 +97,19 @@ class DepthOptions:
         import numpy as np
 
         from ttus_opt.sensors.depth_noise import noise_model
-        from ttus_opt.sensors.stitching import read_camera_poses, stitch
+        from ttus_opt.sensors.stitching import (
+            PoseUncertainty,
+            read_camera_poses,
+            stitch,
+        )
 
         scans = cloud.scans
         noise = None if self.noise is None else noise_model(self.noise)
-        uncertainty = self._uncertainty() if self.refine else None
+        uncertainty = None
+        if self.refine:
+            shift, degrees = numbers(self.pose_std, 2, "--pose-std")
+            with located("--pose-std"):
+                uncertainty = PoseUncertainty(shift, math.radians(degrees))
         if self.poses is not None:
             order: Any = self.pose_quaternion  # checked there
             try:
@@ -152,13 +160,6 @@ class DepthOptions:
             )
             for scan, camera in zip(cloud.scans, cameras, strict=True)
         ]
-
-    def _uncertainty(self) -> PoseUncertainty:
-        from ttus_opt.sensors.stitching import PoseUncertainty
-
-        shift, degrees = numbers(self.pose_std, 2, "--pose-std")
-        with located("--pose-std"):
-            return PoseUncertainty(shift, math.radians(degrees))
 
 
 def _recordings(scans: list[Path]) -> bool:

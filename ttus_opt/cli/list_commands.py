@@ -33,7 +33,16 @@ def solvers() -> None:
 
     known = registry.solvers()
     order = [name for name in registry.estimating() if known[name].installed]
-    facts = {"solvers": [_solver(s) for s in known.values()], "auto_tries": order}
+    told = [
+        {
+            "name": s.name,
+            "installed": s.installed,
+            "install": s.pip_name,
+            "summary": s.summary,
+            **asdict(s.capabilities),
+        }
+        for s in known.values()
+    ]
     body = [
         [name, _letters(solver), solver.summary]
         for name, solver in known.items()
@@ -52,6 +61,7 @@ def solvers() -> None:
         f"problem, from {', '.join(order)}",
     ]
     listed = fitted(Table(["solver", "takes", "about"], body))
+    facts = {"solvers": told, "auto_tries": order}
     tell(facts, listed, *(f"\n{wrapped(p)}" for p in paragraphs))
 
 
@@ -84,13 +94,3 @@ def _letters(solver: Solver) -> str:
     """What of `TAKES` a solver takes; a dot for what it does not."""
     can = solver.capabilities
     return "".join(letter if getattr(can, name) else "·" for letter, name, _ in TAKES)
-
-
-def _solver(solver: Solver) -> dict[str, object]:
-    return {
-        "name": solver.name,
-        "installed": solver.installed,
-        "install": solver.pip_name,
-        "summary": solver.summary,
-        **asdict(solver.capabilities),
-    }

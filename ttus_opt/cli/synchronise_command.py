@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from ttus_opt.core.errors import InputError, counted
 
 if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.sensors.clock import Offset, Signal
+    from ttus_opt.sensors.clock import Offset
     from ttus_opt.sensors.streams import WrenchStream
 
 
@@ -69,6 +69,7 @@ def synchronise(
         surface.nc --base-to-scan base_to_scan.txt -o recording.csv
     """
     from ttus_opt.probe.recording_faults import checked
+    from ttus_opt.sensors.angular_offset import angular_offset
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses, read_wrenches
     from ttus_opt.sensors.streams import with_wrenches
@@ -79,20 +80,22 @@ def synchronise(
         raise InputError("--by contact needs --surface")
     if by != "contact" and (frame or base_to_scan):
         raise InputError("--frame and --base-to-scan are for --by contact")
-    place = _Place(surface or Path(), frame, base_to_scan)
+    if by not in (None, "contact", "angular-speed"):
+        raise InputError(f"--by takes contact or angular-speed, got {by!r}")
     named = read_column_map(wrench_columns)
     track = read_poses(poses, stream, read_column_map(columns), repair=repair)
     with told_by(name="--wrench-stream", columns="--wrench-columns"):
         forces = read_wrenches(wrenches, wrench_stream, named, repair=repair)
     found = None
-    if by is not None:
-        around = float(track.time[0] - forces.time[0]) if together else 0.0
-        search = (around, largest_offset)
-        robot = None
-        if by == "angular-speed":
-            robot = read_poses(wrenches, columns=named, repair=repair)
-        found = _found(track, robot or forces, by, place, search)
-        offset = found.seconds
+    around = float(track.time[0] - forces.time[0]) if together else 0.0
+    search = (around, largest_offset)
+    if surface is not None and by == "contact":
+        found = _by_contact(track, forces, (surface, frame, base_to_scan), search)
+    elif by is not None:
+        robot = read_poses(wrenches, columns=named, repair=repair)
+        with compared_clocks((track.time[0], robot.time[0]), search):
+            found = angular_offset(track, robot, around=around, largest=largest_offset)
+    offset = found.seconds if offset is None and found is not None else offset
     assert offset is not None
     joined = with_wrenches(track, forces, offset, largest_gap=largest_gap)
     checked(joined.raw(str(wrenches))).save(output)
@@ -119,56 +122,37 @@ def synchronise(
     tell(facts, line)
 
 
-class _Place(NamedTuple):
-    """Where the poses lie against the skin, as typed."""
+def _by_contact(
+    track: Trajectory,
+    forces: WrenchStream,
+    place: tuple[Path, str, str],
+    search: tuple[float, float],
+) -> Offset:
+    """The offset by contact in poses and forces.
 
-    surface: Path
-    frame: str
-    base_to_scan: str
+    Args:
+        track: The poses.
+        forces: On their own clock.
+        place: Surface, frame of the poses and motion from base to scan, as typed.
+        search: Centre and half width of the offsets [s].
+    """
+    from numpy import zeros
 
-    def depths(self, track: Trajectory, share: float) -> Signal:
-        """Contact by the poses, ``share`` of them."""
-        from numpy import zeros
+    from ttus_opt.cli.recording_options import RecordingOptions
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.sensors.clock import clock_offset, contact_of_force, contact_of_poses
 
-        from ttus_opt.cli.recording_options import RecordingOptions
-        from ttus_opt.scan.surface import Surface
-        from ttus_opt.sensors.clock import contact_of_poses
-
-        told = RecordingOptions([], frame=self.frame, base_to_scan=self.base_to_scan)
-        patient = Surface.load(self.surface)
-        moved = told.conventions.read(track, zeros(3), patient.axis.scan_to_patient)
-        return contact_of_poses(moved, patient, share)
-
-    @property
-    def advice(self) -> str:
-        """What to try where poses and forces show no common contact."""
-        if self.frame or self.base_to_scan:
-            return "; are --frame and --base-to-scan right?"
-        return (
+    surface, frame, base_to_scan = place
+    advice = "; are --frame and --base-to-scan right?"
+    if not (frame or base_to_scan):
+        advice = (
             "; poses were read in the patient's frame, otherwise give --frame scan, or "
             "--base-to-scan for a robot's or tracker's"
         )
-
-
-def _found(
-    track: Trajectory,
-    other: WrenchStream | Trajectory,
-    by: str,
-    place: _Place,
-    search: tuple[float, float],
-) -> Offset:
-    """The offset by contact with forces, or by angular speed with other poses."""
-    from ttus_opt.probe.trajectory import Trajectory
-    from ttus_opt.sensors import clock
-    from ttus_opt.sensors.angular_offset import angular_offset
-
-    around, largest = search
-    if not isinstance(other, Trajectory) and by != "contact":
-        raise InputError(f"--by takes contact or angular-speed, got {by!r}")
-    advice = place.advice if by == "contact" else ""
-    with compared_clocks((track.time[0], other.time[0]), search, advice):
-        if isinstance(other, Trajectory):
-            return angular_offset(track, other, around=around, largest=largest)
-        second = clock.contact_of_force(other.time, other.force)
-        first = place.depths(track, float(second.values.mean()))
-        return clock.clock_offset(first, second, around=around, largest=largest)
+    with compared_clocks((track.time[0], forces.time[0]), search, advice):
+        second = contact_of_force(forces.time, forces.force)
+        told = RecordingOptions([], frame=frame, base_to_scan=base_to_scan)
+        patient = Surface.load(surface)
+        moved = told.conventions.read(track, zeros(3), patient.axis.scan_to_patient)
+        first = contact_of_poses(moved, patient, float(second.values.mean()))
+        return clock_offset(first, second, around=search[0], largest=search[1])

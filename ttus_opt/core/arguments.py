@@ -9,6 +9,7 @@ import numpy as np
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.io import shortened
 
 
 def expect(value: object, kind: type, name: str) -> None:
@@ -63,7 +64,8 @@ def expect_one_of(value: object, known: Iterable[str], name: str) -> None:
     ttus_opt.core.errors.InputError: unit must be one of m, mm, got 'inch'
     """
     if value not in (words := list(known)):
-        raise InputError(f"{name} must be one of {', '.join(words)}, got {value!r}")
+        given = shortened(value)
+        raise InputError(f"{name} must be one of {', '.join(words)}, got {given}")
 
 
 def _of(unit: str) -> str:

@@ -94,10 +94,10 @@ def recording(
     return add_noise(true, np.random.default_rng(RECORDINGS[name] + 1))
 
 
-def write_skin(path: Path, progress: Callable[[int, int], None] | None = None) -> None:
+def write_skin(path: Path) -> None:
     """Write the compliance of a torso on a coarser mesh: a patient for simulations."""
     body = torso_body(TORSO, TorsoMesh(resolution=COARSER))
-    patch = skin_compliance(body, progress)
+    patch = skin_compliance(body)
     lower = np.tril_indices(len(patch.points))
     with io.replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(

@@ -173,7 +173,7 @@ def known_name(name: str) -> str:
     ('tz', 'rvx', 'qw')
     """
     plain = name.strip().strip('"').strip()
-    dotted = split_unit(plain).name.lower().replace("/", ".").lstrip(".")
+    dotted = _dotted(plain)
     if dotted in ROS:
         return ROS[dotted]
     for end, ours in ROS.items():
@@ -227,10 +227,8 @@ def named_columns(
         columns: The file's names by the package's, as the user maps them.
         required: Columns that the caller needs.
     """
-    names, units = (
-        [known_name(word) for word in given],
-        [split_unit(w).unit for w in given],
-    )
+    names = [known_name(word) for word in given]
+    units = [split_unit(word).unit for word in given]
     sums: dict[str, list[int]] = {}
     absent: list[str] = []
     for index, name in enumerate(names):
@@ -242,15 +240,16 @@ def named_columns(
         places = [index for _, index, _ in terms if index is not None]
         for word, place, unit in terms:
             if place is not None:
-                index = place
-                names[index] = ours if len(terms) == 1 else f"{given[index]} (part)"
-                units[index] = _unit_of_term(word, unit, units[index], len(terms))
+                names[place] = ours if len(terms) == 1 else f"{given[place]} (part)"
+                units[place] = units[place] if unit is None else unit
+                if len(terms) > 1 and FRACTION.fullmatch(_dotted(word)):
+                    units[place] = units[place] or "ns"
         if len(places) == len(terms) > 1:
             sums[ours] = places
-    notes = _adjusted(names, units, sums, given, required)
-    found = _scaled(names, units, sums, tuple(absent), notes)
-    robot = any(word.lower() in RTDE for word in given)
-    return replace(found, frame="the robot's base (RTDE)") if robot else found
+    header = Header(names, [1.0] * len(names), sums, absent=tuple(absent))
+    if any(word.lower() in RTDE for word in given):
+        header = replace(header, frame="the robot's base (RTDE)")
+    return _scaled(_adjusted(header, units, given, required), units)
 
 
 def _terms(
@@ -270,28 +269,18 @@ def _terms(
     return out
 
 
-def _unit_of_term(
-    word: str, told: str | None, written: str | None, n_terms: int
-) -> str | None:
-    """The user's unit, the file's, or nanoseconds for what is named so."""
-    unit = written if told is None else told
-    if unit is None and n_terms > 1 and FRACTION.fullmatch(_dotted(word)):
-        return "ns"
-    return unit
-
-
 def _dotted(word: str) -> str:
     return split_unit(word).name.lower().replace("/", ".").lstrip(".")
 
 
 def _adjusted(
-    names: list[str],
+    header: Header,
     units: list[str | None],
-    sums: dict[str, list[int]],
     given: Sequence[str],
     required: Sequence[str],
-) -> tuple[str, ...]:
-    """Settle what names alone leave open, in place; notes of it."""
+) -> Header:
+    """The header with what names alone leave open settled, units in place."""
+    names, sums = header.names, header.sums
     times = [i for i, name in enumerate(names) if name == "t"]
     words = [_dotted(given[i]) for i in times]
     if len(set(words)) == len(words) > 1:  # of several clocks, the message's own
@@ -310,8 +299,8 @@ def _adjusted(
     if alike and "px" in required and not any(name in names for name in POSITION):
         for theirs, ours in zip(TORQUE, POSITION, strict=True):
             names[names.index(theirs)] = ours
-        return ("tx,ty,tz beside a quaternion and no force are positions",)
-    return ()
+        return header.noted("tx,ty,tz beside a quaternion and no force are positions")
+    return header
 
 
 def _rank(word: str) -> int:
@@ -320,17 +309,11 @@ def _rank(word: str) -> int:
     return next((i for i, end in enumerate(order) if word.split(".")[-1] == end), 9)
 
 
-def _scaled(
-    names: list[str],
-    units: list[str | None],
-    sums: dict[str, list[int]],
-    absent: tuple[str, ...],
-    notes: tuple[str, ...],
-) -> Header:
+def _scaled(header: Header, units: Sequence[str | None]) -> Header:
     """The header with factors to SI."""
-    scale, faults = [1.0] * len(names), {}
-    ours = dict(enumerate(names)) | {i: n for n, terms in sums.items() for i in terms}
-    stated: dict[str, str] = {}
+    scale, faults, stated = [*header.scale], {}, dict[str, str]()
+    ours = dict(enumerate(header.names))
+    ours |= {i: name for name, terms in header.sums.items() for i in terms}
     for index, name in ours.items():
         quantity, unit = quantity_of(name), units[index]
         if quantity is None or unit is None or not OWN.fullmatch(name):
@@ -344,7 +327,7 @@ def _scaled(
         else:
             scale[index] = found
             stated[name] = f"{stated[name]} + {unit}" if name in stated else unit
-    return Header(names, scale, sums, stated, faults, absent, notes)
+    return replace(header, scale=scale, stated=stated, faults=faults)
 
 
 def _factor(quantity: str, unit: str) -> float | None:

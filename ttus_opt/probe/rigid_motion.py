@@ -149,21 +149,16 @@ def read_rigid_motion(source: str | os.PathLike[str]) -> Array:
     try:
         values = _numbers(text)
     except ValueError:
-        return _from_file(text)
+        how = "a matrix (4, 4), or x,y,z,qx,qy,qz,qw"
+        values = read_numbers(text, "a rigid motion", how, LARGEST_FILE)
+        with located(text, FileError):
+            return _motion(values)
     return _motion(values)
 
 
 def write_rigid_motion(path: str | os.PathLike[str], motion: Array) -> None:
     """Write a motion (4, 4) as JSON, for `read_rigid_motion`."""
     io.write_text(path, json.dumps(motion.tolist()) + "\n")
-
-
-def _from_file(name: str) -> Array:
-    """The motion of a file; `FileError` where it holds none."""
-    how = "a matrix (4, 4), or x,y,z,qx,qy,qz,qw"
-    values = read_numbers(name, "a rigid motion", how, LARGEST_FILE)
-    with located(name, FileError):
-        return _motion(values)
 
 
 def read_numbers(

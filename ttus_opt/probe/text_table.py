@@ -24,7 +24,7 @@ from ttus_opt.probe.column_names import ROTATION_VECTOR, Header, any_unit, named
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 
 #: Marks of a comment line
-COMMENT = re.compile(r"^\s*(#|%|//)\s*")
+COMMENT = re.compile(r"^\s*(#|%|//)+\s*")
 
 #: Time stamps above this are in nanoseconds, as ROS writes integers [s]
 NANOSECONDS = 1e14
@@ -229,7 +229,7 @@ def _header(
         if not line.strip():
             continue
         text = COMMENT.sub("", line)
-        separator = _separator(text)
+        separator = separator_of(text)
         given = _split(text, separator)
         found = named_columns(given, columns, required)
         lacking = _lacking(required, [*found.names, *found.sums])
@@ -245,7 +245,7 @@ def _header(
         passed += 1
         if passed > MOST_PREAMBLE:
             break
-    shown = "" if _are_numbers(closest) else ",".join(closest) or "none"
+    shown = "" if are_numbers(closest) else ",".join(closest) or "none"
     if len(shown) > LONGEST_HEADER:
         shown = f"{shown[:LONGEST_HEADER]}… ({len(closest):,} in all)"
     raise MissingColumnsError(file, required, missing, shown)
@@ -257,8 +257,8 @@ def _lacking(required: Sequence[str], names: Sequence[str]) -> list[str]:
     return [n for n in required if n not in names and not (turned and n[0] == "q")]
 
 
-def _are_numbers(cells: Sequence[str]) -> bool:
-    """Whether a line has numbers only."""
+def are_numbers(cells: Sequence[str]) -> bool:
+    """Whether a line has numbers, and nothing else."""
     try:
         return len([float(cell) for cell in cells]) > 0
     except ValueError:
@@ -267,7 +267,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
 
 def _is_pose(cells: Sequence[str]) -> bool:
     """Whether a line is a time, a position and a unit quaternion."""
-    if len(cells) != len(TUM) or not _are_numbers(cells):
+    if len(cells) != len(TUM) or not are_numbers(cells):
         return False
     length = float(np.linalg.norm([float(cell) for cell in cells[4:]]))
     return abs(length - 1.0) < QUATERNION_TOLERANCE
@@ -281,7 +281,7 @@ def _refuse_absent(given: Sequence[str], found: Header) -> None:
         )
 
 
-def _separator(header: str) -> str | None:
+def separator_of(header: str) -> str | None:
     """The separator of a line; None for blanks."""
     return next((mark for mark in (",", ";", "\t") if mark in header), None)
 

@@ -100,17 +100,10 @@ class Trajectory:
             )
 
     def _require_shapes(self, n: int) -> None:
-        shapes: dict[str, tuple[int, ...]] = {
-            "time": (n,),
-            "position": (n, 3),
-            "rotation": (n, 3, 3),
-            "force": (n, 3),
-            "torque": (n, 3),
-            "segment": (n,),
-        }
+        others = {"time": (n,), "segment": (n,), "rotation": (n, 3, 3)}
+        hint = ": Trajectory.from_arrays takes lists"
         for name, value in self._arrays().items():
-            shape = shapes[name]
-            hint = ": Trajectory.from_arrays takes lists"
+            shape = others.get(name, (n, 3))
             real = numbers(value, f"trajectory {name}", hint)
             if name != "segment":
                 object.__setattr__(self, name, real)

@@ -185,9 +185,7 @@ def collect(
     r, angle, height = cylindrical(points)
     keep = r > max(LEAST_RADIUS, spoke_distance)
     r, angle, height = r[keep], angle[keep], height[keep]
-    pairs = _pairs(r, angle, height, theta, z, spoke_distance, slice_distance)
-    node = np.concatenate([pair[0] for pair in pairs])
-    point = np.concatenate([pair[1] for pair in pairs])
+    node, point = _pairs(r, angle, height, theta, z, spoke_distance, slice_distance)
     shape = (len(theta), len(z))
     if len(node) == 0:
         raise GeometryError(
@@ -226,23 +224,22 @@ def _pairs(
     z: Array,
     spoke_distance: float,
     slice_distance: float,
-) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Node and index of every (spoke, point) within reach, one list per offset."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Node and index of every (spoke, point) within reach, shape (k,) each."""
     n_theta, n_z = len(theta), len(z)
     step, dz = 2 * np.pi / n_theta, z[1] - z[0]
     j = np.rint(angle / step).astype(np.int64)
     k = np.rint((height - z[0]) / dz).astype(np.int64)
     reach = spoke_distance / r  # sine of the largest angle from the spoke
-    if r.size == 0:
-        return [(np.empty(0, np.int64), np.empty(0, np.int64))]
-    most_j = min(int(np.arcsin(min(reach.max(), 1.0)) / step + 0.5), (n_theta - 1) // 2)
+    widest = np.arcsin(min(reach.max(initial=0.0), 1.0))
+    most_j = min(int(widest / step + 0.5), (n_theta - 1) // 2)
     most_k = int(slice_distance / dz + 0.5)
-    pairs = []
+    nodes, points = [], []
     for dj in range(-most_j, most_j + 1):
         near = np.abs(np.sin(angle - (j + dj) * step)) <= reach
         for dk in range(-most_k, most_k + 1):
             here = near & (k + dk >= 0) & (k + dk < n_z)
             here &= np.abs(height - (z[0] + (k + dk) * dz)) <= slice_distance
-            node = (((j + dj) % n_theta) * n_z + k + dk)[here]
-            pairs.append((node, np.flatnonzero(here)))
-    return pairs
+            nodes.append((((j + dj) % n_theta) * n_z + k + dk)[here])
+            points.append(np.flatnonzero(here))
+    return np.concatenate(nodes), np.concatenate(points)

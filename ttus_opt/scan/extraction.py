@@ -277,9 +277,6 @@ def _plane_radius(plane: SupportingPlane, axis: Axis, theta: Array, z: Array) ->
 #: distances between neighbouring points [m, m, –]
 SECTION, CELL, NEIGHBOURS = 0.02, 0.012, 2.5
 
-#: Clouds of fewer points are left as they are
-LEAST = 100
-
 #: Largest share of a section's points in a limb [–]
 SHARE = 0.3
 
@@ -289,7 +286,7 @@ WIDTH = 0.16
 
 def trunk(points: Array) -> Mask:
     """Which points (n, 3) [m], patient frame, belong to no limb, shape (n,)."""
-    if len(points) < LEAST:
+    if len(points) < _LEAST_POINTS:
         return np.ones(len(points), bool)
     from scipy.ndimage import label
     from scipy.spatial import cKDTree

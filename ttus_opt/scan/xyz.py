@@ -18,8 +18,7 @@ import numpy as np
 from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError
-
-COMMENT = re.compile(r"^\s*(#|%|//)+\s*")
+from ttus_opt.probe.text_table import COMMENT, are_numbers, separator_of
 
 #: Other programs' names of the coordinates (ParaView)
 SAME = {"points:0": "x", "points:1": "y", "points:2": "z"}
@@ -94,7 +93,7 @@ def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line
             continue
         elif not rows and announced is None and re.fullmatch(r"\d{1,15}", line[1]):
             announced = int(line[1])
-        elif not rows and not names and not _is_number(words[0]):
+        elif not rows and not names and not are_numbers(words[:1]):
             names = words  # refused where they are looked up
         else:
             rows.append(line)
@@ -142,12 +141,5 @@ def _words(text: str) -> list[str]:
 
 def _separator(text: str) -> str | None:
     """The separator of a line; None for blanks and tabs."""
-    return next((mark for mark in (",", ";") if mark in text), None)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    mark = separator_of(text)
+    return None if mark == "\t" else mark

@@ -132,22 +132,12 @@ def offset_by_angles(seen: Trajectory, carried: Trajectory, near: float) -> floa
 
 def agreeing(A: Array, B: Array, rng: np.random.Generator) -> Mask:
     """Mask of the frames that turn from most others by the same angle in both, (n,)."""
-    first, second = (
-        Rotation.from_matrix(A[:, :3, :3]),
-        Rotation.from_matrix(B[:, :3, :3]),
-    )
     chosen = rng.choice(len(A), min(REFERENCES, len(A)), replace=False)
-    apart = np.stack(
-        [
-            np.abs(
-                (first * first[int(j)].inv()).magnitude()
-                - (second * second[int(j)].inv()).magnitude()
-            )
-            for j in chosen
-        ],
-        axis=1,
+    first, second = (
+        [(turn * turn[j].inv()).magnitude() for j in chosen.tolist()]
+        for turn in (Rotation.from_matrix(poses[:, :3, :3]) for poses in (A, B))
     )
-    typical = np.median(apart, axis=1)
+    typical = np.median(np.abs(np.subtract(first, second)), axis=0)
     limit = max(DISAGREES * float(np.median(typical)), LEAST_DISAGREEMENT)
     return np.asarray(typical <= limit)
 

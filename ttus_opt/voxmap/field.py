@@ -163,6 +163,7 @@ class PotentialField:
         import xarray as xr
 
         grid, surface = self.voxmap.grid, self.voxmap.surface
+        sector = {} if grid.sector is None else {"sector": json.dumps([*grid.sector])}
         return xr.Dataset(
             {
                 "potential": (DIMS, self.values, {"units": self.unit}),
@@ -192,7 +193,7 @@ class PotentialField:
                 "parameters": json.dumps(dict(self.parameters)),
                 "provenance": json.dumps(dict(self.provenance)),
                 "standard_errors": json.dumps(dict(self.standard_errors)),
-                **_sector_attributes(grid),
+                **sector,
                 **surface.axis.attributes(),
             },
         )
@@ -256,11 +257,6 @@ def _from_content(data: io.Content) -> PotentialField:
         _by_name("standard_errors", data.attrs),
         UncertaintyMap.of_file(data),
     )
-
-
-def _sector_attributes(grid: CylindricalGrid) -> dict[str, str]:
-    """The attribute of a sector; none for the full turn."""
-    return {} if grid.sector is None else {"sector": json.dumps(list(grid.sector))}
 
 
 def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -325,6 +325,10 @@ class CylindricalGrid:
     @property
     def kernel_limits(self) -> GridLimits:
         """Extent and steps, for compiled kernels."""
+        around = 0.0, TURN, 0.0, self.shape[1] - 1.0
+        if self.sector is not None:
+            low, high = self.sector
+            around = low % TURN, high - low, 0.5, self.shape[1] - 3.0
         return GridLimits(
             float(self.r_inner),
             1.0 / self.r_step,
@@ -333,16 +337,8 @@ class CylindricalGrid:
             float(self.z_min),
             1.0 / self.z_step,
             float(self.z_max),
-            *self._limits_around,
+            *around,
         )
-
-    @property
-    def _limits_around(self) -> tuple[float, float, float, float]:
-        """The last four of `GridLimits`."""
-        if self.sector is None:
-            return 0.0, TURN, 0.0, self.shape[1] - 1.0
-        low, high = self.sector
-        return low % TURN, high - low, 0.5, self.shape[1] - 3.0
 
 
 def nodes_of(

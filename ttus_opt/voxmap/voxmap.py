@@ -27,7 +27,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_one_of
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
@@ -69,7 +69,7 @@ class Voxmap:
 
     def __post_init__(self) -> None:
         """Validate boundary, and regions by shape and value."""
-        checked_boundary(self.boundary)
+        expect_one_of(self.boundary, get_args(Boundary), "boundary")
         if self.region.shape != self.grid.shape:
             raise InputError(
                 f"region must have the grid's shape {self.grid.shape}, got "
@@ -116,7 +116,7 @@ class Voxmap:
                 memory (estimated before anything is allocated).
             GeometryError: The surface does not lie between the two layers.
         """
-        checked_boundary(boundary)
+        expect_one_of(boundary, get_args(Boundary), "boundary")
         counts = tuple(shape)
         if len(counts) != 3 or any(int(n) != n for n in counts):
             raise InputError(f"shape must be three whole numbers, got {tuple(shape)}")
@@ -191,16 +191,6 @@ class Voxmap:
         if is_staircase:
             return links.only(nodes_of(links.neighbours, self.grid.shape)[1] == wall)
         return links
-
-
-def checked_boundary(boundary: str) -> str:
-    """The boundary's name; `InputError` where it is unknown."""
-    if boundary not in get_args(Boundary):
-        raise InputError(
-            f"boundary must be one of {', '.join(get_args(Boundary))}, got "
-            f"{io.shortened(boundary)}"
-        )
-    return boundary
 
 
 def check_memory(grid: CylindricalGrid, limit: float | None = None) -> None:
