@@ -283,9 +283,9 @@ def test_the_section_follows_its_slider(visit, viewer):
     choice.click()
     visit.page.get_by_role("option", name="axial").click()
     tab = viewer.page.section
-    visit.until(lambda: [one.direction for one in tab.shown] == ["axial"])
+    visit.until(lambda: [one.up[1] for one in tab.shown] == [1.0])
     visit.field(tab.height).fill("70")
-    visit.until(lambda: [round(one.at, 9) for one in tab.shown] == [0.07])
+    visit.until(lambda: [round(one.origin[2], 9) for one in tab.shown] == [0.07])
     choice.click()
     visit.page.get_by_role("option", name="none").click()
     visit.until(lambda: tab.shown == [])

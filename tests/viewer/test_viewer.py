@@ -142,7 +142,7 @@ def test_sections_follow_and_cut_the_skin_open(viewer):
         tab.height.value = height
         tab.show()
         assert viewer.page.jobs.wait(20.0)
-        assert tab.shown[0].at == pytest.approx(1e-3 * height)
+        assert tab.shown[0].origin[2] == pytest.approx(1e-3 * height)
         assert nodes._image.position[2] == pytest.approx(1e-3 * height)
     assert len(nodes._faces) < 0.8 * whole
     tab.choice.value = "none"

@@ -8,7 +8,6 @@ digest of its text, so that rows of another version are not reused.
 from __future__ import annotations
 
 import base64
-import hashlib
 import pickle
 import statistics
 import time
@@ -25,6 +24,7 @@ from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.machine import Progress
 from ttus_opt.benchmark.row import AUTO, Row, RunSpec
 from ttus_opt.contact.scene import Scene
+from ttus_opt.core import io
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.batch import Fitter
@@ -85,7 +85,7 @@ def version(path: Path) -> dict[str, str]:
     """Digest of a user's file; nothing for a name."""
     if path.suffix != ".py" or not path.exists():
         return {}
-    return {"version": hashlib.sha256(path.read_bytes()).hexdigest()[:12]}
+    return {"version": io.sha256(path)[:12]}
 
 
 def _pickled(solver: Solver) -> str:

@@ -163,11 +163,6 @@ class HapticProcess(Feedback, Closing):
         return self._hand.read()[0][12:18]
 
     @property
-    def shown(self) -> Array:
-        """What reached the hand of it, shape (6,) [N, N·m]."""
-        return self._hand.read()[0][SHOWN]
-
-    @property
     def published(self) -> int:
         """Fields published in shared memory so far [–]."""
         return 0 if self._values is None else self._values.count

@@ -87,15 +87,10 @@ class LiveState:
     limited_by: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers for JSON, without rotations."""
+        """For JSON, without rotations."""
         content = asdict(self)
-        sample = self.measured
-        if sample is not None:
-            content["measured"] = {
-                "time": sample.time,
-                "position": sample.position.tolist(),
-                "wrench": sample.wrench.tolist(),
-            }
+        if self.measured is not None:
+            del content["measured"]["rotation"]
         return content
 
 
@@ -116,6 +111,7 @@ class Operator:
         model: What is known of the patient; None before it arrives.
         feedback: What the hand feels; None before the model.
         folded: Samples learned from so far [–].
+        newest: The newest measurement; None before the first.
         learns: Whether the model learns; not so in a comparison with one that does not.
     """
 
@@ -151,7 +147,7 @@ class Operator:
         self._greeted = self._updated = self._sent = -math.inf
         self._last_sent: tuple[Array, Array] | None = None
         self._counted = Once(WINDOW)
-        self._newest: Sample | None = None
+        self.newest: Sample | None = None
         self._unlearned: list[Sample] = []
         self._state = self.peer.safety.state
         self._pending = False
@@ -234,7 +230,7 @@ class Operator:
 
     def view(self, now: float) -> LiveState:
         """The present moment, for a page or a report."""
-        peer, sample, feedback = self.peer, self._newest, self.feedback
+        peer, sample, feedback = self.peer, self.newest, self.feedback
         there, blended, limited = None, 1.0, ""
         if isinstance(feedback, ModelFeedback):
             blended, limited = feedback.blend.progress, feedback.limited_by
@@ -260,11 +256,6 @@ class Operator:
             bits_per_second=8.0 * peer.rate.sent_bytes / lasted,
             limited_by=limited,
         )
-
-    @property
-    def newest(self) -> Sample | None:
-        """The newest measurement; None before the first."""
-        return self._newest
 
     def _std(self, now: float) -> float:
         """Standard deviation of the felt force by the model [N]."""
@@ -329,8 +320,8 @@ class Operator:
 
     def _learn(self, sample: Sample) -> None:
         """Take a sample into the model and what is felt."""
-        if self._newest is None or sample.time > self._newest.time:
-            self._newest = sample
+        if self.newest is None or sample.time > self.newest.time:
+            self.newest = sample
         if self.feedback is not None:
             self.feedback.measured(sample)
         if self.model is None or not self.learns:

@@ -132,19 +132,11 @@ class Evaluation:
 
     def over(self, frames: slice | NDArray[np.bool_]) -> Evaluation:
         """The same of some of the frames, at least one."""
-        force, torque = self.measured_force[frames], self.measured_torque[frames]
-        rendered = self.rendered_force[frames], self.rendered_torque[frames]
+        some = {k: each[frames] for k, each in vars(self).items() if k != "errors"}
+        measured = some["measured_force"], some["measured_torque"]
+        rendered = some["rendered_force"], some["rendered_torque"]
         thresholds = self.errors.force_threshold_N, self.errors.torque_threshold_Nm
-        return Evaluation(
-            _errors(force, torque, *rendered, thresholds),
-            self.time[frames],
-            force,
-            rendered[0],
-            torque,
-            rendered[1],
-            self.in_grid[frames],
-            self.beyond_inner[frames],
-        )
+        return Evaluation(_errors(*measured, *rendered, thresholds), **some)
 
 
 def evaluate(

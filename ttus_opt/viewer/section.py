@@ -30,8 +30,6 @@ class Section:
     """Values of a field on a plane.
 
     Attributes:
-        direction: "axial" at a height z, or "along" the body at an angle θ.
-        at: The height [m] or angle [rad].
         origin: Middle of the plane, patient frame, shape (3,) [m].
         across: Unit vector of its columns, shape (3,) [–].
         up: Unit vector of its rows, from the last to the first, shape (3,) [–].
@@ -41,8 +39,6 @@ class Section:
         top: End of the scale [unit of the field].
     """
 
-    direction: Direction
-    at: float
     origin: Array
     across: Array
     up: Array
@@ -105,10 +101,8 @@ def section(potential: PotentialField, direction: Direction, at: float) -> Secti
     below = potential.voxmap.spoke_radius[None] - grid.r[:, None, None]
     shallow = (below > 0.0) & (below < DEPTH)
     top = float(np.quantile(potential.values[shallow], 0.99)) if shallow.any() else 1.0
-    return Section(
-        direction, at, origin, across, up, size, values.reshape(rows, columns),
-        max(top, np.finfo(float).tiny),
-    )  # fmt: skip
+    top = max(top, np.finfo(float).tiny)
+    return Section(origin, across, up, size, values.reshape(rows, columns), top)
 
 
 def sampled(potential: PotentialField, points: Array) -> Array:
