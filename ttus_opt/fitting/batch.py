@@ -25,7 +25,7 @@ from ttus_opt.problem.formulation import DEFAULT, Formulation, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Prepared, Request, Solver
+from ttus_opt.solvers.base import Request, Solver
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.weights.weight_choice import Word
@@ -104,12 +104,12 @@ def fit(
     declared = declared.with_neutral(reasons)
     if declared.search is None:
         unsearched = SearchResult(declared, {})
-        return _fit_identified(unsearched, reasons, solver, request, watch)
+        return _fit_identified(unsearched, reasons, solver, request, watch, False)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
     fits = RepeatedFit(solver, loose), RepeatedFit(solver, request)
     result = search_parameters(declared.search, *fits, reasons)
     result = replace(result, formulation=result.formulation.named(declared.name))
-    return _fit_identified(result, reasons, solver, request, None, watch)
+    return _fit_identified(result, reasons, solver, request, watch, True)
 
 
 def _fit_identified(
@@ -117,8 +117,8 @@ def _fit_identified(
     reasons: Mapping[str, str],
     solver: str | Path | Solver,
     request: Request,
-    declaring: Stopwatch | None,
-    searching: Stopwatch | None = None,
+    watch: Stopwatch,
+    searched: bool,
 ) -> Solution:
     """Fit, setting parameters to neutral until the data determine all others.
 
@@ -127,18 +127,17 @@ def _fit_identified(
         reasons: Why a parameter is not identified, by name.
         solver: As in `fit`.
         request: Tolerance and time limit.
-        declaring: Started with the declaration; None after a search.
-        searching: Started with the search; None without one.
+        watch: Started with the declaration, and the search.
+        searched: Whether there was one.
     """
     declared = search.formulation
     known = dict(reasons)
     known |= {name: e.reason for name, e in search.estimates.items() if e.reason}
     estimates = {n: e for n, e in search.estimates.items() if n not in known}
     n_searched = len(estimates)
-    spent, compiled = 0.0, 0.0
-    if searching is not None:
-        spent, compiled = searching.seconds, searching.compile
-    fitter = Fitter(declared, solver=solver, request=request, watch=declaring)
+    spent, compiled = (watch.seconds, watch.compile) if searched else (0.0, 0.0)
+    begun = None if searched else watch
+    fitter = Fitter(declared, solver=solver, request=request, watch=begun)
     solution = fitter.solve()
     while True:
         watch = Stopwatch()
@@ -227,7 +226,7 @@ class Fitter:
         )
         self._compile = declared.scene.compile_seconds + watch.compile
         watch = Stopwatch()
-        self._prepared = self._loaded()
+        self._prepared = Guarded(self._backend, self._reduction.program, self._request)
         self._setup = watch.seconds
         self._compile += watch.compile
         self._first: float | None = None
@@ -276,14 +275,10 @@ class Fitter:
         reduction = reduce(self._declared.compile())
         return replace(reduction, program=self._compression(reduction.program))
 
-    def _loaded(self) -> Prepared:
-        """The current solver with the program loaded."""
-        return Guarded(self._backend, self._reduction.program, self._request)
-
     def _take_next(self) -> None:
         watch = Stopwatch()
         self._backend = self._others.pop(0)
-        self._prepared = self._loaded()
+        self._prepared = Guarded(self._backend, self._reduction.program, self._request)
         self._setup += watch.seconds
         self._compile += watch.compile
         self._first = None

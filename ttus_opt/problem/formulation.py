@@ -133,7 +133,9 @@ def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
     """Refuse an option whose kind differs from its default and annotation."""
     usual = parameter.default
     such = "" if usual is None else f" such as {usual}"
-    if usual is None and (value is None or not _says_number(parameter.annotation)):
+    words = str(parameter.annotation)  # which may be text itself
+    says_number = "float" in words or "int" in words
+    if usual is None and (value is None or not says_number):
         return  # estimated from the data, or of a kind that only ``build`` knows
     if isinstance(usual, bool):
         fits, kind = isinstance(value, bool), "true or false"
@@ -158,11 +160,6 @@ def _is_number(value: Any) -> bool:
     """Whether it is a real number; NaN and truth values are not."""
     real = isinstance(value, int | float | np.integer | np.floating)
     return real and not isinstance(value, bool) and not math.isnan(value)
-
-
-def _says_number(annotation: Any) -> bool:
-    """Whether an annotation, which may be text, has numbers in it."""
-    return any(kind in str(annotation) for kind in ("float", "int"))
 
 
 def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:

@@ -113,9 +113,9 @@ def test_a_share_just_below_its_limit_is_at_the_limit(monkeypatch):
     """The search ends on either side of the corner: 0.247 for the patient `lean`."""
     asked = []
 
-    def likeliest(given, variance, held, place_share):
+    def likeliest(given, priors, held):
         asked.append(held)
-        return variance, replace(NOISE, **({"place_share": found} | held))
+        return 1.0, replace(NOISE, **({"place_share": found} | held))
 
     monkeypatch.setattr(MeasuredWrenches, "_likeliest", likeliest)
     found = 0.247

@@ -253,7 +253,10 @@ class MeasuredWrenches:
             place_share: Prior of c: median, and standard deviation of the logarithm.
         """
         held = {} if known is None else {VARIANCE: known}
-        found, noise = self._likeliest(variance, held, place_share)
+        priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}
+        priors["place_share"] = place_share
+        few = self.thinned().condensed(held.get(VARIANCE, variance))
+        found, noise = few._likeliest(priors, held)
         if noise.place_share >= AT_LIMIT * MOST_SHARE:
             usual = place_share[0]
             warn(
@@ -263,24 +266,17 @@ class MeasuredWrenches:
                 "for them",
                 2,
             )
-            held = held | {"place_share": usual}
-            return self._likeliest(variance, held, place_share)
+            return few._likeliest(priors, held | {"place_share": usual})
         return found, noise
 
     def _likeliest(
-        self,
-        variance: float,
-        held: Mapping[str, float],
-        place_share: tuple[float, float],
+        self, priors: Mapping[str, tuple[float, float]], held: Mapping[str, float]
     ) -> tuple[float, WrenchNoise]:
-        """The same, with some parts of the noise held."""
-        few = self.thinned().condensed(held.get(VARIANCE, variance))
-        names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
-        names = [name for name in (VARIANCE, *names) if name not in held]
-        all_priors = {VARIANCE: (variance, VARIANCE_SPREAD), **PRIORS}
-        all_priors["place_share"] = place_share
-        priors = np.array([all_priors[name] for name in names])
-        medians, spreads = np.log(priors[:, 0]), priors[:, 1]
+        """The same, with some values held."""
+        unknown = set(held) | (set() if max(self.parts) > 2 else set(TORQUE))
+        names = [name for name in priors if name not in unknown]
+        usual, spreads = np.array([priors[name] for name in names]).T
+        medians = np.log(usual)
 
         def values(steps: Array) -> tuple[float, WrenchNoise]:
             at = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
@@ -291,9 +287,9 @@ class MeasuredWrenches:
             return own, replace(noise, place_share=share)
 
         def log_density(steps: Array) -> float:
-            return few.log_density(*values(steps))
+            return self.log_density(*values(steps))
 
-        return values(posterior_mode(log_density, len(priors), MOST).steps)
+        return values(posterior_mode(log_density, len(names), MOST).steps)
 
     def errors(
         self,

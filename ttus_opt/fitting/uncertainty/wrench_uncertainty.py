@@ -140,10 +140,8 @@ def wrench_rows(
             drag = coulomb_rows(sliding, rows, deadband=deadband)
         N, W = N - mu * drag.force, W - mu * drag.torque
     both = sp.csr_array(sp.vstack([N, W], format="csr"))
-    T = len(trajectory)
-    frame, part = np.divmod(np.arange(6 * T), 6)
-    order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
-    return sp.csr_array(both[order])
+    order = np.arange(both.shape[0]).reshape(2, -1, 3).transpose(1, 0, 2)
+    return sp.csr_array(both[order.ravel()])
 
 
 def slopes_along(

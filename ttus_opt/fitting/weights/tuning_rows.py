@@ -132,19 +132,12 @@ class TuningRows:
         if coefficient:
             assert search is not None
             slope = _slope(search.build, search.low, search.high, _stack(measured))
-        split = [_split(declared.scene, t) for t in measured]
-        sizes = [len(t.target) for t in measured]
-        starts = np.cumsum([0, *sizes])
-        chosen = np.concatenate(
-            [rows + start for (rows, _, _), start in zip(split, starts, strict=False)]
-        )
-        number = np.repeat(
-            np.arange(len(measured)), [len(rows) for rows, _, _ in split]
-        )
-        place = np.concatenate([places for _, places, _ in split])
-        every = np.repeat(
-            [n for _, _, n in split], [len(rows) for rows, _, _ in split]
-        ).astype(float)
+        parts, start = [], 0
+        for k, term in enumerate(measured):
+            rows, places, each = _split(declared.scene, term)
+            parts.append(np.broadcast_arrays(start + rows, k, places, each))
+            start += len(term.target)
+        chosen, number, place, every = np.concatenate(parts, axis=1)
         # rows without an entry do not depend on the field
         told = np.diff(_stack(measured)[chosen].indptr) > 0
         return cls(
@@ -157,7 +150,7 @@ class TuningRows:
             chosen[told],
             number[told],
             place[told],
-            every[told],
+            every[told].astype(np.float64),
             None if slope is None else sp.csr_array(slope[chosen[told]]),
         )
 
@@ -275,14 +268,14 @@ class TuningRows:
         return images, np.asarray(rows @ factor.solve(d))
 
 
-def _split(scene: Scene, term: ProgramTerm) -> tuple[IntArray, IntArray, float]:
+def _split(scene: Scene, term: ProgramTerm) -> tuple[IntArray, IntArray, int]:
     """Rows of a term that are used, their places, and how many each stands for."""
     n, T = len(term.target), len(scene.trajectory)
     if n % T:  # rows of no frames
         rows = np.arange(n)
         place = -1 - rows * PARTS // n
         step = -(-n // (3 * MOST_FRAMES))
-        return rows[::step], place[::step], float(step)
+        return rows[::step], place[::step], step
     height, touching = n // T, scene.touching
     told = np.diff(term.matrix.indptr).reshape(T, height).any(axis=1)
     # drag has rows in the air too, where there is nothing to predict
@@ -290,7 +283,7 @@ def _split(scene: Scene, term: ProgramTerm) -> tuple[IntArray, IntArray, float]:
     step = max(-(-len(frames) // MOST_FRAMES), 1)
     frames = frames[::step]
     rows = (height * frames[:, None] + np.arange(height)).ravel()
-    return rows, np.repeat(pressed_places(scene)[frames], height), float(step)
+    return rows, np.repeat(pressed_places(scene)[frames], height), step
 
 
 def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:

@@ -466,27 +466,23 @@ def _coarser(spokes: IntArray, grid: CylindricalGrid) -> tuple[IntArray, sp.csr_
         Numbers of the nodes among the spokes, and weights of shape (k, nodes).
     """
     n_theta, n_z = grid.shape[1:]
-    j, k = np.unravel_index(spokes, (n_theta, n_z))
-    step = 1
+    end, step = n_theta if grid.wall is None else n_theta - 1, 1
     while True:
-        first = (j // step * step, k // step * step)
-        ends = n_theta if grid.wall is None else n_theta - 1, n_z - 1
-        last = tuple(np.minimum(a + step, e) for a, e in zip(first, ends, strict=True))
-        shares = [
-            (at - a) / np.maximum(b - a, 1)
-            for at, a, b in zip((j, k), first, last, strict=True)
-        ]
-        corners, weights = [], []
-        for a, u in ((first[0], 1.0 - shares[0]), (last[0] % n_theta, shares[0])):
-            for b, v in ((first[1], 1.0 - shares[1]), (last[1], shares[1])):
-                corners.append(np.ravel_multi_index((a, b), (n_theta, n_z)))
-                weights.append(u * v)
-        used = np.concatenate(weights) > 0.0
-        nodes, column = np.unique(np.concatenate(corners)[used], return_inverse=True)
+        around, along = _between(n_theta, end, step), _between(n_z, n_z - 1, step)
+        weights = sp.csr_array(sp.kron(around, along, format="csr")[spokes])
+        weights.eliminate_zeros()
+        nodes = np.unique(weights.indices).astype(np.int64)
         if len(nodes) <= MOST_NODES:
-            break
+            return nodes, sp.csr_array(weights[:, nodes])
         step += 1
-    row = np.tile(np.arange(len(spokes)), 4)[used]
-    data = np.concatenate(weights)[used]
-    shape = (len(spokes), len(nodes))
-    return nodes, sp.csr_array(sp.coo_array((data, (row, column)), shape))
+
+
+def _between(n: int, end: int, step: int) -> sp.csr_array:
+    """Linear weights of n places in a ring between every step-th, and the end."""
+    at = np.arange(n)
+    low = at // step * step
+    high = np.minimum(low + step, end)
+    share = (at - low) / np.maximum(high - low, 1)
+    entries = np.concatenate([1.0 - share, share])
+    columns = np.concatenate([low, high % n])
+    return sp.csr_array((entries, (np.tile(at, 2), columns)), shape=(n, n))
