@@ -154,19 +154,6 @@ def test_the_box_is_the_tightest_of_all_bounds():
     np.testing.assert_array_equal(upper, np.where(region < 0, 0.0, 1.0))
 
 
-def test_weights_change_without_stacking_again():
-    program = Program.build(TINY, [*eq10(), TwoVariables(TINY)], [])
-    heavier = program.with_weights(force=5.0)
-    x = RNG.normal(size=program.n_variables)
-    assert heavier.term("force").matrix is program.term("force").matrix
-    assert heavier.costs(x)["force"] == pytest.approx(
-        5.0 / 0.3 * program.costs(x)["force"]
-    )
-    assert heavier.costs(x)["laplace"] == program.costs(x)["laplace"]
-    with pytest.raises(InputError, match="no term 'forse', there are laplace"):
-        program.with_weights(forse=1.0)
-
-
 def test_bent_penalties_have_no_quadratic_form():
     program = Program.build(TINY, eq10(), [])
     bent = replace(program.terms[1], penalty=Absolute())

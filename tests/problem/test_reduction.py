@@ -69,8 +69,3 @@ def test_lifting_undoes_restoring_and_keeps_optimality():
     kkt = kkt_residuals(both.program, lifted.x, lifted.duals)
     assert kkt.worst_relative < 1e-6
     assert both.program.declared is both.original
-
-
-def test_other_weights_forget_what_was_declared():
-    reduced = reduce(bent()).program
-    assert reduced.with_weights(laplace=2.0).declared is None

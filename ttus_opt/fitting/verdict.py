@@ -137,27 +137,21 @@ def checked_candidate(answer: Candidate, program: Program, solver: str) -> Candi
         InputError: It is not a `Candidate`, or one of its fields is not what it must
             be.
     """
-    fields: list[tuple[str, Any, Any, str]] = [
-        ("candidate", answer, Candidate, "a Candidate"),
-    ]
-    if isinstance(answer, Candidate):
-        fields += [
-            ("duals", answer.duals, Duals, "Duals"),
-            ("claim", answer.claim, Claim, "a Claim"),
-            ("detail", answer.detail, str, "a text"),
-            ("iterations", answer.iterations, int | np.integer, "a whole number"),
-        ]
-        if isinstance(answer.duals, Duals):
-            fields += [
-                ("duals.rows", answer.duals.rows, Mapping, "vectors by constraint"),
-                ("duals.terms", answer.duals.terms, Mapping, "vectors by term"),
-            ]
-    for name, value, kind, words in fields:
+
+    def check(value: Any, kind: Any, words: str, what: str = "") -> None:
         if not isinstance(value, kind):
-            what = "solve() must return" if value is answer else f"its {name} must be"
+            begin = f"its {what} must be" if what else "solve() must return"
             raise InputError(
-                f"solver {solver}: {what} {words}, got {type(value).__name__}"
+                f"solver {solver}: {begin} {words}, got {type(value).__name__}"
             )
+
+    check(answer, Candidate, "a Candidate")
+    check(answer.duals, Duals, "Duals", "duals")
+    check(answer.claim, Claim, "a Claim", "claim")
+    check(answer.detail, str, "a text", "detail")
+    check(answer.iterations, int | np.integer, "a whole number", "iterations")
+    check(answer.duals.rows, Mapping, "vectors by constraint", "duals.rows")
+    check(answer.duals.terms, Mapping, "vectors by term", "duals.terms")
     n, duals = program.n_variables, answer.duals
     sizes = {c.name: len(c.lower) for c in program.constraints}
     sizes |= {c.name: len(c.offset) for c in program.cones}
@@ -215,32 +209,38 @@ def judged(
     Returns:
         The solution of the original program.
     """
-    program = reduction.original
-    x, duals = candidate.x, candidate.duals
+    program, x, duals = reduction.original, candidate.x, candidate.duals
+    parameters, scene = dict(declared.scene_parameters), declared.scene
+    kkt, field = None, None
+    costs: dict[str, float] = {}
+    slacks: dict[str, Array] = {}
     if x is not None:
         point = reduction.restore(x, duals)
         x, duals = point.x, point.duals
-    kkt = None
-    if x is not None:
         kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
-    verdict = _verdict(candidate, reduction, kkt, request)
-    status, conflict = verdict.status, verdict.conflict
-    parameters = dict(declared.scene_parameters)
-    if x is not None and np.isfinite(x).all():
-        parameters = declared.parameters(program.split(x))
-    costs: dict[str, float] = {}
-    if x is not None:
         with np.errstate(over="ignore", invalid="ignore"):  # x may be huge
             costs = program.costs(x)
-    held = (*program.limited_rows, *program.bounds)
+        limited = (*program.limited_rows, *program.bounds)
+        slacks = {member.name: member.slack(x) for member in limited}
+        if np.isfinite(x).all():
+            parameters = declared.parameters(program.split(x))
+    verdict = _verdict(candidate, reduction, kkt, request)
+    if verdict.status is Status.SOLVED and x is not None:
+        field = PotentialField(
+            scene.voxmap,
+            scene.voxmap.grid.unflatten(x[program.variables["p"]]).copy(),
+            scene.sampling,
+            parameters,
+            {"formulation": str(declared), "solver": solver},
+        )
     return Solution(
-        status=status,
+        status=verdict.status,
         solver=solver,
         formulation=declared.name,
         kkt=kkt,
         objective=float("nan") if not costs else sum(costs.values()),
         costs=costs,
-        slacks={} if x is None else {c.name: c.slack(x) for c in held},
+        slacks=slacks,
         duals=duals,
         timings=timings,
         iterations=candidate.iterations,
@@ -248,28 +248,8 @@ def judged(
         program=program,
         candidate=x,
         detail="; ".join(filter(None, (candidate.detail, verdict.remark))),
-        verified_field=_field(declared, program, solver, x, parameters)
-        if status is Status.SOLVED and x is not None
-        else None,
-        conflict=conflict,
-    )
-
-
-def _field(
-    declared: Formulation,
-    program: Program,
-    solver: str,
-    x: Array,
-    parameters: dict[str, float],
-) -> PotentialField:
-    """The field of a verified answer."""
-    scene = declared.scene
-    return PotentialField(
-        scene.voxmap,
-        scene.voxmap.grid.unflatten(x[program.variables["p"]]).copy(),
-        scene.sampling,
-        parameters,
-        {"formulation": str(declared), "solver": solver},
+        verified_field=field,
+        conflict=verdict.conflict,
     )
 
 
@@ -286,19 +266,19 @@ def _verdict(
     candidate: Candidate, reduction: Reduction, kkt: KKT | None, request: Request
 ) -> _Verdict:
     """The status by residuals and certificates, not by the solver's claim."""
-    claim = candidate.claim
+    claim, seconds = candidate.claim, request.time_limit or CONFLICT_SECONDS
     holds = kkt is not None and kkt.worst_relative <= request.tolerance
     if kkt is not None and holds and kkt.is_bound:
         return _Verdict(Status.SOLVED)
     broken = kkt is None or kkt.primal_relative > request.tolerance
     if claim is Claim.INFEASIBLE or (claim is not Claim.TIME_LIMIT and broken):
-        conflict = _conflict(reduction.original, candidate, request)
+        claimed = candidate.duals if candidate.x is None else None
+        conflict = conflicting(reduction.original, claimed=claimed, time_limit=seconds)
         if conflict:
             return _Verdict(Status.INFEASIBLE, conflict)
-    if claim is Claim.UNBOUNDED:
-        seconds = request.time_limit or CONFLICT_SECONDS
-        if falling_ray(reduction.program, time_limit=seconds) is not None:
-            return _Verdict(Status.UNBOUNDED)
+    ours = reduction.program
+    if claim is Claim.UNBOUNDED and falling_ray(ours, time_limit=seconds) is not None:
+        return _Verdict(Status.UNBOUNDED)
     if claim is Claim.TIME_LIMIT:
         return _Verdict(Status.TIME_LIMIT)
     remark = ""
@@ -307,14 +287,3 @@ def _verdict(
     elif holds:
         remark = "the residuals hold, but nothing bounds the gap to the optimum"
     return _Verdict(Status.FAILED if kkt is None else Status.INACCURATE, (), remark)
-
-
-def _conflict(
-    program: Program, candidate: Candidate, request: Request
-) -> tuple[str, ...]:
-    """Names of constraints with a proven conflict."""
-    if not (program.limited_rows or program.bounds):
-        return ()
-    claimed = candidate.duals if candidate.x is None else None
-    seconds = request.time_limit or CONFLICT_SECONDS
-    return conflicting(program, claimed=claimed, time_limit=seconds)

@@ -192,9 +192,8 @@ class Formulation:
         for term in self.terms:
             if not term.takes:
                 continue
-            known = {"p"}
-            for other in self.terms:
-                known |= set() if other is term else set(other.assembled.blocks)
+            others = (t.assembled.blocks for t in self.terms if t is not term)
+            known = {"p"}.union(*others)
             unknown = [name for name in term.takes if name not in known]
             if unknown:
                 raise InputError(

@@ -12,7 +12,7 @@ P = 2 Σ w MᵀM.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
@@ -167,21 +167,6 @@ class Program:
     def is_quadratic(self) -> bool:
         """Whether it is a quadratic program: squares, linear terms, no cones."""
         return not self.cones and all(t.penalty.quadratic for t in self.terms)
-
-    def with_weights(self, **weights: float) -> Program:
-        """The same program with other weights by term name, without stacking again.
-
-        Raises:
-            InputError: No term has that name.
-        """
-        unknown = [name for name in weights if self.term(name) is None]
-        if unknown:
-            raise InputError(
-                f"no term {unknown[0]!r}, there are "
-                f"{', '.join(t.name for t in self.terms)}"
-            )
-        terms = (t.with_weight(weights.get(t.name, t.weight)) for t in self.terms)
-        return replace(self, terms=tuple(terms), declared=None)
 
     def split(self, x: Array) -> dict[str, Array]:
         """The variables of x by name."""

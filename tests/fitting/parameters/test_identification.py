@@ -171,7 +171,7 @@ def test_the_noise_is_estimated_from_what_is_left():
         drawn = load("eq10", noisy(scene, sigma, rng), **WEIGHTS)
         fitter.update(drawn)
         solution = fitter.solve()
-        found.append(noise_variance(drawn, solution.program, solution.candidate, 0))
+        found.append(noise_variance(drawn, solution, 0))
     # 45 poses of 6 rows, five draws: 4 %
     assert np.mean(found) == pytest.approx(sigma**2, rel=0.15)
 

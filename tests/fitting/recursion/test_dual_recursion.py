@@ -152,7 +152,7 @@ def test_rows_that_are_nearly_known_need_no_columns(coarse):
     system, ranks = problem.start(), []
     for s in range(3):
         problem.fold(system, [s])
-        ranks.append(system.rank)
+        ranks.append(system._kernel.rank)
         assert close(system.field(), problem.dense(list(range(s + 1)))[1])
     assert ranks == [HEIGHT, HEIGHT, 2 * HEIGHT]
 

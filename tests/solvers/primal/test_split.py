@@ -23,7 +23,8 @@ def made(name, prior=2.5):
     whole = load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
     program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
     first = program.laplace_prior
-    return program.with_weights(**{first.name: prior})
+    terms = (t.with_weight(prior) if t is first else t for t in program.terms)
+    return replace(program, terms=tuple(terms))
 
 
 @pytest.mark.parametrize("name", CASES)

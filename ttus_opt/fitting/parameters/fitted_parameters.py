@@ -73,9 +73,7 @@ def fitted_estimates(
     fitted = declared.fitted(solution.variables)
     if not fitted:
         return {}
-    program, x = solution.program, solution.candidate
-    n_own = sum(math.isfinite(one.span) for one in fitted.values())
-    variance = noise_variance(declared, program, x, n_searched + n_own)
+    variance = noise_variance(declared, solution, n_searched)
     values = {name: solution.parameters[name] for name in fitted}
     if math.isnan(variance):
         return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
@@ -83,7 +81,7 @@ def fitted_estimates(
         return {n: Estimate(v, math.nan, NOTHING_PRESSES) for n, v in values.items()}
     pseudo = _PseudoMeasurements(solution, fitted, variance, request, solver)
     try:
-        errors = pseudo.errors(PlaceRows.of(declared.scene, program))
+        errors = pseudo.errors(PlaceRows.of(declared.scene, solution.program))
     except _NoResponseError as trouble:
         unknown = f"its standard error is unknown: {trouble}"
         errors = [(math.nan, unknown)] * len(fitted)

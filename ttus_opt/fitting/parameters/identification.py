@@ -75,20 +75,19 @@ class Estimate:
         return replace(self, remark="; ".join(filter(None, (self.remark, remark))))
 
 
-def noise_variance(
-    declared: Formulation, program: Program, x: Array, n_parameters: int
-) -> float:
+def noise_variance(declared: Formulation, solution: Solution, n_searched: int) -> float:
     """Estimate of the common variance σ² of weighted rows.
 
     Args:
         declared: The formulation.
-        program: Its matrices.
-        x: Its minimiser, shape (n,).
-        n_parameters: Number of parameters fitted beside the field [–].
+        solution: With its minimiser.
+        n_searched: Number of searched parameters, beside the fitted ones [–].
 
     Returns:
         σ̂²; NaN unless there are more measured rows than parameters.
     """
+    program, x = solution.program, solution.candidate
+    assert x is not None
     names = {term.name for term in declared.terms if term.measures}
     cost, count = program.objective(x), 0
     for term in program.terms:
@@ -97,7 +96,8 @@ def noise_variance(
         informative = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
         cost -= term.weight * term.penalty.value(term.residual(x)[~informative])
         count += int(informative.sum())
-    freedom = count - n_parameters
+    fitted = declared.fitted(solution.variables).values()
+    freedom = count - n_searched - sum(math.isfinite(one.span) for one in fitted)
     return max(cost, 0.0) / freedom if freedom > 0 else math.nan
 
 
@@ -151,15 +151,11 @@ def with_estimates(
         trouble: Why the search failed; the solution then does not count as solved.
     """
     known = solution.parameters.keys()
-    errors = {n: e for n, e in scene.standard_errors.items() if n in known}
     unknown = {n: why for n, why in scene.not_identified.items() if n in known}
-    for name, estimate in estimates.items():
-        errors[name] = estimate.standard_error
-    errors = {
-        name: error
-        for name, error in errors.items()
-        if math.isfinite(error) and name not in reasons
-    }
+    errors = {n: e for n, e in scene.standard_errors.items() if n in known}
+    errors |= {name: one.standard_error for name, one in estimates.items()}
+    told = (n for n, e in errors.items() if math.isfinite(e) and n not in reasons)
+    errors = {name: errors[name] for name in told}
     field = solution.verified_field
     if field is not None:
         field = replace(field, standard_errors=errors)

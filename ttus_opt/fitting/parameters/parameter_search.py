@@ -249,7 +249,7 @@ def _settled(
         if settled:
             break
     assert parabola is not None
-    variance = _variance(placed(parabola.centre), parabola.solution, len(ranges))
+    variance = noise_variance(placed(parabola.centre), parabola.solution, len(ranges))
     if math.isnan(variance):
         return at, _unknown(at, [NOTHING_WEIGHS] * len(ranges))
     errors = parabola.errors(variance)
@@ -299,11 +299,3 @@ def _reported(
     error, neutral = float(rate * shared.errors[k]), reported(one.neutral_value)
     estimate = judged_estimate(reported(at[k]), error, high - low, low, high, neutral)
     return estimate.remarked(shared.remarks[k])
-
-
-def _variance(declared: Formulation, solution: Solution, n_searched: int) -> float:
-    """Common variance of weighted rows at a solved fit."""
-    assert solution.candidate is not None
-    beside = declared.fitted(solution.variables).values()
-    count = n_searched + sum(math.isfinite(one.span) for one in beside)
-    return noise_variance(declared, solution.program, solution.candidate, count)

@@ -114,8 +114,6 @@ class DualRecursion:
         # whether R must be recomputed from D
         self._stale = False
         self._d0 = np.zeros(0)
-        # Rᵀd₀
-        self._information = np.zeros(0)
         # p - p₀ and its y; None when it must be recomputed
         self._shift: Array | None = None
         self._y = np.zeros(0)
@@ -129,19 +127,13 @@ class DualRecursion:
     @property
     def memory_bytes(self) -> int:
         """Memory that grows with the measurements."""
-        vectors = 2 * self._d0.nbytes + self._information.nbytes
         rows = self._D.memory_bytes + self._basis.memory_bytes
-        return self._kernel.memory_bytes + rows + vectors
+        return self._kernel.memory_bytes + rows + 2 * self._d0.nbytes
 
     @property
     def n_rows(self) -> int:
         """Number of rows held n [–]."""
         return len(self._d0)
-
-    @property
-    def rank(self) -> int:
-        """Number of columns of R [–]."""
-        return self._kernel.rank
 
     @property
     def misfit(self) -> float:
@@ -176,7 +168,7 @@ class DualRecursion:
                 "solves, lower them"
             )
         prior = self.prior_field[block.voxels] @ block.values
-        mean = prior + self._information @ projection.gain
+        mean = prior + self._d0 @ self._kernel.R @ projection.gain
         return Forecast(block, projection, columns, prior, mean)
 
     def append(self, forecast: Forecast, target: Array) -> None:
@@ -186,15 +178,9 @@ class DualRecursion:
             forecast: Made by `forecast` since the last change.
             target: Measurements, weighted as the rows, shape (m,).
         """
-        rank = self.rank
         self._take(forecast.block, forecast.projection, forecast.columns)
         self._D.append(forecast.block)
-        misfit = target - forecast.prior
-        self._d0 = np.concatenate([self._d0, misfit])
-        if self.rank > rank:  # earlier rows have entries in new columns
-            self._information = self._d0 @ self._kernel.R
-        else:
-            self._information = self._information + misfit @ forecast.projection.held
+        self._d0 = np.concatenate([self._d0, target - forecast.prior])
         # the last field belongs to y = 0 in the new rows
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
@@ -393,8 +379,6 @@ class DualRecursion:
 
     def _reset_field(self) -> None:
         """Start from p₀ again after rows were removed or changed, or a failure."""
-        if not self._stale:
-            self._information = self._d0 @ self._kernel.R
         self._shift, self._y = None, np.zeros(len(self._d0))
 
 

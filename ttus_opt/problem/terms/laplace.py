@@ -299,12 +299,9 @@ class DragSmoothnessTerm(Term):
     def rows(self) -> AffineRows:
         """L over q, and -b over the mean friction coefficient m."""
         b = self.scene.b
-        if not self.has_mean:
-            tags = frozenset({LaplaceRows("q")})
-            return AffineRows({"q": self.scene.L}, np.zeros(len(b)), tags)
-        mean = sp.csr_array(-b[:, None])
-        tags = frozenset({LaplaceRows("q", beside=("m",))})
-        return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)), tags)
+        mean = {"m": sp.csr_array(-b[:, None])} if self.has_mean else {}
+        tags = frozenset({LaplaceRows("q", beside=tuple(mean))})
+        return AffineRows({"q": self.scene.L, **mean}, np.zeros(len(b)), tags)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The mean friction coefficient."""
