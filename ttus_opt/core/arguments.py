@@ -68,6 +68,21 @@ def expect_one_of(value: object, known: Iterable[str], name: str) -> None:
         raise InputError(f"{name} must be one of {', '.join(words)}, got {given}")
 
 
+def expect_whole(value: float, least: int, most: int, name: str) -> None:
+    """Refuse a count with a fraction or outside a range."""
+    if int(value) != value or not least <= value <= most:
+        raise InputError(
+            f"{name} must be a whole number of at least {least}, at most {most:,}, got "
+            f"{shortened(value)}"
+        )
+
+
+def expect_shape(array: np.ndarray, shape: tuple[int, ...], name: str) -> None:
+    """Refuse an array of another shape."""
+    if array.shape != shape:
+        raise InputError(f"{name} must have shape {shape}, got {array.shape}")
+
+
 def _of(unit: str) -> str:
     return f" [{unit}]" if unit else ""
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_shape
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
@@ -66,10 +67,7 @@ class ElasticBody:
                 "for soft tissue"
             )
         n_nodes = self.mesh.p.shape[1]
-        if self.fixed.shape != (n_nodes, 3):
-            raise InputError(
-                f"fixed must have shape ({n_nodes}, 3), got {self.fixed.shape}"
-            )
+        expect_shape(self.fixed, (n_nodes, 3), "fixed")
         if self.fixed.sum() < 6:
             raise InputError(
                 "fewer than 6 displacements are fixed, so that the body would float: "

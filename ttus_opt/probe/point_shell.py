@@ -17,7 +17,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core.arguments import expect_one_of, hold_numbers
+from ttus_opt.core.arguments import (
+    expect_one_of,
+    expect_shape,
+    expect_whole,
+    hold_numbers,
+)
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError, InputError, counted, warn
 from ttus_opt.core.html_card import card, sections_svg
@@ -82,10 +87,7 @@ class PointShell:
         hold_numbers(self, "shell", *shapes)
         for name, shape in shapes.items():
             value = getattr(self, name)
-            if value.shape != shape:
-                raise InputError(
-                    f"shell {name} must have shape {shape}, got {value.shape}"
-                )
+            expect_shape(value, shape, f"shell {name}")
             if not np.isfinite(value).all():
                 raise InputError(f"shell {name} must be finite, got NaN or infinity")
         if m < 4:
@@ -224,7 +226,7 @@ class PointShell:
             GeometryError: Not the size of a probe.
         """
         axes = _lengths(semi_axes, 3, "ellipsoid semi-axes")
-        _require_points(n_points)
+        expect_whole(n_points, 4, MOST_POINTS, "n_points")
         require_plausible_extent(2.0 * axes.max(), "the probe", in_a_unit=False)
         given = tuple(axes.tolist()), n_points, seed
         known = isinstance(seed, int)  # a generator goes on
@@ -250,7 +252,7 @@ class PointShell:
     ) -> PointShell:
         """A box about the origin, full edges along x, y and z [m]; see `ellipsoid`."""
         edges = _lengths(sizes, 3, "box sizes")
-        _require_points(n_points)
+        expect_whole(n_points, 4, MOST_POINTS, "n_points")
         require_plausible_extent(edges.max(), "the box", in_a_unit=False)
         signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1)
         mesh = TriangleMesh(signs.reshape(8, 3) * edges, np.arange(3)[None])
@@ -343,7 +345,7 @@ def _from_mesh(
 ) -> PointShell:
     """The shell of a cleaned mesh; errors as `PointShell.from_triangles`."""
     expect_one_of(surface, get_args(SurfaceChoice), "surface")
-    _require_points(n_points)
+    expect_whole(n_points, 4, MOST_POINTS, "n_points")
     rng = np.random.default_rng(seed)
     if surface == "hull":
         mesh = mesh.convex_hull()
@@ -405,14 +407,6 @@ def _place_of_opening(mesh: TriangleMesh) -> str:
 
 def _normalised(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
-def _require_points(n_points: int) -> None:
-    if int(n_points) != n_points or not 4 <= n_points <= MOST_POINTS:
-        raise InputError(
-            f"n_points must be a whole number of at least 4, at most {MOST_POINTS:,}, "
-            f"got {n_points}"
-        )
 
 
 def _lengths(values: tuple[float, ...], count: int, what: str) -> Array:

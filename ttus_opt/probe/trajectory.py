@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ttus_opt.core.arguments import numbers
+from ttus_opt.core.arguments import expect_shape, numbers
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import FileError, InputError, counted, located
 from ttus_opt.core.html_card import card, curve_svg
@@ -107,10 +107,7 @@ class Trajectory:
             real = numbers(value, f"trajectory {name}", hint)
             if name != "segment":
                 object.__setattr__(self, name, real)
-            if value.shape != shape:
-                raise InputError(
-                    f"trajectory {name} must have shape {shape}, got {value.shape}"
-                )
+            expect_shape(value, shape, f"trajectory {name}")
             bad = ~np.isfinite(value).reshape(n, -1).all(axis=1)
             if bad.any():
                 raise InputError(
@@ -314,11 +311,7 @@ class Trajectory:
             InputError: No frame is selected, or a mask of another length.
         """
         if isinstance(frames, np.ndarray) and frames.dtype == np.bool_:
-            if frames.shape != (len(self),):
-                raise InputError(
-                    f"a mask of frames must have shape ({len(self)},), got "
-                    f"{frames.shape}"
-                )
+            expect_shape(frames, (len(self),), "a mask of frames")
             if not frames.any():
                 raise InputError("the mask leaves no frame: select at least one")
         return Trajectory(**{name: a[frames] for name, a in self._arrays().items()})

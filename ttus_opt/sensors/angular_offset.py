@@ -96,7 +96,7 @@ def angular_offset(
 
 def _noise(poses: Trajectory) -> _Noise | None:
     """Noise of the longest segment; None where differences are as good."""
-    longest = poses.select(poses.segment == np.bincount(poses.segment).argmax())
+    longest = max(poses.recordings, key=len)
     found = smooth_motion(summed_turns(longest.rotation), longest.time)
     if found is None or found.jitter + found.drift == 0.0:
         return None
@@ -114,10 +114,11 @@ def _velocity(
         path: Rotation vectors to smooth, shape (T, 3) [rad]; by default the poses'.
     """
     velocity = poses.angular_velocity()
+    if smoother is None:
+        return poses.time, velocity
     good: Mask = np.ones(len(poses), bool)
-    for number in np.unique(poses.segment):
-        own = poses.segment == number
-        if smoother is None or own.sum() < LEAST_FRAMES:
+    for own in poses.parts:
+        if own.stop - own.start < LEAST_FRAMES:
             continue
         turned = summed_turns(poses.rotation[own]) if path is None else path[own]
         velocity[own], std = velocity_of(turned, poses.time[own], *smoother)

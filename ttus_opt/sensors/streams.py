@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from ttus_opt.core.arguments import expect_positive
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray, Mask
 from ttus_opt.core.errors import FileError, InputError, located
 from ttus_opt.probe.raw_recording import RawRecording
 from ttus_opt.probe.recording_faults import checked
@@ -127,16 +126,12 @@ def with_wrenches(
             "offset"
         )
     out = poses.select(keep)
-    at = np.flatnonzero(keep)
-    cut = np.diff(at) > 1
-    cut |= (np.diff(out.time) > largest_gap) | (np.diff(out.segment) != 0)
-    segment = np.concatenate([[0], np.cumsum(cut)]).astype(np.int64)
-
+    cut = (np.diff(out.time) > largest_gap) | (np.diff(out.segment) != 0)
     force, torque = (
         None if values is None else interpolated(out.time, time, values)
         for values in (wrenches.force, wrenches.torque)
     )
-    return replace(out, force=force, torque=torque, segment=segment)
+    return replace(out, force=force, torque=torque, segment=_parted(keep, cut))
 
 
 def placed(poses: Trajectory, at: Array) -> tuple[Array, Array]:
@@ -172,20 +167,18 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     at = time[keep]
     rotation, position = placed(poses, at)
     # two kept times with a gap between them belong to different segments
-    holes = np.flatnonzero(np.diff(poses.time) > largest_gap)
-    edges = poses.time[holes]
-    segment = np.searchsorted(edges, at).astype(np.int64)
-    left_out = np.diff(np.flatnonzero(keep)) > 1
-    new = (np.diff(segment) != 0) | left_out
-    return Trajectory(
-        at,
-        position,
-        rotation,
-        segment=np.concatenate([[0], np.cumsum(new)]).astype(np.int64),
-    )
+    holes = poses.time[:-1][np.diff(poses.time) > largest_gap]
+    new = np.diff(np.searchsorted(holes, at)) != 0
+    return Trajectory(at, position, rotation, segment=_parted(keep, new))
 
 
-def within(time: Array, known: Array, largest_gap: float) -> NDArray[np.bool_]:
+def _parted(keep: Mask, new: Mask) -> IntArray:
+    """Segments of kept frames, new where told and after what was left out."""
+    new = new | (np.diff(np.flatnonzero(keep)) > 1)
+    return np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
+
+
+def within(time: Array, known: Array, largest_gap: float) -> Mask:
     """Mask of the times that lie between two known ones at most a gap apart."""
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     near = known[after] - known[after - 1] <= largest_gap

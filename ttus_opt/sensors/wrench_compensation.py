@@ -70,20 +70,17 @@ def _acceleration(raw: Trajectory, centre: Array) -> Array:
     """
     place = raw.position + raw.rotation @ centre
     out = np.empty_like(place)
-    for number in np.unique(raw.segment):
-        frames = np.flatnonzero(raw.segment == number)
-        if len(frames) < WINDOW:
+    for part in raw.parts:
+        if part.stop - part.start < WINDOW:
             raise InputError(
-                f"inertia needs {WINDOW} frames in a recording, got {len(frames)}: "
-                "leave it out"
+                f"inertia needs {WINDOW} frames in a recording, got "
+                f"{part.stop - part.start}: leave it out"
             )
-        for i, frame in enumerate(frames):
-            first = int(np.clip(i - WINDOW // 2, 0, len(frames) - WINDOW))
-            near = frames[first : first + WINDOW]
+        for frame in range(part.start, part.stop):
+            first = min(max(frame - WINDOW // 2, part.start), part.stop - WINDOW)
+            near = slice(first, first + WINDOW)
             time = raw.time[near] - raw.time[frame]
             # scaled to the span, so that the fit is well conditioned
             span = float(np.ptp(time))
-            powers = np.vander(time / span, 3)
-            fitted = np.linalg.lstsq(powers, place[near], rcond=None)[0]
-            out[frame] = 2.0 * fitted[0] / span**2
+            out[frame] = 2.0 * np.polyfit(time / span, place[near], 2)[0] / span**2
     return out

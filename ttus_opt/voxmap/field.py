@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ttus_opt.core import io
-from ttus_opt.core.arguments import hold_numbers
+from ttus_opt.core.arguments import expect_shape, hold_numbers
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.html_card import SIZE, card, signed_map
@@ -72,11 +72,7 @@ class PotentialField:
     def __post_init__(self) -> None:
         """Validate shape, sampling, and that values and parameters are finite."""
         hold_numbers(self, "field", "values")
-        if self.values.shape != self.voxmap.grid.shape:
-            raise InputError(
-                f"field values must have shape {self.voxmap.grid.shape}, got "
-                f"{self.values.shape}"
-            )
+        expect_shape(self.values, self.voxmap.grid.shape, "field values")
         if not np.isfinite(self.values).all():
             raise InputError("field values contain NaN or infinity: the fit failed")
         check_sampling(self.sampling)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.core import io
+from ttus_opt.core.arguments import expect_shape, expect_whole
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.compiled import compiled
 from ttus_opt.core.errors import GeometryError, InputError
@@ -199,11 +199,7 @@ class CylindricalGrid:
                 f"shape must be (n_r, n_theta, n_z), got {self.shape}: give 3 counts"
             )
         for (name, least), count in zip(minima.items(), self.shape, strict=True):
-            if int(count) != count or not least <= count <= MOST_LAYERS:
-                raise InputError(
-                    f"{name} must be a whole number of at least {least}, at most "
-                    f"{MOST_LAYERS:,}, got {io.shortened(count)}"
-                )
+            expect_whole(count, least, MOST_LAYERS, name)
         checked_sector(self.sector)
         for name in ("r_inner", "r_outer", "z_min", "z_max"):
             if not math.isfinite(getattr(self, name)):
@@ -303,10 +299,7 @@ class CylindricalGrid:
             InputError: The array has another shape.
         """
         values = np.asarray(values)
-        if values.shape != self.shape:
-            raise InputError(
-                f"voxel values must have shape {self.shape}, got {values.shape}"
-            )
+        expect_shape(values, self.shape, "voxel values")
         return values.reshape(-1)
 
     def unflatten(self, vector: NDArray[Any]) -> NDArray[Any]:
@@ -316,10 +309,7 @@ class CylindricalGrid:
             InputError: The vector has another length.
         """
         vector = np.asarray(vector)
-        if vector.shape != (self.n_voxels,):
-            raise InputError(
-                f"a voxel vector must have shape ({self.n_voxels},), got {vector.shape}"
-            )
+        expect_shape(vector, (self.n_voxels,), "a voxel vector")
         return vector.reshape(self.shape)
 
     @property

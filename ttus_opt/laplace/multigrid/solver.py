@@ -23,6 +23,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.core.arguments import expect_shape
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError, NumericalError
 from ttus_opt.core.threads import in_parts, parts_of
@@ -261,11 +262,7 @@ class Multigrid:
             InputError: It is not such a vector.
         """
         vector = np.asarray(values, dtype=float)
-        if vector.shape != self.free.shape:
-            raise InputError(
-                f"the right-hand side must have shape {self.free.shape}, got "
-                f"{vector.shape}"
-            )
+        expect_shape(vector, self.free.shape, "the right-hand side")
         kept = np.where(self.free, vector, 0.0)
         if self.blocks is not None:
             kept[self.blocks.followers] = 0.0
