@@ -13,7 +13,6 @@ A wrench that a limit has scaled down enters the energy balance as it is felt.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -48,12 +47,7 @@ class PatientRenderer:
     """
 
     def __init__(
-        self,
-        field: PotentialField,
-        shell: PointShell,
-        *,
-        blend: BlendLaw | None = None,
-        **options: Any,
+        self, field: PotentialField, shell: PointShell, blend: BlendLaw | None = None
     ) -> None:
         """A renderer of one field.
 
@@ -61,21 +55,13 @@ class PatientRenderer:
             field: The fitted field.
             shell: The probe's point shell.
             blend: How updates are blended in.
-            options: Further ones of `Renderer`.
         """
-        self.shell, self.blend_law, self._options = shell, blend or BlendLaw(), options
-        self._now, self._old = self._made(field), None
-        self._field, self._next = field, None
+        self.shell, self.blend_law = shell, blend or BlendLaw()
+        self._now, self._field = self._made(field), field
+        self._old: Renderer | None = None
+        self._next: PotentialField | None = None
         self._ledger = settled_ledger(self.blend_law.reserve)
         self._limits = self.blend_law.kernel_limits(shell.rms_radius)
-
-    _old: Renderer | None
-    _next: PotentialField | None
-
-    @property
-    def field(self) -> PotentialField:
-        """The last field given."""
-        return self._next or self._field
 
     @property
     def blend(self) -> BlendState:
@@ -121,7 +107,7 @@ class PatientRenderer:
         return replace(felt, force=mixed[:3], torque=mixed[3:], limited_by=limited)
 
     def _made(self, field: PotentialField) -> Renderer:
-        return Renderer(field, self.shell, blend=self.blend_law, **self._options)
+        return Renderer(field, self.shell, blend=self.blend_law)
 
     def _open(self, field: PotentialField) -> None:
         """Begin a swap to another surface."""

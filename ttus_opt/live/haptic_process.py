@@ -59,13 +59,11 @@ class LoopPlan:
     Attributes:
         shell: The probe.
         device: Makes the haptic device there; a function of a module.
-        seconds: Length of the loop [s].
         limits: When it stops by itself.
     """
 
     shell: PointShell
     device: Callable[[], HandDevice]
-    seconds: float = math.inf
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
 
@@ -238,7 +236,7 @@ def _beat(
 
     Whatever ends them, the device is shown no force last.
     """
-    beat, seen, gone = Metronome(1000.0, loop.plan.seconds), 0, False
+    beat, seen, gone = Metronome(1000.0), 0, False
     whole = 0
     try:
         for now in beat:
