@@ -65,6 +65,11 @@ def test_a_single_mcap_file(tmp_path):
     assert len(read_wrenches(file).time) == 10
 
 
+def test_a_suffix_in_capitals(tmp_path):
+    file = recorded(tmp_path, "ros1").rename(tmp_path / "R.BAG")
+    assert len(read_wrenches(file).time) == 10
+
+
 def test_a_stamp_that_comes_twice_is_told(tmp_path):
     bag = recorded(tmp_path, "ros1", twice=True)
     with pytest.warns(TtusWarning, match="1 messages repeat a time stamp"):
