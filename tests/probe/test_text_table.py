@@ -43,7 +43,7 @@ def test_separators(tmp_path, separator):
     np.testing.assert_array_equal(read.torque, [row[11:] for row in ROWS])
 
 
-@pytest.mark.parametrize("mark", ["#", "%", "//"])
+@pytest.mark.parametrize("mark", ["#", "##", "%", "//"])
 def test_comments_and_a_header_that_is_one(tmp_path, mark):
     header = f"\n{mark} recorded by hand, in a hurry\n{mark} {','.join(OURS).upper()}"
     body = [lines(",")[0], f"{mark} a pause", "", *lines(",")[1:]]
