@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 from collections.abc import Mapping
@@ -255,20 +256,13 @@ class Fitter:
         With "auto", a solver whose answer fails its check is replaced by the next one,
         for later solves too; `Solution.attempts` lists them.
         """
-        solution = self._solved()
-        attempts: list[Attempt] = []
-        best = solution
-        while solution.status in _TRY_NEXT and self._others:
-            attempts.append(Attempt.of(solution))
+        answers = [self._solved()]
+        while answers[-1].status in _TRY_NEXT and self._others:
             self._take_next()
-            solution = self._solved()
-            best = _better(best, solution)
-        if not attempts:
-            return solution
-        if best is not solution:
-            attempts.append(Attempt.of(solution))
-            attempts = [a for a in attempts if a.solver != best.solver]
-        return replace(best, attempts=tuple(attempts))
+            answers.append(self._solved())
+        best = functools.reduce(_better, answers)
+        attempts = tuple(Attempt.of(one) for one in answers if one is not best)
+        return replace(best, attempts=attempts) if attempts else best
 
     def _reduced(self) -> Reduction:
         """The program for the solver, and the one for the verdict."""

@@ -20,6 +20,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.terms.penalties import Linear
+from ttus_opt.problem.terms.rows import unit_rows
 from ttus_opt.problem.verify.kkt import Duals
 
 
@@ -131,9 +132,14 @@ def reduce(program: Program) -> Reduction:
             rows.append(
                 ProgramConstraint(_split_name(name), parts, term.target, term.target)
             )
-        slope = split.slope * term.weight
-        terms.append(_sum_of_parts(name, slope, start, len(term.target), n))
-        bounds.append(_not_negative(f"{term.name}:excess", terms[-1], start, n))
+        # the cost of above + below, which are not negative
+        both = slice(start, start + 2 * len(term.target))
+        unit, zero = unit_rows(np.arange(n)[both], n), np.zeros(2 * len(term.target))
+        slope, lower = split.slope * term.weight, np.full(n, -np.inf)
+        terms.append(ProgramTerm(name, slope, unit, zero, Linear()))
+        lower[both] = 0.0
+        excess = f"{term.name}:excess"
+        bounds.append(ProgramBounds(excess, lower, np.full(n, np.inf), both))
     reduced = replace(
         program,
         variables=variables,
@@ -144,23 +150,6 @@ def reduce(program: Program) -> Reduction:
         declared=program,
     )
     return Reduction(program, reduced)
-
-
-def _sum_of_parts(name: str, weight: float, start: int, m: int, n: int) -> ProgramTerm:
-    """The term weight · Σ (above + below)."""
-    parts = sp.csr_array(
-        (np.ones(2 * m), np.arange(start, start + 2 * m), np.arange(2 * m + 1)),
-        shape=(2 * m, n),
-    )
-    return ProgramTerm(name, weight, parts, np.zeros(2 * m), Linear())
-
-
-def _not_negative(name: str, parts: ProgramTerm, start: int, n: int) -> ProgramBounds:
-    """Bounds above, below ≥ 0."""
-    part = slice(start, start + len(parts.target))
-    lower = np.full(n, -np.inf)
-    lower[part] = 0.0
-    return ProgramBounds(name, lower, np.full(n, np.inf), part)
 
 
 def _split_name(term: str) -> str:

@@ -101,7 +101,7 @@ class CovariancePosterior(Posterior):
         return super().covariance(sp.csr_array(rows * self.factor), height, sized)
 
     def _gained(self, rows: sp.csr_array, height: int, sized: Array) -> Array:
-        errors = self._known_errors
+        errors = self.errors
         cross = self._cross(rows)
         gain = self.measured.solve(cross.T).T
         mean, own, total, noise = (
@@ -130,7 +130,7 @@ class CovariancePosterior(Posterior):
         return draws, sizes
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        errors = self._known_errors
+        errors = self.errors
         known = np.sqrt(errors.variance) * rng.standard_normal(len(self.size))
         p = np.sqrt(errors.variance) * self.prior.draw(rng)
         samples = self.rows @ p + self.drift_rows @ known

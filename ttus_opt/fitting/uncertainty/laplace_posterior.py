@@ -78,7 +78,7 @@ class LaplacePosterior(Posterior):
     @cached_property
     def _inner(self) -> Array:
         """Covariance of the coefficients' errors, less that by the prior."""
-        errors, spread = self._known_errors, self.measured.spread
+        errors, spread = self.errors, self.measured.spread
         noise = spread @ (self.images @ errors.root)
         inner = errors.variance * spread @ spread + noise @ noise.T
         n_prior = len(self.fields)
@@ -98,7 +98,7 @@ class LaplacePosterior(Posterior):
         return np.asarray(gained)
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        errors, p = self._known_errors, self.prior.draw(rng)
+        errors, p = self.errors, self.prior.draw(rng)
         if self.base is not None:
             p += rng.standard_normal() * self.base
         p *= np.sqrt(errors.variance)

@@ -38,6 +38,9 @@ Float32Array = NDArray[np.float32]
 #: these are stored as costs more than the sums
 ROWS_AT_ONCE, DRAWS_AT_ONCE = 192, 32
 
+#: Errors before any are known, of no rows
+UNKNOWN = ErrorModel(1.0, sp.csr_array((0, 0)))
+
 #: No draws are kept deeper than this [m]
 DEEPEST = 1.0
 
@@ -52,7 +55,7 @@ class Posterior(abc.ABC):
         rows: D, these rows times the square roots of their weights, shape (rows, V).
         images: B with BᵀB = D C Dᵀ, shape (k, rows).
         measured: Their measurements.
-        errors: Prior variance and noise of the rows; None until they are known.
+        errors: Prior variance and noise of the rows.
     """
 
     prior: Prior = field(repr=False)
@@ -60,16 +63,11 @@ class Posterior(abc.ABC):
     rows: sp.csr_array = field(repr=False)
     images: Array = field(repr=False)
     measured: Conditioned = field(repr=False)
-    errors: ErrorModel | None = field(default=None, repr=False, kw_only=True)
+    errors: ErrorModel = field(default=UNKNOWN, repr=False, kw_only=True)
 
     def with_errors(self, errors: ErrorModel) -> Self:
         """The same with known errors of prior and measurements."""
         return replace(self, errors=errors)
-
-    @property
-    def _known_errors(self) -> ErrorModel:
-        assert self.errors is not None
-        return self.errors
 
     def covariance(
         self, rows: sp.csr_array, height: int, sized: Array | None = None
@@ -89,7 +87,7 @@ class Posterior(abc.ABC):
         out = np.zeros((len(filled), height, height))
         (blocks,) = np.nonzero(filled)
         few = sp.csr_array(rows[_rows_of(blocks, height)])
-        out[blocks] = self._known_errors.variance * self.prior.among_rows(few, height)
+        out[blocks] = self.errors.variance * self.prior.among_rows(few, height)
         step = max(ROWS_AT_ONCE // height, 1)
         for some in (blocks[i : i + step] for i in range(0, len(blocks), step)):
             at = _rows_of(some, height)
