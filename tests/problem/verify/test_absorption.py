@@ -92,7 +92,7 @@ def test_a_bound_on_an_exact_answer_is_small(name, monkeypatch):
     kkt = residuals(name)
     assert kkt.is_bound
     assert kkt.gap_relative <= 1e-8
-    monkeypatch.setattr(absorption._Matrix, "_of_field", lambda *_: None)
+    monkeypatch.setattr(absorption._Rows, "_of_field", lambda *_: None)
     assert residuals(name).is_bound
 
 
@@ -148,5 +148,7 @@ def test_two_points_of_the_same_objective_are_no_further_apart():
     square = term([[1.0, 0.0]], [0.0])
     size = term([[0.0, 1.0]], [0.0], name="own", penalty=Absolute())
     one, x = bare([square, size]), np.array([a, 0.0])
-    made = absorption._Rows(one, x, {"own": np.zeros(1)}, [one.terms[1]])
+    made = absorption._Rows(
+        one, x, {"own": np.zeros(1)}, [one.terms[1]], np.zeros(1, bool)
+    )
     assert made._apart(theta) >= np.sqrt(theta * 2.0) * 2.0 * a

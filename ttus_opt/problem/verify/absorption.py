@@ -90,14 +90,13 @@ def absorbed(
     terms = [t for t in program.terms if t.weight > 0.0 and not t.penalty.quadratic]
     if not terms or any(isinstance(t.penalty, Linear) for t in program.terms):
         return None
-    r = np.where(fixed, 0.0, residual)
-    rows, enough = _Rows(program, x, multipliers, terms), CLOSE_ENOUGH * goal
+    r, enough = np.where(fixed, 0.0, residual), CLOSE_ENOUGH * goal
+    rows = _Rows(program, x, multipliers, terms, fixed)
     try:
-        best = rows.bound(r, _Matrix(program, terms, fixed, 0.0), STEPS, enough)
+        best = rows.bound(r, 0.0, STEPS, enough)
         hopeless = best.is_close and not best.gap < HOPEFUL * goal
         if best.gap > goal and not hopeless:
-            beside = _Matrix(program, terms, fixed, rows.theta)
-            new = rows.bound(r, beside, STEPS_BESIDE, enough)
+            new = rows.bound(r, rows.theta, STEPS_BESIDE, enough)
             best = min(best, new, key=lambda one: one.gap)
     except NumericalError:  # of the multigrid: no bound without its solves
         return None
@@ -105,7 +104,10 @@ def absorbed(
 
 
 class _Rows:
-    """Residuals and multipliers of the penalties, and their bound."""
+    """Residuals and multipliers of the penalties, and their bound.
+
+    Steps for it are in the matrix Σ MᵀM + θ P over the free variables.
+    """
 
     def __init__(
         self,
@@ -113,8 +115,9 @@ class _Rows:
         x: Array,
         multipliers: Mapping[str, Array],
         terms: list[ProgramTerm],
+        fixed: Mask,
     ) -> None:
-        self._program, self._terms = program, terms
+        self._program, self._terms, self._fixed = program, terms, fixed
         self._objective = program.objective(x)
         self._residuals = [t.residual(x) for t in terms]
         self._g = [multipliers[t.name] for t in terms]
@@ -129,23 +132,43 @@ class _Rows:
         mean = max(value / len(t.target) / t.weight for t, value in terms)
         return float(mean) or 1.0
 
-    def bound(self, r: Array, matrix: _Matrix, most: int, enough: float) -> Absorbed:
+    def bound(self, r: Array, theta: float, most: int, enough: float) -> Absorbed:
         """Conjugate gradients until the last summand is negligible."""
-        apart, best = self._apart(matrix.theta), math.inf
+        apart, best = self._apart(theta), math.inf
         taken, close = np.zeros_like(r), False
-        for step in steps(matrix.image, matrix.precondition, r, most):
+
+        def image(d: Array) -> Array:
+            whole = self._adjoint(self._shares(d))
+            if theta:
+                whole += theta * self._program.curvature_times(d)
+            whole[self._fixed] = 0.0
+            return whole
+
+        for step in steps(image, self._preconditioner(theta), r, most):
             left = math.sqrt(step.rho) * GENEROUS * apart if step.rho else 0.0
-            shares = matrix.shares(step.e)
+            shares = self._shares(step.e)
             own = self._fenchel(shares)
-            if matrix.theta:
-                own += 0.5 * matrix.theta * float(step.e @ matrix.squares(step.e))
+            if theta:
+                curved = self._program.curvature_times(step.e)
+                own += 0.5 * theta * float(step.e @ (theta * curved))
             total = max(own, 0.0) + left
             if total < best:
-                best, taken = total, matrix.adjoint(shares)
+                best, taken = total, self._adjoint(shares)
             close = left <= max(enough, CLOSE * own)
             if close or not np.isfinite(total):
                 break
         return Absorbed(best, taken, close)
+
+    def _adjoint(self, shares: list[Array]) -> Array:
+        """Σ Mᵀs, shape (n,)."""
+        out = np.zeros(len(self._fixed))
+        for term, s in zip(self._terms, shares, strict=True):
+            out += term.matrix.T @ s
+        return out
+
+    def _shares(self, d: Array) -> list[Array]:
+        """M_k d by term."""
+        return [t.matrix @ d for t in self._terms]
 
     def _fenchel(self, shares: list[Array]) -> float:
         """The summands of the bound that depend on multipliers."""
@@ -169,56 +192,21 @@ class _Rows:
             square += (float(np.linalg.norm(r)) + farthest) ** 2
         return math.sqrt(square)
 
-
-class _Matrix:
-    """Σ MᵀM + θ P over the free variables."""
-
-    def __init__(
-        self, program: Program, terms: list[ProgramTerm], fixed: Mask, theta: float
-    ) -> None:
-        self._program, self._terms, self._fixed = program, terms, fixed
-        self.theta = theta
-        diagonal = np.sum([t.column_squares() for t in terms], axis=0)
-        for t in program.terms if theta else ():
+    def _preconditioner(self, theta: float) -> _Map:
+        """An approximate inverse: of every field L, a network, or the diagonal."""
+        diagonal = np.sum([t.column_squares() for t in self._terms], axis=0)
+        for t in self._program.terms if theta else ():
             if t.is_squares and t.weight > 0.0:
                 diagonal += 2.0 * theta * t.weight * t.column_squares()
-        self._inverse = np.where(
+        fixed = self._fixed
+        inverse = np.where(
             fixed | (diagonal <= 0.0), 0.0, 1.0 / np.where(diagonal > 0, diagonal, 1.0)
         )
-        self.precondition = self._preconditioner()
-
-    def squares(self, d: Array) -> Array:
-        """Θ P d, shape (n,)."""
-        return self.theta * self._program.curvature_times(d)
-
-    def adjoint(self, shares: list[Array]) -> Array:
-        """Σ Mᵀs, shape (n,)."""
-        out = np.zeros(len(self._fixed))
-        for term, s in zip(self._terms, shares, strict=True):
-            out += term.matrix.T @ s
-        return out
-
-    def shares(self, d: Array) -> list[Array]:
-        """M_k d by term."""
-        return [t.matrix @ d for t in self._terms]
-
-    def image(self, d: Array) -> Array:
-        """The matrix times a direction, shape (n,)."""
-        image = self.adjoint(self.shares(d))
-        if self.theta:
-            image += self.squares(d)
-        image[self._fixed] = 0.0
-        return image
-
-    def _preconditioner(self) -> _Map:
-        """An approximate inverse: of every field L, a network, or the diagonal."""
         fields = [
             (part, solve)
             for name, part in self._program.variables.items()
             if (solve := self._of_field(name, part)) is not None
         ]
-
-        inverse, fixed = self._inverse, self._fixed  # no reference cycle with self
 
         def precondition(v: Array) -> Array:
             z = inverse * v
