@@ -203,5 +203,4 @@ def write_cloud(points: Array, path: str | os.PathLike[str]) -> None:
         f"element vertex {len(points)}\n"
         "property float x\nproperty float y\nproperty float z\nend_header\n"
     )
-    with io.replacing(path) as temporary:
-        temporary.write_bytes(header.encode() + points.astype("<f4").tobytes())
+    io.write_bytes(path, header.encode() + points.astype("<f4").tobytes())

@@ -42,6 +42,14 @@ class _Link:
             time, values[:, :3].copy(), from_quaternions(values[:, 3:], "wxyz")
         )
 
+    def at(self, time: Array) -> Array:
+        """Poses (T, 4, 4) at times within its own; one, the last, if it is static."""
+        poses = self.poses()
+        if self.static:
+            return homogeneous(poses.rotation[-1:], poses.position[-1:])
+        poses = poses_at(poses, time, largest_gap=LONGEST_GAP)
+        return homogeneous(poses.rotation, poses.position)
+
 
 class FrameTree:
     """Transforms by parent and child."""
@@ -105,52 +113,35 @@ class FrameTree:
                 f"{', '.join(self._frames()) or 'none'}"
             )
         name = f"{base}:{frame}"
-        (key, up), *rest = path
+        (link, up), *rest = path
         if not rest and not up:  # as it was sent, faults and all
-            link = self._links[key]
             values = np.array(link.rows)
             time = np.array(link.time)
             return _recording(source, name, time, values[:, :3], values[:, 3:])
-        moving = [self._links[key] for key, _ in path if not self._links[key].static]
+        moving = [link for link, _ in path if not link.static]
         if not moving:
             raise FileError(f"{source}: {frame} does not move in {base}: it is static")
         time = max((link.poses().time for link in moving), key=len)
         for link in moving:
             time = poses_at(link.poses(), time, largest_gap=LONGEST_GAP).time
-        motion = np.tile(np.eye(4), (len(time), 1, 1))
-        for key, up in path:
-            step = self._at(key, time)
+        motion: Array = np.eye(4)
+        for link, up in path:
+            step = link.at(time)
             motion = motion @ (inverse(step) if up else step)
         turns = Rotation.from_matrix(motion[:, :3, :3]).as_quat(scalar_first=True)
         return _recording(source, name, time, motion[:, :3, 3].copy(), turns)
 
-    def _at(self, key: tuple[str, str], time: Array) -> Array:
-        """Poses of a link at times within its own, shape (T, 4, 4)."""
-        link = self._links[key]
-        poses = link.poses()
-        if link.static:
-            last = homogeneous(poses.rotation[-1], poses.position[-1])
-            return np.tile(last, (len(time), 1, 1))
-        poses = poses_at(poses, time, largest_gap=LONGEST_GAP)
-        return homogeneous(poses.rotation, poses.position)
-
-    def _path(self, base: str, frame: str) -> list[tuple[tuple[str, str], bool]] | None:
+    def _path(self, base: str, frame: str) -> list[tuple[_Link, bool]] | None:
         """Links from the base to the frame, and whether each is taken upwards."""
-        steps: dict[str, list[tuple[str, tuple[str, str], bool]]] = {}
-        for parent, child in self._links:
-            steps.setdefault(parent, []).append((child, (parent, child), False))
-            steps.setdefault(child, []).append((parent, (parent, child), True))
         begin, end = base.lstrip("/"), frame.lstrip("/")
-        paths: dict[str, list[tuple[tuple[str, str], bool]]] = {begin: []}
-        front = [begin]
-        while front and end not in paths:
-            new = []
-            for name in front:
-                for other, key, up in steps.get(name, []):
-                    if other not in paths:
-                        paths[other] = [*paths[name], (key, up)]
-                        new.append(other)
-            front = new
+        paths: dict[str, list[tuple[_Link, bool]]] = {begin: []}
+        reached = [begin]
+        for name in reached:  # which grows, the nearest first
+            for key, link in self._links.items():
+                for near, other, up in ((*key, False), (*key[::-1], True)):
+                    if near == name and other not in paths:
+                        paths[other] = [*paths[name], (link, up)]
+                        reached.append(other)
         return paths.get(end) or None
 
 
