@@ -27,8 +27,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.contact.contact_size import Patches
 from ttus_opt.contact.rows import ContactRows, contact_rows
-from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.haptic.drag import (
@@ -37,8 +37,6 @@ from ttus_opt.haptic.drag import (
     PRESLIDING,
     DragLaw,
     drag_of,
-    patch_of,
-    patch_weights,
 )
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
@@ -180,38 +178,43 @@ def wrenches_by_rows(
     wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
     law = DragLaw.of(potential.parameters, potential.voxmap.grid)
     if law.active:
-        wrench += _drags(law, potential, shell, trajectory)
+        wrench += _drags(law, potential, shell, trajectory, wrench, rows.patches)
     return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid, rows.beyond_inner)
 
 
 def _drags(
-    law: DragLaw, potential: PotentialField, shell: PointShell, trajectory: Trajectory
+    law: DragLaw,
+    potential: PotentialField,
+    shell: PointShell,
+    trajectory: Trajectory,
+    contact: Array,
+    patches: Patches,
 ) -> Array:
     """Drag of every frame, by a renderer's own code, shape (T, 6) [N, N·m]."""
     data = FrameData.of(potential.voxmap, shell, potential.sampling)
-    weights = np.ascontiguousarray(patch_weights(shell)[ShellBlocks.of(shell).order])
     values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
     numbers, reference = law.numbers, np.array(shell.reference)
     at_points, presliding = numbers[ACTS_AT] == AT_POINTS, numbers[PRESLIDING] > 0.0
     ways = np.concatenate([np.zeros((1, 6)), ways_along(shell, trajectory)])
     begins = np.concatenate([[True], np.diff(trajectory.segment) != 0])
+    patch = np.concatenate([patches.normal, patches.centre], axis=1)
     twist, drag = trajectory.twist(), np.zeros_like(ways)
-    R, at, contact, patch = np.empty((3, 3)), np.empty(3), np.empty(6), np.empty(6)
+    R, at, touched = np.empty((3, 3)), np.empty(3), 0
     bristle, scratch = np.zeros(BRISTLE), np.empty((2, 6))
-    for t in range(len(trajectory)):
+    for t, felt in enumerate(contact):
         # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
-        n = touch(R, at, data)[0]
-        wrench_of(values, n, R, data, contact)
-        patch_of(R, n, data.touched, data.depth, weights, patch)
-        drag_of(R, at, twist[t], reference, patch, contact, numbers, drag[t])
+        drag_of(R, at, twist[t], reference, patch[t], felt, numbers, drag[t])
+        if at_points:
+            touched = touch(R, at, data)[0]
+            wrench_of(values, touched, R, data, scratch[0])
         if presliding:
-            flank = flank_of(R, patch, n, data, numbers, scratch)
+            flank = flank_of(R, patch[t], touched, data, numbers, scratch)
             if begins[t]:
                 bristle[:] = 0.0
-            strength = strength_of(patch, contact, numbers)
-            bend(bristle, tuple(ways[t]), R, patch, strength, flank, numbers)
-            add_presliding(bristle, patch, contact, flank, numbers, drag[t])
+            strength = strength_of(patch[t], felt, numbers)
+            bend(bristle, tuple(ways[t]), R, patch[t], strength, flank, numbers)
+            add_presliding(bristle, patch[t], felt, flank, numbers, drag[t])
         elif at_points:
-            add_point_drag(R, twist[t], n, data, numbers, drag[t])
+            add_point_drag(R, twist[t], touched, data, numbers, drag[t])
     return drag

@@ -201,16 +201,12 @@ class Peer:
         """
         try:
             packet = decode(data, LONGEST)
-        except DamagedError:
+        except MessageError as error:
             self.refused += 1
-            self.safety.damaged(now)
-            return None
-        except NotFiniteError as error:
-            self.refused += 1
-            self.safety.stop(str(error))
-            return None
-        except MessageError:
-            self.refused += 1
+            if isinstance(error, DamagedError):
+                self.safety.damaged(now)
+            elif isinstance(error, NotFiniteError):
+                self.safety.stop(str(error))
             return None
         if not self._is_new(packet):
             return None
