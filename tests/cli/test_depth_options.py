@@ -12,6 +12,8 @@ import ttus_opt as tt
 from tests.cli.conftest import empty, refused
 from tests.sensors.cameras import Camera, measured, millimetres, see_ellipsoid
 from tests.sensors.cameras import see_plane as plane
+from ttus_opt.cli.cloud_options import CloudOptions
+from ttus_opt.cli.depth_options import DepthOptions
 
 CENTRE, SEMI_AXES = np.array([0.0, 0.11, 0.0]), np.array([0.17, 0.11, 0.35])
 CAMERAS = tuple(
@@ -141,3 +143,13 @@ def test_bad_input_is_one_line(run, scans, output, monkeypatch, given, told):
     refused(answer)
     assert re.search(told, answer.errors[0])
     assert empty(output)
+
+
+def test_a_recording_of_several_topics_whose_suffix_is_in_capitals(tmp_path):
+    pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
+    from tests.sensors.test_depth_bag import ALIGNED, recorded
+
+    file = recorded(tmp_path / "two.bag", aligned=True).rename(tmp_path / "TWO.BAG")
+    depth = DepthOptions(stream=f"{ALIGNED}/image_raw")
+    found = depth.read(CloudOptions([file]))
+    assert found.frames[0].topic == f"{ALIGNED}/image_raw"

@@ -23,9 +23,9 @@ def test_rays_leave_on_the_surface_and_nowhere_later(seed):
     def level(at):
         return np.linalg.norm((at - position) @ rotation / semi, axis=-1)
 
-    reach = probe.reach(points, rays, rotation, position)
-    hit = np.isfinite(reach.depth)
-    leave = points[hit] + reach.depth[hit, None] * rays[hit]
+    depth, normals = probe.reach(points, rays, rotation, position)
+    hit = np.isfinite(depth)
+    leave = points[hit] + depth[hit, None] * rays[hit]
     assert level(leave) == pytest.approx(1.0, abs=1e-9)
     assert (level(leave + 1e-5 * rays[hit]) > 1.0).all()
     # Normals against a difference of the level function.
@@ -34,7 +34,7 @@ def test_rays_leave_on_the_surface_and_nowhere_later(seed):
         h[axis] = 1e-7
         slope = (level(leave + h) - level(leave - h)) / 2e-7
         scale = np.linalg.norm((leave - position) @ rotation / semi**2, axis=1)
-        assert slope == pytest.approx(reach.normals[hit, axis] * scale, abs=1e-5)
+        assert slope == pytest.approx(normals[hit, axis] * scale, abs=1e-5)
     # Rays said to miss stay outside: look along them.
     along = np.linspace(-0.5, 0.5, 501)
     missed = points[~hit, None] + along[:, None] * rays[~hit, None]

@@ -140,10 +140,7 @@ class DepthOptions:
                 f"got {len(files)} --intrinsics for {len(cloud.scans)} images: give "
                 "one for all or one for each"
             )
-        cameras: list[Any] = [
-            read_intrinsics(file, self.stream if file.suffix == RECORDING else None)
-            for file in files
-        ]
+        cameras: list[Any] = [read_intrinsics(file, self.stream) for file in files]
         if self.rays is not None:
             cameras = [read_unprojection(self.rays)]
         if len(cameras) == 1:

@@ -160,11 +160,11 @@ def press(
     """
     expect_not_negative(damping, "damping", "s/m")
     _check_above(patch, position)
-    reach = probe.reach(patch.points, -patch.normals, rotation, position)
-    under = np.flatnonzero(np.isfinite(reach.depth))
-    if not (under.size and (reach.depth[under] > 0.0).any()):
+    below, leaves = probe.reach(patch.points, -patch.normals, rotation, position)
+    under = np.flatnonzero(np.isfinite(below))
+    if not (under.size and (below[under] > 0.0).any()):
         return Contact.none()
-    depth = reach.depth[under]
+    depth = below[under]
     compliance = patch.compliance[np.ix_(under, under)]
     forces = solve_unilateral(compliance, depth)
     touch = forces > 0.0
@@ -174,9 +174,9 @@ def press(
             "the probe touches the border of the skin patch, beyond which nothing is "
             "computed: keep it further inside or mesh a larger patch"
         )
-    inward, outward = -patch.normals[nodes], reach.normals[nodes]
+    inward, outward = -patch.normals[nodes], leaves[nodes]
     normal_forces = forces[touch] / np.einsum("ij,ij->i", outward, inward)
-    points = patch.points[nodes] + reach.depth[nodes, None] * inward
+    points = patch.points[nodes] + below[nodes, None] * inward
     if damping > 0.0 and motion is not None:
         speed = np.einsum("ij,ij->i", _velocities(points - position, motion), outward)
         normal_forces = normal_forces * np.maximum(0.0, 1.0 + damping * speed)

@@ -16,21 +16,6 @@ from ttus_opt.core.errors import InputError
 
 
 @dataclass(frozen=True)
-class ProbeReach:
-    """Points at which n rays leave the probe.
-
-    Attributes:
-        depth: Length along the ray to the probe's far side, negative for a gap and
-            -inf if the ray misses the probe, shape (n,) [m].
-        normals: Outward unit normals of the probe there, NaN if the ray misses it,
-            shape (n, 3) [–].
-    """
-
-    depth: Array
-    normals: Array
-
-
-@dataclass(frozen=True)
 class EllipsoidProbe:
     """A rigid ellipsoid centred on the pose.
 
@@ -50,7 +35,7 @@ class EllipsoidProbe:
 
     def reach(
         self, points: Array, directions: Array, rotation: Array, position: Array
-    ) -> ProbeReach:
+    ) -> tuple[Array, Array]:
         """Find where rays leave the probe.
 
         Args:
@@ -58,6 +43,11 @@ class EllipsoidProbe:
             directions: Unit directions, shape (n, 3) [–].
             rotation: Probe to patient, shape (3, 3) [–].
             position: Probe's centre, shape (3,) [m].
+
+        Returns:
+            Length along the ray to the probe's far side, negative for a gap and -inf if
+            the ray misses the probe, (n,) [m]; the probe's outward unit normals there,
+            NaN if the ray misses it, (n, 3) [–].
         """
         semi = np.asarray(self.semi_axes)
         start = (points - position) @ rotation / semi
@@ -72,7 +62,7 @@ class EllipsoidProbe:
         normals = np.full((len(points), 3), np.nan)
         leave = (start[hit] + depth[hit, None] * step[hit]) / semi @ rotation.T
         normals[hit] = leave / np.linalg.norm(leave, axis=1, keepdims=True)
-        return ProbeReach(depth, normals)
+        return depth, normals
 
     def support(self, rotation: Array, direction: Array) -> float:
         """Distance from the centre to the tangent plane normal to a direction [m].

@@ -69,9 +69,9 @@ def cylindrical(points: Array) -> tuple[Array, Array, Array]:
         r [m], θ in [0, 2π) [rad] and z [m], each of shape (n,).
     """
     r = np.hypot(points[:, 0], points[:, 1])
-    theta = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
-    theta[theta >= 2.0 * np.pi] = 0.0  # -1e-17 % 2π rounds up to 2π
-    return r, theta, points[:, 2].copy()
+    theta = np.arctan2(points[:, 1], points[:, 0])
+    # −1e-17 % 2π rounds up to 2π itself
+    return r, theta % TURN % TURN, points[:, 2].copy()
 
 
 def lattice_shares(

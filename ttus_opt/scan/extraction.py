@@ -146,15 +146,15 @@ def filled_surface(
     plane: SupportingPlane | None,
 ) -> Surface:
     """A surface from contours, with the unseen part filled smoothly."""
-    filled = fill_smoothly(
+    radius, std = fill_smoothly(
         contour.radius,
         contour.variance,
         contour.observed,
         z_step=float(z[1] - z[0]),
         limit=None if plane is None else _plane_radius(plane, axis, theta, z),
     )
-    _tell_wild(filled.radius, contour, theta, z)
-    return Surface(theta, z, filled.radius, filled.std, contour.observed, axis)
+    _tell_wild(radius, contour, theta, z)
+    return Surface(theta, z, radius, std, contour.observed, axis)
 
 
 def _tell_wild(radius: Array, contour: Contour, theta: Array, z: Array) -> None:

@@ -17,8 +17,6 @@ ellipse when little was seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -103,19 +101,6 @@ _LEAST_RADIUS = 0.02  # [m]
 _HELD_STD = 0.002  # of a radius held at the supporting plane [m]
 
 
-@dataclass(frozen=True)
-class Filled:
-    """A surface without gaps.
-
-    Attributes:
-        radius: Shape (n_theta, n_z) [m].
-        std: Its standard deviation, same shape [m].
-    """
-
-    radius: Array
-    std: Array
-
-
 def fill_smoothly(
     radius: Array,
     variance: Array,
@@ -123,7 +108,7 @@ def fill_smoothly(
     *,
     z_step: float,
     limit: Array | None = None,
-) -> Filled:
+) -> tuple[Array, Array]:
     """Fill the unobserved part.
 
     Args:
@@ -134,8 +119,9 @@ def fill_smoothly(
         limit: Largest possible radius (the support), same shape; inf for none [m].
 
     Returns:
-        Radius everywhere; its deviation grows with the distance from the seen part, to
-        20 mm where a supporting plane is known and to 60 mm where none is.
+        Radius and its standard deviation everywhere, shape (n_theta, n_z) [m]. The
+        deviation grows with the distance from the seen part, to 20 mm where a
+        supporting plane is known and to 60 mm where none is.
     """
     shape = radius.shape
     arc = float(np.median(radius[observed])) * 2.0 * np.pi / shape[0]
@@ -158,7 +144,7 @@ def fill_smoothly(
     solution = base + np.where(seen, plate, np.minimum(plate, room))
     growth = WITHOUT_PLANE if limit is None else ON_PLANE
     std = _std(variance, observed, (arc, z_step), growth)
-    return Filled(np.maximum(solution, _LEAST_RADIUS).reshape(shape), std)
+    return np.maximum(solution, _LEAST_RADIUS).reshape(shape), std
 
 
 def _differences(

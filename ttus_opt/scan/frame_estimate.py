@@ -93,20 +93,6 @@ _NEARBY = np.cos(np.radians(20.0))
 _STEPS = 50  # of the refinement, which settles in about five
 
 
-class FrameEstimate(NamedTuple):
-    """A patient frame and the supporting plane it was derived from.
-
-    Attributes:
-        origin: Origin of the patient frame in the scan, shape (3,) [m].
-        rotation: Columns are the patient frame's axes in the scan, shape (3, 3) [–].
-        support: The supporting plane, None when the scan shows none.
-    """
-
-    origin: Array
-    rotation: Array
-    support: SupportingPlane | None
-
-
 def estimate_frame(
     cloud: Array,
     head: ArrayLike | None,
@@ -115,8 +101,8 @@ def estimate_frame(
     camera: ArrayLike | None,
     support: bool,
     rng: np.random.Generator | None,
-) -> FrameEstimate:
-    """Estimate the patient frame from a scan; all else as `Axis.from_cloud`."""
+) -> tuple[Array, Array, SupportingPlane | None]:
+    """What an `Axis` is made of, estimated from a scan; see `Axis.from_cloud`."""
     towards = None if head is None else checked_direction(np.asarray(head, float))
     place = None if camera is None else np.asarray(camera, dtype=np.float64)
     if place is not None and not (place.shape == (3,) and np.isfinite(place).all()):
@@ -146,7 +132,7 @@ def estimate_frame(
     if flip:
         z = -z
     y = -upward if prone else upward
-    return FrameEstimate(frame.origin, np.stack([np.cross(y, z), y, z], axis=1), plane)
+    return frame.origin, np.stack([np.cross(y, z), y, z], axis=1), plane
 
 
 def _thinned(points: Array) -> Array:

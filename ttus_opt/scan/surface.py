@@ -151,10 +151,8 @@ class Surface:
             Radii, the broadcast shape [m].
         """
         theta, z = np.broadcast_arrays(np.asarray(theta, float), np.asarray(z, float))
-        angles = np.array(theta % TURN, order="C")
-        angles[angles >= TURN] = 0.0  # −1e-17 % 2π rounds up to 2π itself
         flat = radii_at(
-            angles.reshape(-1),
+            (theta % TURN % TURN).reshape(-1),  # −1e-17 % 2π rounds up to 2π itself
             np.ascontiguousarray(z).reshape(-1),
             np.ascontiguousarray(self.radius),
             self.kernel_layout,

@@ -25,9 +25,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.core.errors import InputError, located
 from ttus_opt.probe.pose import PoseLike
 from ttus_opt.probe.rigid_motion import moved, rigid_motion
@@ -55,22 +54,9 @@ USUAL_NOISE = 0.003
 LEAST_SHARE, LEAST_COUNT = 0.4, 6
 
 
-@dataclass(frozen=True)
-class Judged:
-    """What the neighbourhood of every pixel shows.
-
-    Attributes:
-        flying: Between two surfaces, at the edge of one, or isolated, shape (height,
-            width).
-        incidence: Angle between ray and surface normal, same shape [rad]; NaN where
-            flying or not measured.
-    """
-
-    flying: NDArray[np.bool_]
-    incidence: Array
-
-
-def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) -> Judged:
+def judge(
+    z: Array, rays: Array, focal: float, noise: Array, steepest: float
+) -> tuple[Mask, Array]:
     """Fit a plane around every pixel.
 
     Args:
@@ -79,6 +65,11 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
         focal: Focal length [pixel].
         noise: Standard deviation of z, same shape as it [m].
         steepest: Largest angle of incidence that is kept [rad].
+
+    Returns:
+        Which pixels are flying: between two surfaces, at the edge of one, or isolated,
+        and the angle between ray and surface normal [rad], NaN where flying or not
+        measured, shape (height, width) each.
     """
     x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
     stride = max(1, round(REACH * focal / float(np.nanmedian(z)) / STEPS))
@@ -104,7 +95,7 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
     alone = (count < LEAST_SHARE * present) | (count < LEAST_COUNT)
     flying = measured & (alone | edge)
     incidence = _incidence(sums, x, y, 1.0 / z)
-    return Judged(flying, np.where(measured & ~flying, incidence, np.nan))
+    return flying, np.where(measured & ~flying, incidence, np.nan)
 
 
 def _neighbours(
@@ -278,13 +269,11 @@ class DepthImage:
             return noise.along_ray(Pixels(z, distance, incidence, focal))
 
         axial = deviation(np.zeros_like(z)) * rays[..., 2]
-        found = judge(z, rays, focal, axial, grazing)
+        flying, incidence = judge(z, rays, focal, axial, grazing)
         measured = np.isfinite(distance)
-        steep = measured & (found.incidence > grazing)  # NaN where flying
-        kept = measured & ~found.flying & ~steep
-        dropped = Dropped(
-            int((~measured).sum()), int(found.flying.sum()), int(steep.sum())
-        )
+        steep = measured & (incidence > grazing)  # NaN where flying
+        kept = measured & ~flying & ~steep
+        dropped = Dropped(int((~measured).sum()), int(flying.sum()), int(steep.sum()))
         if not kept.any():
             raise InputError(
                 f"{self.name}: no pixel shows a surface ({dropped.invalid} without "
@@ -292,7 +281,7 @@ class DepthImage:
                 "intrinsics, unit and depth kind"
             )
         points = distance[kept, None] * rays[kept]
-        std = None if noise is None else deviation(found.incidence)[kept]
+        std = None if noise is None else deviation(incidence)[kept]
         return DepthCloud(moved(points, pose), std, (dropped,))
 
 
