@@ -33,8 +33,8 @@ def potential_slices(
     Args:
         before: For instance the Laplace field alone.
         after: The field fitted to measurements, on the same grid.
-        z: Height of the slice [m]; by default where the fields differ most, by
-            `local_change`.
+        z: Height of the slice [m]; by default where the fields differ most just below
+            the skin.
 
     Returns:
         A figure with the slice above and, enlarged below, the part where the fields
@@ -48,8 +48,9 @@ def potential_slices(
     grid = before.voxmap.grid
     if grid != after.voxmap.grid:
         raise InputError("both fields must be on one grid: fit them on one voxmap")
-    factor = common_factor(before, after)
-    change, local = after.values - factor * before.values, local_change(before, after)
+    factor, below = common_factor(before, after), _below_skin(before)
+    change = after.values - factor * before.values
+    local = np.where(below, np.abs(change), 0.0)
     if z is None:
         k = int(np.argmax(local.max(axis=(0, 1))))
     else:
@@ -62,8 +63,7 @@ def potential_slices(
     i, j = np.unravel_index(np.argmax(local[:, :, k]), local.shape[:2])
     spot = 100.0 * grid.r[i] * np.array([np.cos(grid.theta[j]), np.sin(grid.theta[j])])
     common = colour_limit(before, k)
-    below = _near_skin(before, k) & before.voxmap.inside[:, :, k]
-    most = round_up(float(np.abs(change[:, :, k][below]).max()))
+    most = round_up(float(local[:, :, k].max()))
     with look():
         figure = new_figure(9.6, 6.6, margins=(0.69, 0.35, 1.26, 0.46))
         axes = figure.subplots(2, 3, gridspec_kw={"wspace": 0.374, "hspace": 0.131})
@@ -138,29 +138,20 @@ def _skin_lines(axes: Any) -> tuple[list[Any], list[str]]:
 
 def colour_limit(field: PotentialField, k: int) -> float:
     """Limit of the colours in slice k: the 90th percentile of |p| near the skin."""
-    near = np.abs(field.values[:, :, k][_near_skin(field, k)])
+    near = np.abs(field.values[:, :, k][_near_skin(field)[:, :, k]])
     return round_up(float(np.percentile(near, 90)))
 
 
-def _near_skin(field: PotentialField, k: int) -> Mask:
-    """Voxels of slice k near the skin, shape (n_r, n_theta)."""
+def _near_skin(field: PotentialField) -> Mask:
+    """Voxels near the skin, shape ``grid.shape``."""
     grid = field.voxmap.grid
-    skin = field.voxmap.surface.radius_at(grid.theta, np.full(grid.shape[1], grid.z[k]))
-    near = np.abs(grid.r[:, None] - skin) < _SKIN_DEPTH
-    return np.asarray(near & grid.in_sector(grid.theta))
+    near = np.abs(grid.r[:, None, None] - field.voxmap.spoke_radius) < _SKIN_DEPTH
+    return np.asarray(near & grid.in_sector(grid.theta)[:, None])
 
 
-def local_change(before: PotentialField, after: PotentialField) -> Array:
-    """Difference of two fields on one grid just below the skin, 0 elsewhere.
-
-    A common factor, which a different boundary value causes everywhere, is removed.
-
-    Returns:
-        Shape ``grid.shape`` [as the potential].
-    """
-    near = _below_skin(before)
-    change = after.values - common_factor(before, after) * before.values
-    return np.where(near, np.abs(change), 0.0)
+def _below_skin(field: PotentialField) -> Mask:
+    """Those of them inside the body."""
+    return np.asarray(_near_skin(field) & field.voxmap.inside)
 
 
 def common_factor(before: PotentialField, after: PotentialField) -> float:
@@ -168,13 +159,6 @@ def common_factor(before: PotentialField, after: PotentialField) -> float:
     near = _below_skin(before)
     old, new = before.values[near], after.values[near]
     return float(old @ new / (old @ old)) if old.any() else 1.0
-
-
-def _below_skin(field: PotentialField) -> Mask:
-    """Voxels inside and near the skin, shape ``grid.shape``."""
-    slices = range(field.voxmap.grid.shape[2])
-    near = np.stack([_near_skin(field, k) for k in slices], axis=2)
-    return np.asarray(near & field.voxmap.inside)
 
 
 def round_up(value: float) -> float:
