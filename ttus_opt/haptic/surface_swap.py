@@ -102,7 +102,9 @@ class PatientRenderer:
         share = float(self._ledger[PROGRESS])
         mixed = (1.0 - share) * wrenches[0] + share * wrenches[1]
         if share == 1.0:
-            self._close()
+            self._old, waiting, self._next = None, self._next, None
+            if waiting is not None:
+                self.update(waiting)
         limited = felt.limited_by or before.limited_by
         return replace(felt, force=mixed[:3], torque=mixed[3:], limited_by=limited)
 
@@ -119,10 +121,3 @@ class PatientRenderer:
         (values, data), (target, over) = old.present(), new.present()
         self._ledger = opened_ledger(self._ledger, values, target, data, over)
         self._old = old
-
-    def _close(self) -> None:
-        """End a swap, and begin that which waits."""
-        self._old = None
-        if self._next is not None:
-            waiting, self._next = self._next, None
-            self.update(waiting)

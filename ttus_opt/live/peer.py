@@ -210,7 +210,9 @@ class Peer:
             return None
         if not self._is_new(packet):
             return None
-        sent = self._continued(packet) / TICKS
+        # the 32 bits of its clock are full after twelve hours
+        before = packet.sent if self._sent is None else self._sent
+        sent = (before + later(packet.sent, before, MOST_TICKS)) / TICKS
         self._judge(now, packet, sent)
         if isinstance(packet.body, Hello) and not self._agrees(packet.body):
             return None
@@ -241,11 +243,6 @@ class Peer:
             self.quality = LinkQuality()
             self.safety.forget_other()
         return self._heard.add(packet.sequence)
-
-    def _continued(self, packet: Packet) -> int:
-        """When a packet was sent [ticks]: its 32 bits are full after twelve hours."""
-        before = packet.sent if self._sent is None else self._sent
-        return before + later(packet.sent, before, MOST_TICKS)
 
     def _judge(self, now: float, packet: Packet, sent: float) -> None:
         if packet.sequence == self._heard.newest:

@@ -93,7 +93,8 @@ class Results:
             error.args = (f"{name}: {error}{after}",)
             raise
         self._told["complete"].append(name)
-        self._write_summary()
+        self._clear()
+        write_json(self.folder / SUMMARY, self._told, indent=2)
 
     def tell(self, name: str, facts: Mapping[str, Any]) -> None:
         """Keep a step's figures for `SUMMARY`."""
@@ -133,10 +134,6 @@ class Results:
                 raise FileError(
                     f"cannot replace {file}: {error.strerror}: name another folder"
                 ) from error
-
-    def _write_summary(self) -> None:
-        self._clear()
-        write_json(self.folder / SUMMARY, self._told, indent=2)
 
 
 def complete_steps(folder: str | os.PathLike[str]) -> list[str]:

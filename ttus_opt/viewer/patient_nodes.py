@@ -72,12 +72,15 @@ class PatientNodes:
         self._colours: Pixels = self._grey
         self._faces: IntArray = skin.faces
         self._painting = threading.Lock()  # colours and cuts come from two threads
-        self._image: Any = None
         self._marks: list[Any] = []
         scene.add_frame(f"/{name}", show_axes=False, position=tuple(offset))
         self._mesh = scene.add_glb(
             f"/{name}/skin", self._glb(), cast_shadow=False, receive_shadow=False
         )
+        self._image = scene.add_image(
+            f"/{name}/section", np.zeros((1, 1, 4), np.uint8), 1.0, 1.0, visible=False,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
         self.probe: Any = None
 
     def add_probe(self, mesh: TriangleMesh, colour: tuple[int, int, int]) -> None:
@@ -125,22 +128,14 @@ class PatientNodes:
         if not np.array_equal(faces, self._faces):
             self._paint(None, faces)
         if shown is None:
-            if self._image is not None:
-                self._image.visible = False
+            self._image.visible = False
             return
         # the picture's rows go down, its normal points at the one who looks
         axes = np.stack([shown.across, -shown.up, -shown.normal], axis=1)
-        wxyz, at = to_quaternions(axes[None])[0], tuple(shown.origin)
-        pixels = section_pixels(shown)
-        if self._image is None:
-            self._image = self._scene.add_image(
-                f"/{self._name}/section", pixels, *shown.size, wxyz=wxyz, position=at,
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
-            return
-        self._image.image, self._image.visible = pixels, True
-        self._image.render_width, self._image.render_height = shown.size
-        self._image.wxyz, self._image.position = wxyz, at
+        image = self._image
+        image.wxyz, image.position = to_quaternions(axes[None])[0], shown.origin
+        image.render_width, image.render_height = shown.size
+        image.image, image.visible = section_pixels(shown), True
 
     def show_recording(self, starts: Array, measured: Array, rendered: Array) -> None:
         """Draw recorded places with their forces.

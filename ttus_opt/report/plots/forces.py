@@ -86,12 +86,11 @@ def _draw(
 ) -> None:
     clock, breaks = _clock(time)
     # no line joins the end of a recording to the start of the next
-    axes.plot(
-        clock, _cut(measured, breaks), color=MEASURED, linewidth=3.0, label="measured"
-    )
+    grey = np.insert(measured, breaks, np.nan)
+    axes.plot(clock, grey, color=MEASURED, linewidth=3.0, label="measured")
     lines = _LINES[-len(rendered) :]
     for (label, values), line in zip(rendered.items(), lines, strict=True):
-        axes.plot(clock, _cut(values, breaks), label=label, **line)
+        axes.plot(clock, np.insert(values, breaks, np.nan), label=label, **line)
     axes.margins(x=0.01)
 
 
@@ -102,10 +101,6 @@ def _clock(time: Array) -> tuple[Array, NDArray[np.int64]]:
     for i in breaks:
         clock[i:] += clock[i - 1] + 1.0 - clock[i]
     return np.insert(clock, breaks, np.nan), breaks
-
-
-def _cut(values: Array, breaks: NDArray[np.int64]) -> Array:
-    return np.insert(values, breaks, np.nan)
 
 
 def residual_histogram(
