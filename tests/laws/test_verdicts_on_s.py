@@ -34,7 +34,7 @@ EARLY = (0.2, 0.6)
 
 @functools.cache
 def case_s():
-    return reference_cases("S")[0].build()
+    return reference_cases("S")[0].scene()
 
 
 def answer(name):

@@ -83,7 +83,7 @@ def test_steps_stay_few_where_own_terms_are_up_to_the_prior(own):
 def test_steps_from_s_to_m(own):
     counts = []
     for case in reference_cases("S,M"):
-        scene = case.build()
+        scene = case.scene()
         program = (declared(scene) + own(scene, 1e-3)).compile()
         found = solved(program, 1e-6)
         residuals = kkt_residuals(program, found.x, found.duals)
@@ -106,7 +106,7 @@ def test_other_values_and_weights_are_taken():
 def test_noisy_and_contradictory_measurements():
     for how in ("noise", "reversed"):
         case = replace(reference_cases("S")[0].small(), name="XS").perturbed(how)
-        scene = case.build()
+        scene = case.scene()
         program = (declared(scene, 1.0) + TikhonovTerm(scene, 1e-3)).compile()
         found = solved(program, 1e-6)
         residuals = kkt_residuals(program, found.x, found.duals)

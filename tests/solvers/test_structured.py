@@ -182,7 +182,7 @@ def test_a_weight_beyond_single_precision_is_no_crash():
     """1e8 times what is usual: the preconditioner errs, residuals must not run away."""
     case = reference_cases("S")[0].perturbed("noise")
     weights = {"force_weight": 1e6, "torque_weight": 1e6}
-    loaded = formulation.load("eq10", case.build(), **weights).compile()
+    loaded = formulation.load("eq10", case.scene(), **weights).compile()
     candidate = STRUCTURED.prepare(loaded, Request(1e-6, 60.0)).solve()
     assert np.isfinite(candidate.x).all()
     residuals = kkt_residuals(loaded, candidate.x, candidate.duals)
@@ -201,7 +201,7 @@ def test_contested_limits_of_a_third_of_a_million_voxels(how, name):
     """Weights 1e4 times too large, voxel-mean rows: K at its largest; a minute each."""
     case = reference_cases("M")[0].sampled("voxel-mean").perturbed(how)
     weights = {"force_weight": 100.0, "torque_weight": 100.0}
-    loaded = formulation.load(name, case.build(), **weights).compile()
+    loaded = formulation.load(name, case.scene(), **weights).compile()
     candidate = STRUCTURED.prepare(loaded, Request(1e-6, 400.0)).solve()
     assert candidate.claim is Claim.DONE, candidate.detail
     residuals = kkt_residuals(loaded, candidate.x, candidate.duals)

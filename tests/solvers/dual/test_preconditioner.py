@@ -9,7 +9,6 @@ import scipy.sparse as sp
 
 from tests.kit import small_scene
 from ttus_opt.problem import formulation
-from ttus_opt.solvers.dual import preconditioner
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
 
@@ -58,33 +57,11 @@ def test_a_box_of_the_grid_is_enough(name):
         assert 0.3 < ratios.min() <= ratios.max() < 1.3
 
 
-def test_where_directions_become_many_a_factor_takes_over(monkeypatch):
-    """It inverts S̃ to single precision, symmetric, and rows without contact alone."""
-    monkeypatch.setattr(preconditioner, "MANY", 3)
-    monkeypatch.setattr(preconditioner, "SHARE", 0.0)
-    system = dual_system("voxel-mean", 1e2)
-    blind = sp.csr_array((2, system.rows.shape[1]))
-    system = replace(
-        system,
-        rows=sp.csr_array(sp.vstack([system.rows, blind])),
-        root_weights=np.append(system.root_weights, [7.0, 9.0]),
-    )
-    tilde, m = ApproximateSchur(system), len(system.root_weights)
-    full = np.array([tilde.apply(e) for e in np.eye(m)])
-    precondition = SchurPreconditioner(tilde)
-    right_sides = np.random.default_rng(0).normal(size=(m, m))
-    answers = np.array([precondition(t) for t in right_sides])
-    np.testing.assert_allclose(answers @ full, right_sides, atol=1e-3)
-    np.testing.assert_array_equal(answers[:, -2:], right_sides[:, -2:])
-
-
-def test_a_factor_at_any_weight_is_positive_definite(monkeypatch):
-    """Where rounding of single precision exceeds I, too."""
-    monkeypatch.setattr(preconditioner, "MANY", 3)
-    monkeypatch.setattr(preconditioner, "SHARE", 0.0)
-    system = dual_system("voxel-mean", 1e14)
+def test_at_heavy_weights_it_is_positive_definite():
+    """Whatever is kept of earlier calls."""
+    system = dual_system("voxel-mean", 1e5)
     precondition = SchurPreconditioner(system)
-    for residual in np.random.default_rng(0).normal(size=(5, len(system.root_weights))):
+    for residual in np.random.default_rng(0).normal(size=(9, len(system.root_weights))):
         answer = precondition(residual)
         assert np.isfinite(answer).all()
         assert answer @ residual > 0.0

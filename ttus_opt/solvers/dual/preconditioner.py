@@ -16,7 +16,6 @@ import copy
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, Mask
@@ -28,15 +27,6 @@ from ttus_opt.solvers.conjugate_gradients import (
 )
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.system import DualSystem
-
-#: S̃ is factorised if there are more directions than both this and this times rows [–]
-MANY, SHARE = 150, 0.15
-
-#: Most rows for which it is factorised: a matrix of 144 MB
-MOST_ROWS = 6000
-
-#: Rounding error of a factor in single precision over the largest entry [–]
-ROUNDING = 1e-7
 
 
 class ApproximateSchur:
@@ -58,8 +48,6 @@ class ApproximateSchur:
         touched = nonempty_columns(system.rows)
         contact = nonempty_columns(system.rows[: system.n_measured])
         self.root_weights = system.root_weights
-        #: Rows with entries; S̃ is the identity on the others
-        self.coupled = np.flatnonzero(np.diff(system.rows.indptr))
         self._cycle = laplace.multigrid.preconditioner(
             near=contact[laplace.free[contact]]
         )
@@ -131,12 +119,7 @@ class ApproximateSchur:
 
 
 class SchurPreconditioner:
-    """Approximation of S̃⁻¹ by conjugate directions, or by a factor if these are many.
-
-    If measurements weigh so much that I is lost in S̃, thousands of directions are
-    needed, and keeping k of them conjugate costs k² m. Forming all of S̃ by m products
-    and factorising it then costs less.
-    """
+    """Approximation of S̃⁻¹ by conjugate directions, kept from call to call."""
 
     def __init__(self, system: DualSystem | ApproximateSchur) -> None:
         """Start without directions.
@@ -145,72 +128,26 @@ class SchurPreconditioner:
             system: The exact dual system, of which S̃ is set up at the first call; or S̃.
         """
         self._system = system
-        self._factor: Array | None = None
-
-    @cached_property
-    def _approximate(self) -> ApproximateSchur:
-        system = self._system
-        return (
-            system if isinstance(system, ApproximateSchur) else ApproximateSchur(system)
-        )
 
     @cached_property
     def _subspace(self) -> RecycledSubspace:
-        return RecycledSubspace(self._approximate)
+        system = self._system
+        if isinstance(system, DualSystem):
+            system = ApproximateSchur(system)
+        return RecycledSubspace(system)
 
     def __call__(self, residual: Array) -> Array:
         """S̃⁻¹ residual, shape (m,), nearly linear in it and positive definite."""
-        if self._factor is not None:
-            return self._by_factor(residual, self._factor)
-        subspace = self._subspace
-        m = len(self._approximate.coupled)
-        many = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
         goal = options.PRECONDITIONER_RESIDUAL * norm(residual)
         energies: list[float] = []
-        done = False
 
         def enough(answer: Array, rest: Array) -> bool:
-            nonlocal done
             energies.append(float(answer @ residual))
             gained = np.inf
             if len(energies) > options.PRECONDITIONER_DELAY:
                 gained = energies[-1] - energies[-1 - options.PRECONDITIONER_DELAY]
-            done = norm(rest) <= goal
-            done |= gained <= options.PRECONDITIONER_ENERGY**2 * energies[-1]
-            return done
+            settled = gained <= options.PRECONDITIONER_ENERGY**2 * energies[-1]
+            return settled or norm(rest) <= goal
 
-        most = int(min(options.MAX_DIRECTIONS, many + 1.0)) - len(subspace)
-        run = conjugate_gradients(subspace, residual, np.copy, enough, most)
-        if not done and len(subspace) > many:
-            self._factor = _factor(self._approximate)
-            return self._by_factor(residual, self._factor)
-        return run.y
-
-    def _by_factor(self, residual: Array, factor: Array) -> Array:
-        at, answer = self._approximate.coupled, residual.copy()
-        size = float(np.abs(residual).max(initial=0.0)) or 1.0
-        side = (residual[at] / size).astype(np.float32)
-        answer[at] = size * scipy.linalg.cho_solve(
-            (factor, False), side, overwrite_b=True, check_finite=False
-        )
-        return answer
-
-
-def _factor(approximate: ApproximateSchur) -> Array:
-    """Upper Cholesky factor of S̃ over the rows where it is not the identity."""
-    at = approximate.coupled
-    full = np.empty((len(at), len(at)), np.float32)
-    unit = np.zeros(len(approximate.root_weights))
-    for k, row in enumerate(at):
-        unit[row] = 1.0
-        full[k] = approximate.apply(unit)[at]
-        unit[row] = 0.0
-    full += full.T.copy()
-    full *= 0.5
-    largest, shift = float(full.diagonal().max()), 0.0
-    while True:
-        try:
-            trial = full + shift * np.eye(len(at), dtype=np.float32)
-            return np.asarray(scipy.linalg.cholesky(trial, overwrite_a=True))
-        except np.linalg.LinAlgError:  # rounding made eigenvalues negative
-            shift = max(4.0 * shift, ROUNDING * largest)
+        most = options.MAX_DIRECTIONS - len(self._subspace)
+        return conjugate_gradients(self._subspace, residual, np.copy, enough, most).y

@@ -101,17 +101,13 @@ class ConstraintPreconditioner:
     def _response(self, y: Array) -> Array:
         """P⁻¹Dᵀy, shape (V,), from the kept fields where possible."""
         subspace, kept = self._subspace, self._responses.kept
-        if len(kept) != len(subspace):
+        parts, rest = subspace.parts(y)
+        if len(kept) != len(subspace) or norm(rest) > OUTSIDE * norm(y):
             return self._system.response(y)
-        rest, out = y.copy(), np.zeros(self._system.rows.shape[1])
-        parts, _ = subspace.parts(y)
+        out = np.zeros(self._system.rows.shape[1])
         # directions are the normalised arguments of S
-        for part, d, (of, own) in zip(parts, subspace.directions, kept, strict=True):
-            share = part * float(d @ of) / float(of @ of)
-            rest -= share * of
-            out += share * own
-        if norm(rest) > OUTSIDE * norm(y):
-            return self._system.response(y)
+        for part, d, (size, own) in zip(parts, subspace.directions, kept, strict=True):
+            out += part * norm(d) / size * own
         return out
 
 
@@ -120,12 +116,12 @@ class _Responses:
 
     Attributes:
         root_weights: As in `SchurComplement`, shape (m,) [–].
-        kept: Pairs of y, shape (m,), and its field P⁻¹Dᵀy, shape (V,).
+        kept: Norm of a y and its field P⁻¹Dᵀy, shape (V,).
     """
 
     def __init__(self, system: SchurComplement) -> None:
         self._system, self.root_weights = system, system.root_weights
-        self.kept: list[tuple[Array, Array]] = []
+        self.kept: list[tuple[float, Array]] = []
         self._many = False
 
     def apply(self, y: Array, rtol: float) -> Array:
@@ -135,7 +131,7 @@ class _Responses:
         if self._many:
             self.kept.clear()
         else:
-            self.kept.append((y, own))
+            self.kept.append((norm(y), own))
         return np.asarray(y + self._system.measure(own))
 
 
