@@ -95,9 +95,7 @@ class Guarded(Prepared):
 @contextlib.contextmanager
 def locked(thing: Any) -> Iterator[None]:
     """Make all arrays of a dataclass, in members too, read-only within the block."""
-    arrays: dict[int, Array] = {}
-    _collect(thing, arrays, set())
-    written = [array for array in arrays.values() if array.flags.writeable]
+    written = [array for array in _arrays(thing, set()) if array.flags.writeable]
     try:
         for array in written:
             array.flags.writeable = False
@@ -107,23 +105,26 @@ def locked(thing: Any) -> Iterator[None]:
             array.flags.writeable = True
 
 
-def _collect(thing: Any, arrays: dict[int, Array], seen: set[int]) -> None:
-    """Arrays of a thing, of its fields and of what it has cached."""
+def _arrays(thing: Any, seen: set[int]) -> Iterator[Array]:
+    """Arrays of a thing, of its fields and of what it has cached, once each."""
+    if id(thing) in seen:
+        return
+    seen.add(id(thing))
+    parts: Any = ()
     if isinstance(thing, np.ndarray):
-        arrays[id(thing)] = thing
+        yield thing
     elif sp.issparse(thing):
-        parts: list[Any] = [vars(thing).get(k) for k in ("data", "indices", "indptr")]
-        for part in (*parts, *(vars(thing).get("coords") or ())):
-            _collect(part, arrays, seen)
-    elif id(thing) not in seen:
-        seen.add(id(thing))
-        if dataclasses.is_dataclass(thing):
-            thing = tuple(vars(thing).values())
-        elif isinstance(thing, Mapping):
-            thing = tuple(thing.values())
-        if isinstance(thing, tuple | list | frozenset):
-            for part in thing:
-                _collect(part, arrays, seen)
+        own = vars(thing)
+        parts = (own.get("data"), own.get("indices"), own.get("indptr"))
+        parts += tuple(own.get("coords") or ())
+    elif dataclasses.is_dataclass(thing):
+        parts = tuple(vars(thing).values())
+    elif isinstance(thing, Mapping):
+        parts = tuple(thing.values())
+    elif isinstance(thing, tuple | list | frozenset):
+        parts = thing
+    for part in parts:
+        yield from _arrays(part, seen)
 
 
 #: Seconds spent on naming the constraints in conflict, when no limit is given

@@ -26,7 +26,7 @@ def test_delays_are_tried_both_ways_in_even_steps():
 
 def named(recorded):
     scene = tt.Scene.assemble(*geometry(), recorded, inner=10.0, sampling="trilinear")
-    return likely_mistake(scene, recorded, Conventions(), contact_readings(scene))
+    return likely_mistake(scene, recorded, Conventions(), contact_readings(scene))[1]
 
 
 @pytest.mark.slow

@@ -33,6 +33,13 @@ INPUTS = "inputs"
 #: Value of ``status`` where a point was not reached
 MISSING = -1
 
+#: Attributes of ``status``: meanings of the numbers, after the CF conventions
+STATUS = {
+    "units": "1",
+    "flag_values": np.array([MISSING, *range(len(Status))], dtype=np.int8),
+    "flag_meanings": " ".join(["missing", *(one.name.lower() for one in Status)]),
+}
+
 #: What the names of variables of parameters begin with
 PARAMETER = "parameter_"
 
@@ -79,7 +86,8 @@ class PathRecord:
         self._declared, self._grid = declared, grid
         self._inputs, self._tolerance = inputs, tolerance
         scene = declared.scene
-        self._recordings = _segments(scene.trajectory)
+        segment = scene.trajectory.segment
+        self._recordings = {str(n): segment == n for n in np.unique(segment)}
         self._held_out = {
             name: (one, scene.rows_along(one)) for name, one in held_out.items()
         }
@@ -87,7 +95,7 @@ class PathRecord:
         self._data = xr.Dataset(coords=self._coordinates(keep_fields))
         square = "N2" if scene.sampling == "voxel-mean" else "N2 cm-4"
         status = np.full(grid.shape, MISSING, dtype=np.int8)
-        self._data["status"] = (self._dims, status, _status_attributes())
+        self._data["status"] = (self._dims, status, STATUS)
         self._add(
             "kkt_residual", "1", "largest relative residual of the KKT conditions"
         )
@@ -275,23 +283,6 @@ def best_weights(dataset: xr.Dataset) -> dict[str, float]:
     return {
         str(name).removesuffix("_weight"): float(best.coords[name]) for name in names
     }
-
-
-def _status_attributes() -> dict[str, object]:
-    """Meanings of the numbers, after the CF conventions."""
-    values = [MISSING, *range(len(Status))]
-    names = ["missing", *(status.name.lower() for status in Status)]
-    return {
-        "units": "1",
-        "flag_values": np.array(values, dtype=np.int8),
-        "flag_meanings": " ".join(names),
-    }
-
-
-def _segments(trajectory: Trajectory) -> dict[str, Array]:
-    """Masks of the frames of every recording, by number."""
-    numbers = np.unique(trajectory.segment)
-    return {str(n): trajectory.segment == n for n in numbers}
 
 
 def _rms(vectors: Array) -> float:

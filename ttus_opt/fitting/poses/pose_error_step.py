@@ -127,10 +127,8 @@ class PoseErrorProblem:
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
         frames = np.flatnonzero(scene.touching & (size > LEAST_FORCE))
         frames = frames[:: max(-(-len(frames) // MOST_FRAMES), 1)]
-        place, alike = (
-            scene.places[frames],
-            noise.correlations(scene.trajectory, frames),
-        )
+        place = scene.places[frames]
+        alike = noise.correlations(scene.trajectory, frames)
         rows = PoseRows(scene.voxmap, scene.shell, scene.sampling)
         drag, reported = estimate_drag(scene), scene.N
         if drag.is_shown:
