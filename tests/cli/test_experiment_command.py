@@ -65,14 +65,12 @@ def test_options_reach_the_plan(run, output, monkeypatch):
         return ExperimentResult(plan, ())
 
     monkeypatch.setattr(experiment, "run", planned)
-    (folder, plan), told = (
-        seen[0],
-        run(
-            f"experiment --shape 24,72,30 --formulations eq10,depth_map --weight 0.5 "
-            f"--torso t.ply --torso-unit m --patients lean,stout --resolution 2 "
-            f"--json -o {output}"
-        ).told,
-    )
+    told = run(
+        f"experiment --shape 24,72,30 --formulations eq10,depth_map --weight 0.5 "
+        f"--torso t.ply --torso-unit m --patients lean,stout --resolution 2 "
+        f"--json -o {output}"
+    ).told
+    ((folder, plan),) = seen
     assert (folder, plan.torso, plan.torso_unit) == (output, Path("t.ply"), "m")
     assert plan.shape == (24, 72, 30) and plan.formulations == ("eq10", "depth_map")
     assert (plan.weight, plan.resolution) == (0.5, 2.0)

@@ -297,14 +297,9 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
     return sized(found.least_length)
 
 
-def depth_map_of(model: Formulation) -> DepthMapTerm:
-    """The term of a depth map."""
-    return next(term for term in model.terms if isinstance(term, DepthMapTerm))
-
-
 def described(model: Formulation) -> tuple[str, ...]:
     """A depth map and its errors, in words."""
-    prior = depth_map_of(model)
+    prior = next(term for term in model.terms if isinstance(term, DepthMapTerm))
     least = least_length(prior.scene.sampling)
     force = next((t for t in model.terms if isinstance(t, ForceTerm) and t.noise), None)
     lines = [
