@@ -23,7 +23,11 @@ def members():
         module = importlib.import_module(f"ttus_opt.problem.constraints.{info.name}")
         for member in vars(module).values():
             own = inspect.isclass(member) and member.__module__ == module.__name__
-            if own and issubclass(member, Constraint) and member is not Constraint:
+            if (
+                own
+                and issubclass(member, Constraint)
+                and not inspect.isabstract(member)
+            ):
                 found.append(member)
     return found
 

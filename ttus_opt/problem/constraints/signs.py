@@ -105,8 +105,8 @@ def check_coefficient(largest: float) -> None:
 
 
 @dataclass(frozen=True)
-class DragLimit(Constraint):
-    """The drag field is at most μ_max times the field, on either side of the surface.
+class _Limited(Constraint):
+    """A constraint by the largest friction coefficient.
 
     Attributes:
         largest: μ_max [–].
@@ -114,12 +114,17 @@ class DragLimit(Constraint):
 
     largest: float = 1.0
 
-    name = "drag_limit"
-    formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
-
     def __post_init__(self) -> None:
         """Validate the coefficient μ_max."""
         check_coefficient(self.largest)
+
+
+@dataclass(frozen=True)
+class DragLimit(_Limited):
+    """The drag field is at most μ_max times the field, on either side of the skin."""
+
+    name = "drag_limit"
+    formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
 
     def rows(self) -> LinearRows:
         """μ_max p − q, at least 0 inside and at most 0 outside."""
@@ -133,21 +138,11 @@ class DragLimit(Constraint):
 
 
 @dataclass(frozen=True)
-class MeanFriction(Constraint):
-    """The mean friction coefficient lies in the range of the drag field's.
-
-    Attributes:
-        largest: μ_max [–].
-    """
-
-    largest: float = 1.0
+class MeanFriction(_Limited):
+    """The mean friction coefficient lies in the range of the drag field's."""
 
     name = "mean_friction"
     formula = "0 ≤ m ≤ μ_max"
-
-    def __post_init__(self) -> None:
-        """Refuse a μ_max that is not positive."""
-        check_coefficient(self.largest)
 
     def rows(self) -> Bounds:
         """Bounds on m."""

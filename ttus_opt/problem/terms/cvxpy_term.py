@@ -70,6 +70,8 @@ class CvxpyRows(Term):
     label: str = field(kw_only=True)
     expression: Callable[..., Any] = field(kw_only=True, repr=False)
 
+    penalty = Linear()  # of the canonical objective
+
     @property
     def name(self) -> str:
         """Its name."""
@@ -85,11 +87,6 @@ class CvxpyRows(Term):
         """The expression as cvxpy prints it."""
         words = str(self._stated[0])
         return words if len(words) <= 60 else f"{words[:57]}…"
-
-    @property
-    def penalty(self) -> Linear:
-        """The canonical objective is linear."""
-        return Linear()
 
     def rows(self) -> AffineRows:
         """The canonical objective, one row c and the target −d."""

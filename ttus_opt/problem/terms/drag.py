@@ -229,10 +229,7 @@ class CoulombField(DragModel):
     largest: float = 1.0
     excluded: bool = False
 
-    @property
-    def formula(self) -> str:
-        """The formula F q."""
-        return "F q"
+    formula = "F q"
 
     def beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         """Implements `DragModel`."""
@@ -292,10 +289,7 @@ class Viscous(DragModel):
     bands: int = 1
     excluded: frozenset[int] = frozenset()
 
-    @property
-    def formula(self) -> str:
-        """The formula: columns of sliding velocities times c."""
-        return "v c"
+    formula = "v c"  # columns of sliding velocities times c
 
     @cached_property
     def rows(self) -> DragRows:

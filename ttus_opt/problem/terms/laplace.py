@@ -187,11 +187,7 @@ class SparseSourcesTerm(Term):
 
     name = "sparse_sources"
     formula = "Σ |L p − b| over free voxels"
-
-    @property
-    def penalty(self) -> Absolute:
-        """Absolute values."""
-        return Absolute()
+    penalty = Absolute()
 
     def rows(self) -> AffineRows:
         """Free rows of L and b."""
