@@ -269,14 +269,14 @@ def likely_mistake(
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
-    as_read = agreement(scene, prior, scene.trajectory.select(chosen))
-    before, bound = as_read.disagreement, CLEARLY * as_read.disagreement
+    before, torque_ratio = agreement(scene, prior, scene.trajectory.select(chosen))
+    bound = CLEARLY * before
     best: Mistake | None = None
     for what, mends, cause, reread in readings:
         # re-read as a whole: a delay needs neighbouring frames
-        other = agreement(scene, prior, reread.select(chosen))
-        if other.disagreement < bound:
-            bound = other.disagreement
+        after, _ = agreement(scene, prior, reread.select(chosen))
+        if after < bound:
+            bound = after
             best = Mistake(what, mends, before, bound, cause)
     moved = _about_another_point(scene, prior, written, conventions, chosen)
     if moved is not None and moved[1] < (bound if best is None else CLEARLY * bound):
@@ -285,13 +285,9 @@ def likely_mistake(
         x, y, z = (round(1e3 * v) for v in point)
         what = f"torques about ({x}, {y}, {z}) mm of the probe's frame"
         best = Mistake(what, reading.options, before, after, "torque_about")
-    elif (
-        best is None
-        and conventions.torque_unit == "Nm"
-        and as_read.torque_ratio > WRONG_UNIT
-    ):
+    elif best is None and conventions.torque_unit == "Nm" and torque_ratio > WRONG_UNIT:
         mends = replace(conventions, torque_unit="Nmm").options
-        what = f"torques in N mm, {as_read.torque_ratio:.0f} times those expected"
+        what = f"torques in N mm, {torque_ratio:.0f} times those expected"
         best = Mistake(what, mends, before, before, "torque_unit")
     return before, best
 
@@ -318,8 +314,7 @@ def _about_another_point(
     point = tuple((np.round(conventions.point(centroid) + c, 3) + 0.0).tolist())
     other = replace(conventions, torque_about=point)
     reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
-    agreed = agreement(scene, prior, reread.select(chosen))
-    return other, agreed.disagreement
+    return other, agreement(scene, prior, reread.select(chosen))[0]
 
 
 def _mean_size(vectors: Array) -> float:
@@ -330,27 +325,22 @@ def _mean_size(vectors: Array) -> float:
 LEAST_SINGULAR_VALUE = 0.1
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """S, and the ratio of measured torques to those of the Laplace field [–]."""
+def agreement(scene: Scene, prior: Array, frames: Trajectory) -> tuple[float, float]:
+    """S of some frames, and the ratio of measured to expected torques [–].
 
-    disagreement: float
-    torque_ratio: float
-
-
-def agreement(scene: Scene, prior: Array, frames: Trajectory) -> Agreement:
-    """S of some frames; `prior` is p₀, shape (V,)."""
+    `prior` is p₀, shape (V,).
+    """
     rows = scene.rows_along(frames)
     assert frames.force is not None
     expected = rows.N @ prior, rows.W @ prior
     s, force_left = _scaled(frames.force.reshape(-1), expected[0])
     if frames.torque is None:
-        return Agreement(force_left, 0.0)
+        return force_left, 0.0
     k, torque_left = _scaled(frames.torque.reshape(-1), expected[1])
     left = math.sqrt(force_left * torque_left)
     size, lever = map(np.linalg.norm, expected)
     told = s > 0.0 and lever > LEAST_LEVER * scene.shell.rms_radius * size
-    return Agreement(left, k / s if told else 0.0)
+    return left, k / s if told else 0.0
 
 
 def torque_offset(
