@@ -236,15 +236,15 @@ def test_a_tube_has_its_centre_wherever_it_was_seen_from(share):
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
     warns = pytest.warns(TtusWarning, match="which side is the front")
     with warns if share == 1.0 else contextlib.nullcontext():
-        found = frame_estimate._free_frame(
+        origin, upward, z = frame_estimate._free_frame(
             points @ R.T + t, normals @ R.T, None, stated=False
         )
-    np.testing.assert_allclose(found.origin, t, atol=1e-9)
-    assert abs(found.z @ R[:, 2]) > 1.0 - 1e-12
-    assert abs(found.upward @ found.z) < 1e-9
+    np.testing.assert_allclose(origin, t, atol=1e-9)
+    assert abs(z @ R[:, 2]) > 1.0 - 1e-12
+    assert abs(upward @ z) < 1e-9
     if share < 1.0:  # upward to the middle of what was seen
         seen = R @ [np.cos(share * np.pi), np.sin(share * np.pi), 0.0]
-        np.testing.assert_allclose(found.upward, seen, atol=1e-9)
+        np.testing.assert_allclose(upward, seen, atol=1e-9)
 
 
 def test_no_round_body_is_refused():
@@ -263,7 +263,7 @@ def test_on_a_plane_the_origin_is_half_way_up():
     up = R[:, 1]
     plane = SupportingPlane(up, offset, 0.005)
     cloud = points @ R.T + offset * up
-    found = frame_estimate._supported_frame(cloud, normals @ R.T, plane)
-    np.testing.assert_allclose(found.upward, up)
-    assert abs(found.z @ R[:, 2]) > 1.0 - 1e-12
-    np.testing.assert_allclose(found.origin, (offset + 0.075) * up, atol=1e-3)
+    origin, upward, z = frame_estimate._supported_frame(cloud, normals @ R.T, plane)
+    np.testing.assert_allclose(upward, up)
+    assert abs(z @ R[:, 2]) > 1.0 - 1e-12
+    np.testing.assert_allclose(origin, (offset + 0.075) * up, atol=1e-3)

@@ -18,8 +18,6 @@ head and, without a support, which side is the front.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -123,7 +121,7 @@ def estimate_frame(
         frame = _free_frame(points, normals, eye, stated=place is not None)
     else:
         frame = _supported_frame(points, normals, plane)
-    upward, z = frame.upward, frame.z
+    origin, upward, z = frame
     if towards is not None:
         z = z * sign_towards(z, towards)
     else:
@@ -132,7 +130,7 @@ def estimate_frame(
     if flip:
         z = -z
     y = -upward if prone else upward
-    return frame.origin, np.stack([np.cross(y, z), y, z], axis=1), plane
+    return origin, np.stack([np.cross(y, z), y, z], axis=1), plane
 
 
 def _thinned(points: Array) -> Array:
@@ -185,17 +183,10 @@ def _along(points: Array, normals: Array, candidates: Array, basis: Array) -> Ar
     return np.asarray(z)
 
 
-class _Lengthwise(NamedTuple):
-    """A frame whose z may be reversed; `upward` points away from the support."""
-
-    origin: Array
-    upward: Array
-    z: Array
-
-
 def _supported_frame(
     points: Array, normals: Array, plane: SupportingPlane
-) -> _Lengthwise:
+) -> tuple[Array, Array, Array]:
+    """Origin, direction away from the support, and z or its opposite, (3,) each."""
     up, basis = plane.normal, across(plane.normal)
     angle = np.arange(0.0, np.pi, np.radians(1.0))
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ basis
@@ -204,12 +195,13 @@ def _supported_frame(
     middle = [np.percentile(points @ a, [2, 98]).mean() for a in (side, z)]
     ridge = np.percentile(plane.height(points), 98)
     origin = (plane.offset + 0.5 * ridge) * up + middle[0] * side + middle[1] * z
-    return _Lengthwise(origin, up, z)
+    return origin, up, z
 
 
 def _free_frame(
     points: Array, normals: Array, camera: Array | None, *, stated: bool
-) -> _Lengthwise:
+) -> tuple[Array, Array, Array]:
+    """The same without a support: from the surface alone, or towards a camera."""
     z = _along(points, normals, sphere_lattice(8000)[:4000], np.eye(3))
     basis = across(z)
     section = points @ basis.T
@@ -233,9 +225,9 @@ def _free_frame(
         curved = float(seen @ (basis @ upward))
         believed = _ROUND[0] < radius < _ROUND[1]
         if believed and curved > 0.0:
-            return _Lengthwise(origin, upward, z)
+            return origin, upward, z
         if stated or not believed:
-            return _Lengthwise(_behind(points, upward, z), upward, z)
+            return _behind(points, upward, z), upward, z
         # it curves away from the scan's origin: the camera was elsewhere
     if all_around:
         _, vectors = np.linalg.eigh(np.cov(q.T))
@@ -244,7 +236,7 @@ def _free_frame(
     else:
         upward = seen @ basis
         upward /= np.linalg.norm(upward)
-    return _Lengthwise(origin, upward, z)
+    return origin, upward, z
 
 
 def _towards(camera: Array, points: Array, z: Array) -> Array | None:

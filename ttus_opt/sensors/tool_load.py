@@ -152,26 +152,30 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
         )
     ones = np.broadcast_to(np.eye(3), (len(u), 3, 3))
     by_force = np.concatenate([ones, u[:, :, None]], axis=2).reshape(-1, 4)
-    of_force = _least_squares(by_force, force.reshape(-1))
+    of_force, force_std, rest, force_residual = _least_squares(
+        by_force, force.reshape(-1)
+    )
     spans_all = bool(spread[2] >= LEAST_TILT)
     _check_axes(force, u, spans_all, sensor)
     crossing = -np.cross(np.eye(3)[None], u[:, None, :])  # h × u = −u × h
     by_torque = np.concatenate([ones, crossing], axis=2).reshape(-1, 6)
-    of_torque = _least_squares(by_torque, torque.reshape(-1))
-    mass, mass_std = float(of_force.values[3]), float(of_force.std[3])
-    moment, heavy = of_torque.values[3:], mass > TELLING * mass_std
+    of_torque, torque_std, _, torque_residual = _least_squares(
+        by_torque, torque.reshape(-1)
+    )
+    mass, mass_std = float(of_force[3]), float(force_std[3])
+    moment, heavy = of_torque[3:], mass > TELLING * mass_std
     centre = moment / mass if heavy else np.zeros(3)
-    centre_std = np.hypot(of_torque.std[3:], centre * mass_std) / mass
+    centre_std = np.hypot(torque_std[3:], centre * mass_std) / mass
     load = ToolLoad(
-        of_force.values[:3] if heavy else force.mean(axis=0),
-        of_torque.values[:3] if heavy else torque.mean(axis=0),
+        of_force[:3] if heavy else force.mean(axis=0),
+        of_torque[:3] if heavy else torque.mean(axis=0),
         mass if heavy else 0.0,
         centre,
         mass_std,
         centre_std if heavy else np.zeros(3),
-        of_force.residual,
-        of_torque.residual,
-        _drift(free, of_force.rest.reshape(-1, 3)),
+        force_residual,
+        torque_residual,
+        _drift(free, rest.reshape(-1, 3)),
         spans_all and heavy,
     )
     if not heavy:
@@ -182,22 +186,13 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
     return load
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A least-squares answer with standard errors, residuals and their deviation."""
-
-    values: Array
-    std: Array
-    rest: Array
-    residual: float
-
-
-def _least_squares(matrix: Array, target: Array) -> _Fitted:
+def _least_squares(matrix: Array, target: Array) -> tuple[Array, Array, Array, float]:
+    """An answer, its standard errors, and the residuals with their deviation."""
     values, *_ = np.linalg.lstsq(matrix, target, rcond=None)
     rest = target - matrix @ values
     residual = float(np.sqrt(rest @ rest / (len(target) - matrix.shape[1])))
     std = residual * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    return _Fitted(np.asarray(values), np.asarray(std), np.asarray(rest), residual)
+    return np.asarray(values), std, rest, residual
 
 
 def _check_axes(force: Array, u: Array, spans_all: bool, sensor: ForceSensor) -> None:
