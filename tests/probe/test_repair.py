@@ -77,16 +77,16 @@ def test_gaps_and_resets_begin_a_segment():
     time = np.r_[time, time]  # the clock was set back
     turn = np.tile([1.0, 0, 0, 0], (80, 1))
     raw = RawRecording("x", time, np.outer(np.arange(80), [1e-4, 0, 0]), turn)
-    found = repaired(raw)
-    assert len(found.recording) == 80
-    assert [int((found.recording.segment == s).sum()) for s in range(4)] == [20] * 4
-    assert found.done == ("split where the clock was set back (1)", "split at gaps (2)")
+    found, done = repaired(raw)
+    assert len(found) == 80
+    assert [int((found.segment == s).sum()) for s in range(4)] == [20] * 4
+    assert done == ("split where the clock was set back (1)", "split at gaps (2)")
 
 
 def test_a_sound_recording_is_left_alone(tmp_path):
     raw = RawRecording("x", 0.05 * np.arange(9.0), force=np.ones((9, 3)))
-    same = repaired(raw.replaced(force=np.arange(27.0).reshape(9, 3)))
-    assert same.done == ()
+    _, done = repaired(raw.replaced(force=np.arange(27.0).reshape(9, 3)))
+    assert done == ()
 
 
 def test_nothing_left_is_an_error():
@@ -110,7 +110,7 @@ def test_what_is_repaired_has_no_fault_that_repair_is_for(seed):
         time[i] = time[i - 1] - rng.choice([0.0, 0.07])
     quaternion[rng.integers(n)] *= rng.choice([1.0, 0.0, 3.0])
     try:
-        found = repaired(RawRecording("x", time, position, quaternion)).recording
+        found, _ = repaired(RawRecording("x", time, position, quaternion))
     except FileError:
         return
     assert not [fault for fault in faults(found) if fault.repairable]

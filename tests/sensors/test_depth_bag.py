@@ -75,7 +75,7 @@ def recorded(file, *, encoding="mono16", unit=True, camera=SMALL, aligned=False)
 
 def test_the_middle_frame_in_its_own_unit(tmp_path):
     file = recorded(tmp_path / "scan.bag")
-    found = read_depth(file).depth
+    found, _ = read_depth(file)
     expected = UNIT * depth(2)
     expected[3, 4] = np.nan
     np.testing.assert_allclose(found, expected, rtol=1e-6)
@@ -88,7 +88,7 @@ def test_the_middle_frame_in_its_own_unit(tmp_path):
 
 def test_millimetres_where_no_unit_is_stated(tmp_path):
     file = recorded(tmp_path / "scan.bag", encoding="16UC1", unit=False)
-    np.testing.assert_allclose(read_depth(file).depth[0, 0], 5.002)
+    np.testing.assert_allclose(read_depth(file)[0][0, 0], 5.002)
 
 
 def test_an_image_by_its_topic_and_time(tmp_path):

@@ -36,13 +36,13 @@ def whole(depth):
     ],
 )
 def test_whole_millimetres_and_metres(tmp_path, name, values):
-    found = read_depth(written(tmp_path, name, values)).depth
+    found, _ = read_depth(written(tmp_path, name, values))
     np.testing.assert_allclose(found, DEPTH, rtol=1e-6)
 
 
 def test_a_stated_unit(tmp_path):
     file = written(tmp_path, "a.npy", 1e3 * DEPTH)
-    np.testing.assert_allclose(read_depth(file, "mm").depth, DEPTH)
+    np.testing.assert_allclose(read_depth(file, "mm")[0], DEPTH)
     refuses(InputError, "unit='mm'", read_depth, file)
     refuses(InputError, "unit must be", read_depth, file, "inch")
 
@@ -50,12 +50,12 @@ def test_a_stated_unit(tmp_path):
 def test_where_nothing_was_measured(tmp_path):
     values = DEPTH.copy()
     values[0, :4] = [0.0, -1.0, np.inf, np.nan]
-    found = read_depth(written(tmp_path, "a.npy", values)).depth
+    found, _ = read_depth(written(tmp_path, "a.npy", values))
     assert np.isnan(found[0, :4]).all()
     assert np.isfinite(found).sum() == DEPTH.size - 5
     counts = whole(DEPTH)
     counts[0, 0] = 65535  # saturated
-    assert np.isnan(read_depth(written(tmp_path, "a.png", counts)).depth[0, 0])
+    assert np.isnan(read_depth(written(tmp_path, "a.png", counts))[0][0, 0])
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ def test_a_stated_frame_and_a_table_of_rays(recording):
     time = np.arange(3.0)
     poses = Trajectory(time, np.tile(at, (3, 1)), np.tile(held, (3, 1, 1)))
     poses.save(recording / "sternum.csv", digits=9)
-    shape = read_depth(recording / "depth_0.png").depth.shape
+    shape = read_depth(recording / "depth_0.png")[0].shape
     camera = read_intrinsics(recording / "camera.json")
     rays = Unprojection.from_intrinsics(camera, (shape[0], shape[1])).rays
     np.save(recording / "rays.npy", rays)

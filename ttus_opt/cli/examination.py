@@ -247,7 +247,7 @@ def _depth(file: Path, asked: Asked) -> Found:
     from ttus_opt.sensors.depth_files import PictureError, read_depth
 
     try:
-        lines, facts = _depth_facts(read_depth(file, asked.unit).depth)
+        lines, facts = _depth_facts(read_depth(file, asked.unit)[0])
     except PictureError:
         if file.suffix.lower() == ".npy":
             raise

@@ -7,8 +7,6 @@ taken and no wrench interpolated over a split. Nothing is made up.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ttus_opt.core.arrays import Mask
@@ -26,20 +24,8 @@ RESET = 1.0
 LEAST_FRAMES = 3
 
 
-class Repaired(NamedTuple):
-    """A repaired recording.
-
-    Attributes:
-        recording: What is left.
-        done: What was done, a phrase each; empty where nothing was.
-    """
-
-    recording: RawRecording
-    done: tuple[str, ...]
-
-
-def repaired(raw: RawRecording) -> Repaired:
-    """The recording without its holes.
+def repaired(raw: RawRecording) -> tuple[RawRecording, tuple[str, ...]]:
+    """The recording without its holes, and what was done, a phrase each.
 
     Args:
         raw: As read.
@@ -71,7 +57,7 @@ def repaired(raw: RawRecording) -> Repaired:
         runs = [np.full(p.stop - p.start, p.stop - p.start) for p in parts(raw.segment)]
         long = np.concatenate(runs) >= LEAST_FRAMES
         raw = kept(raw, long, "alone between two splits")
-    return Repaired(raw, tuple(done))
+    return raw, tuple(done)
 
 
 def repaired_aloud(raw: RawRecording) -> RawRecording:
@@ -80,10 +66,10 @@ def repaired_aloud(raw: RawRecording) -> RawRecording:
     Raises:
         FileError: Nothing is left.
     """
-    found = repaired(raw)
-    if found.done:
-        warn(f"{raw.title}: {', '.join(found.done)}", 2)
-    return found.recording
+    mended, done = repaired(raw)
+    if done:
+        warn(f"{raw.title}: {', '.join(done)}", 2)
+    return mended
 
 
 def _split(raw: RawRecording, at: Mask, where: str, done: list[str]) -> RawRecording:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,26 +38,13 @@ class PictureError(FileError):
     """An image whose pixels are colours or grey values, not depths."""
 
 
-class DepthFrame(NamedTuple):
-    """Depths of a file.
-
-    Attributes:
-        depth: Shape (height, width) [m]; NaN where not measured: 0, negative, not
-            finite, or the largest number of an integer type.
-        frame: Which image of a recording; None for an image alone.
-    """
-
-    depth: Array
-    frame: Frame | None
-
-
 def read_depth(
     path: str | os.PathLike[str],
     unit: str | None = None,
     *,
     topic: str | None = None,
     at: float | None = None,
-) -> DepthFrame:
+) -> tuple[Array, Frame | None]:
     """The depths of an image, and which it is.
 
     Args:
@@ -67,6 +54,11 @@ def read_depth(
             metres for fractions.
         topic: Of a recording, as in `read_bag_depth`.
         at: Of a recording, as in `read_bag_depth` [s].
+
+    Returns:
+        Depths, NaN where not measured (0, negative, not finite, or the largest number
+        of an integer type), shape (height, width) [m]; and which image of a recording,
+        None for an image alone.
 
     Raises:
         FileError: Missing, damaged, not a depth image, or a recording of several
@@ -79,7 +71,7 @@ def read_depth(
     if Path(path).suffix.lower() == SUFFIX:
         file = io.existing_file(path, "recording")
         pixels, frame = read_bag_depth(file, topic, at)
-        return DepthFrame(_in_metres(file, pixels, frame.unit), frame)
+        return _in_metres(file, pixels, frame.unit), frame
     if topic is not None or at is not None:
         raise InputError(f"{path} is an image alone: leave name= and at= out")
     file = io.existing_file(path, "depth image", LARGEST_FILE)
@@ -89,7 +81,7 @@ def read_depth(
     _check_kind(file, values)
     whole = values.dtype.kind in "iu"
     scale = UNITS[unit or ("mm" if whole else "m")]
-    return DepthFrame(_in_metres(file, values, scale), None)
+    return _in_metres(file, values, scale), None
 
 
 def _in_metres(file: Path, values: NDArray[Any], scale: float) -> Array:

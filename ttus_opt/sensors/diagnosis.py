@@ -162,7 +162,7 @@ def diagnosis(raw: RawRecording) -> Diagnosis:
         "" if raw.force is None else "forces" if raw.torque is None else "wrenches",
     ]
     try:
-        repair = repaired(raw).done
+        _, repair = repaired(raw)
     except OSError as error:
         repair = (str(error),)
     span = float(np.ptp(sound.time)) if len(sound) else 0.0
