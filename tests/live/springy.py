@@ -15,7 +15,7 @@ from ttus_opt.live.subject import Hand
 from ttus_opt.message import decode, encode
 
 RADIUS, BALL = 0.10, 0.02
-PLAN = ModelPlan((12, 24, 12), 0.04, tt.terms.DepthProfile((1.3,), (2.0,)))
+PLAN = ModelPlan((12, 24, 12), 0.04, tt.terms.DepthProfile((1.3,), (5.0,)))
 
 
 class Spring:

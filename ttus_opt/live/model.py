@@ -19,6 +19,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 from ttus_opt.fitting.recursion.depth_lattice import DEPTHS
 from ttus_opt.fitting.recursion.recursive_depth_map import (
+    DEVIATION,
     DepthMapState,
     Folded,
     RecursiveDepthMap,
@@ -33,8 +34,9 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: Longest time between samples whose difference is a velocity [s]
 LONGEST_STEP = 0.2
 
-#: A usual law of soft tissue below a probe, where nothing is known: 2 N/cm² at 10 mm
-USUAL_LAW = DepthProfile((1.3,), (2.0,))
+#: A usual law of soft tissue below a probe, where nothing is known: 5 N/cm² at 10 mm
+#: below a contact 10 mm long, as three simulated torsos have 4.2 to 6.1
+USUAL_LAW = DepthProfile((1.3,), (5.0,))
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class ModelPlan:
     shape: tuple[int, int, int] = (24, 72, 30)
     r_inner: float = 0.03
     law: DepthProfile = USUAL_LAW
-    deviation: float = 0.4
+    deviation: float = DEVIATION
     memory: float = 600.0
 
 

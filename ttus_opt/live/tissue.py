@@ -16,6 +16,7 @@ from ttus_opt import example
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import GeometryError
+from ttus_opt.fitting.recursion.recursive_depth_map import usual_sampling
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import CoulombDrag, Motion, press
@@ -28,7 +29,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Law of the torso's mean force below the example's probe, as a fit of its recordings
 #: gives it: what a prior's error is counted from
-TORSO_LAW = DepthProfile((1.1,), (1.5,))
+TORSO_LAW = DepthProfile((1.2,), (6.0,))
 
 #: Of tissue below any skin: voxels, finer than those of a live model; how much its
 #: stiffness varies about the law [–], in waves of this length [m]
@@ -100,7 +101,7 @@ class FieldTissue:
         values = voxmap.grid.unflatten(TORSO_LAW(voxel_depths(voxmap)))
         stated = {FRICTION: friction} if friction > 0.0 else {}
         share = 1.0 + VARIES * waves
-        field = PotentialField(voxmap, share * values, "trilinear", stated, {})
+        field = PotentialField(voxmap, share * values, usual_sampling(shell), stated, {})
         return cls(field, shell)
 
     def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:
