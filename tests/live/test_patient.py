@@ -53,7 +53,7 @@ def test_refuses_what_cannot_teach(press):
 
 @pytest.mark.slow
 def test_what_is_felt_was_learned_from_the_recording(press):
-    who, content = example_subject(), prepared(1.6, USUAL_LAW)
+    who, content = example_subject(), prepared(2.0, USUAL_LAW)
     follower, shell = Follower(3, who.surface, content), who.shell
     safety = follower.peer.safety
     patient = RecordedPatient(press, lambda: safety.state is State.NORMAL)

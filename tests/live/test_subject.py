@@ -52,10 +52,13 @@ def test_below_a_sphere_tissue_follows_its_law(cylinder):
             at = (RADIUS + 0.01 - depth) * along + [0.0, 0.0, height]
             force = tissue.wrench(np.eye(3), at, np.zeros(3))[:3]
             felt.append(force @ along)
-    # pressure over the cap's projection: ∫ φ(sunk) 2πr dr, in N/cm² and cm²
+    # pressure over the cap's projection: ∫ φ(sunk) 2πr dr, in N/cm² and cm², by the size
     r = (np.arange(4000) + 0.5) / 4000 * 0.01
     sunk = depth - (0.01 - np.sqrt(0.01**2 - r**2)) - r**2 / (4.0 * RADIUS)
-    whole = np.sum(TORSO_LAW(np.maximum(sunk, 0.0)) * 2.0 * np.pi * r) * 0.01 / 4000
+    sunk = np.maximum(sunk, 0.0)
+    spread = np.sum(sunk * r**3) / np.sum(sunk * r)
+    size = 0.01 / np.sqrt(ball.rms_radius**2 + 12.0 * spread)
+    whole = size * np.sum(TORSO_LAW(sunk) * 2.0 * np.pi * r) * 0.01 / 4000
     assert np.mean(felt) == pytest.approx(1e4 * whole, rel=0.05)
     # stiffer here, softer there; the ball feels means over its width
     assert 0.7 < np.ptp(felt) / np.mean(felt) / (2.0 * VARIES) < 1.0

@@ -169,8 +169,8 @@ class Follower:
             self._obey(passed)
         else:
             self._retract(passed, force)
+        self.peer.announce(now, send)  # before what tells of a STOP without its cause
         self._report(now, sensed, usable, send)
-        self.peer.announce(now, send)
         rotation, position = self._target
         position = position + self._skin
         return FollowerStep(tuple(send), rotation, position, state, safety.cause)

@@ -184,12 +184,13 @@ class Operator:
                 self._learn(sample)
             self._unlearned = []
             self._refresh(now)
-        if not is_pose(rotation, position):
+        usable = is_pose(rotation, position)
+        if not usable:
             safety.stop("the hand's pose is not a pose")
-        else:
+        self.peer.announce(now, send)  # before what tells of a STOP without its cause
+        if usable:
             self._report(now, rotation, position, send)
         self._state = safety.state
-        self.peer.announce(now, send)
         return tuple(send)
 
     def feel(self, now: float, rotation: Array, position: Array) -> Array:
