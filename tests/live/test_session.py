@@ -16,6 +16,7 @@ from ttus_opt.live.impairment import Impairment
 from ttus_opt.live.messages import (
     MOST_TICKS,
     TICKS,
+    VERSION,
     Hello,
     Sample,
     StateReport,
@@ -319,13 +320,13 @@ def test_packets_of_a_process_that_was_replaced_are_ignored():
     old, new, last, one = Peer(5), Peer(6), Peer(4), Peer(1)
     order = (old, True), (new, True), (old, False), (last, True), (new, False)
     for sender, counts in order:
-        data = sender.pack(0.0, Hello(1)).data
+        data = sender.pack(0.0, Hello(VERSION)).data
         assert (one.receive(0.0, data) is not None) is counts
 
 
 def test_a_packet_counts_once_however_often_it_arrives():
     sender, one = Peer(5), Peer(1)
-    data = sender.pack(0.0, Hello(1)).data
+    data = sender.pack(0.0, Hello(VERSION)).data
     assert one.receive(0.0, data) is not None
     assert one.receive(0.1, data) is None
     # what was heard is not renewed by a replay
@@ -381,7 +382,8 @@ def test_a_session_goes_on_when_the_32_bits_of_its_clocks_are_full():
 
 
 @pytest.mark.parametrize(
-    ("hello", "said"), [(Hello(2), "version 2"), (Hello(1, units="mm"), "units mm")]
+    ("hello", "said"),
+    [(Hello(3), "version 3"), (Hello(VERSION, units="mm"), "units mm")],
 )
 def test_another_version_or_unit_is_refused(hello, said):
     surface, _, content = parts()

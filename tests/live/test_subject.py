@@ -52,7 +52,7 @@ def test_below_a_sphere_tissue_follows_its_law(cylinder):
             at = (RADIUS + 0.01 - depth) * along + [0.0, 0.0, height]
             force = tissue.wrench(np.eye(3), at, np.zeros(3))[:3]
             felt.append(force @ along)
-    # pressure over the cap's projection: ∫ φ(sunk) 2πr dr, in N/cm² and cm², by the size
+    # pressure over the cap's projection: ∫ φ(sunk) 2πr dr, by the size; N/cm², cm²
     r = (np.arange(4000) + 0.5) / 4000 * 0.01
     sunk = depth - (0.01 - np.sqrt(0.01**2 - r**2)) - r**2 / (4.0 * RADIUS)
     sunk = np.maximum(sunk, 0.0)

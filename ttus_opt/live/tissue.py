@@ -101,7 +101,9 @@ class FieldTissue:
         values = voxmap.grid.unflatten(TORSO_LAW(voxel_depths(voxmap)))
         stated = {FRICTION: friction} if friction > 0.0 else {}
         share = 1.0 + VARIES * waves
-        field = PotentialField(voxmap, share * values, usual_sampling(shell), stated, {})
+        field = PotentialField(
+            voxmap, share * values, usual_sampling(shell), stated, {}
+        )
         return cls(field, shell)
 
     def wrench(self, rotation: Array, position: Array, velocity: Array) -> Array:

@@ -95,7 +95,7 @@ def test_a_wrong_prior_becomes_right(patient, shell, factor):
     [("press_fit", "press_test", 0.12), ("sweep_fit", "press_test", 0.3)],
 )
 def test_predicts_what_was_not_pressed(patient, shell, fitted, unseen, most):
-    """The fit in one piece has 0.08 and 0.14 N; without the contact's size 0.20, 0.44."""
+    """All at once err by 0.08 and 0.14 N; without the contact's size 0.20, 0.44."""
     model = fold(RecursiveDepthMap(patient, shell, PRIOR), recording(fitted), stride=2)
     assert error(model, shell, unseen) < most
 
