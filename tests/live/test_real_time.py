@@ -54,7 +54,7 @@ class Led:
         if self.left < 0:
             raise KeyboardInterrupt
         pressed = np.eye(3), np.array([RADIUS + BALL - 0.02, 0.0, 0.15])
-        sent = self.operator.step(now, tuple(self.arrived), *pressed)
+        sent = self.operator.step(now, tuple(self.arrived), *pressed).send
         self.arrived.clear()
         return [one.data for one in sent]
 

@@ -296,7 +296,7 @@ def survives_a_new_operator(links):
             there.send(now, step.send)
             target = step.rotation, step.position
             pose = hand.rotation, hand.position
-            here.send(now, operator.step(now, here.receive(now), *pose))
+            here.send(now, operator.step(now, here.receive(now), *pose).send)
             operator.feel(now, *pose)
             met = operator.peer.safety.state is step.state is State.NORMAL
             time.sleep(0.002)

@@ -102,6 +102,21 @@ GREET, UPDATE, UNCERTAIN = 0.2, 0.05, 0.5
 WINDOW = REMEMBERED + MOST_SAMPLES
 
 
+@dataclass(frozen=True)
+class OperatorStep:
+    """What a step asks for.
+
+    Attributes:
+        send: Packets.
+        state: State of this side.
+        cause: Why it is not NORMAL.
+    """
+
+    send: tuple[Outgoing, ...]
+    state: State
+    cause: str
+
+
 class Operator:
     """The hand's side of a session.
 
@@ -160,8 +175,8 @@ class Operator:
 
     def step(
         self, now: float, packets: Sequence[bytes], rotation: Array, position: Array
-    ) -> tuple[Outgoing, ...]:
-        """Take what arrived and where the hand is; what is to be sent.
+    ) -> OperatorStep:
+        """Take what arrived and where the hand is.
 
         Args:
             now: This side's clock, which never goes back [s].
@@ -191,7 +206,7 @@ class Operator:
         if usable:
             self._report(now, rotation, position, send)
         self._state = safety.state
-        return tuple(send)
+        return OperatorStep(tuple(send), safety.state, safety.cause)
 
     def feel(self, now: float, rotation: Array, position: Array) -> Array:
         """Wrench on the hand, shape (6,) [N, N·m].

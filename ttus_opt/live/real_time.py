@@ -285,11 +285,12 @@ def run_operator(
         if record is not None:
             felt = loop.new_frames() if isinstance(loop, HapticLoop) else None
             record(OperatorFrame(now, pose, packets, felt, operator.newest))
-        link.send(now, operator.step(now, packets, *pose))
+        step = operator.step(now, packets, *pose)
+        link.send(now, step.send)
         if isinstance(loop, HapticLoop):
             model = operator.model
             friction = 0.0 if model is None else model.learner.friction
-            loop.tell(friction, operator.peer.safety.state)
+            loop.tell(friction, step.state)
             operator.feel(now, *pose)
         seen.look()
         if show is not None and now - shown >= SHOW:

@@ -95,7 +95,7 @@ class Simulation:
         hand, operator = self.hand, self.operator
         packets = tuple(self.back.receive(now))
         pose = hand.rotation, hand.position.copy()
-        self.there.send(now, operator.step(now, packets, *pose))
+        self.there.send(now, operator.step(now, packets, *pose).send)
         felt = operator.feel(now, *pose).copy()
         hand.step(now, felt, HAPTIC)
         assert self.sensed is not None
