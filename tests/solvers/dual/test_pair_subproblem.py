@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from scipy.linalg import lstsq
 
 from tests.kit import dragged_scene, with_wrenches
@@ -82,7 +81,7 @@ def dense_answer(of, active):
     soft = rows.compliance > 0.0
     root = np.full(n, 1e4)
     root[soft] = 1.0 / np.sqrt(rows.compliance[soft])
-    L = sp.block_diag([rows.L, rows.L]).toarray()
+    L = rows.L.toarray()
     M = np.vstack(
         [root[:, None] * (L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
     )
@@ -125,7 +124,7 @@ def test_the_best_beside_two_fields_is_that_of_least_squares():
     x = np.random.default_rng(4).normal(size=len(rows.b))
     soft = rows.compliance > 0.0
     root = 1.0 / np.sqrt(rows.compliance[soft])
-    L = sp.block_diag([rows.L, rows.L], format="csr")
+    L = rows.L
     E = np.concatenate([root * rows.column[soft], rows.measured_column])
     misfit = np.concatenate(
         [root * (rows.b - L @ x)[soft], rows.t - rows.root_weights * (rows.rows @ x)]

@@ -108,8 +108,8 @@ class FieldPair(LimitedProblem):
         first, laplace = program.laplace_term, program.laplace
         assert first is not None
         V = len(laplace.free)
-        L = laplace.L
-        data = L.data * np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
+        one = sp.diags_array(units[:V])
+        L = sp.csr_array(one @ laplace.L @ one)
         compliance = np.ones(2 * V)
         compliance[V:] = first.weight / prior.weight / units[V:] ** 2
         beside = np.zeros(program.n_variables)
@@ -124,7 +124,7 @@ class FieldPair(LimitedProblem):
         matrix, root = stacked.matrix, stacked.root
         return PairRows(
             laplace,
-            sp.csr_array((data, L.indices, L.indptr), shape=L.shape),
+            sp.csr_array(sp.block_diag((L, L), format="csr")),
             compliance,
             b,
             column,

@@ -14,13 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.core.arrays import Array, IntArray, Mask
+from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.laplace.multigrid import Multigrid
 from ttus_opt.laplace.system import BlockSystem, LaplaceSystem
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -38,7 +36,7 @@ class PairRows:
 
     Attributes:
         laplace: The system of one field.
-        L: The operator of either field in its units, shape (V, V).
+        L: The operator of both fields in their units, block-diagonal, (2V, 2V).
         compliance: ω, 0 where a row must hold exactly, shape (2V,).
         b: Right-hand side, shape (2V,).
         column: B, column of an unknown c beside the fields, shape (2V,).
@@ -66,14 +64,6 @@ class PairRows:
         pattern = np.ones(self.L.nnz, dtype=np.int8), self.L.indices, self.L.indptr
         return sp.csr_array(pattern, shape=self.L.shape)
 
-    def rows_of_both(self, at: IntArray) -> sp.csr_array:
-        """Rows ``at``, (k,) below 2V, of the L of both fields, shape (k, 2V)."""
-        V = self.L.shape[0]
-        own = self.L[at % V]
-        start = np.where(at < V, 0, V).astype(own.indices.dtype)
-        columns = own.indices + np.repeat(start, np.diff(own.indptr))
-        return sp.csr_array((own.data, columns, own.indptr), shape=(len(at), 2 * V))
-
     def parameter(self, x: Array) -> float:
         """The optimal c within its bounds for given fields, (2V,)."""
         return self.parameter_and_slope(x)[0]
@@ -85,7 +75,7 @@ class PairRows:
         column = np.concatenate([root * self.column[soft], self.measured_column])
         misfit = np.concatenate(
             [
-                root * (self.b - of_both(self.L, x))[soft],
+                root * (self.b - self.L @ x)[soft],
                 self.t - self.root_weights * (self.rows @ x),
             ]
         )
@@ -93,11 +83,6 @@ class PairRows:
         best = along / square if square > 0.0 else 0.0
         c = float(np.clip(best, *self.bounds))
         return c, (c - best) * square
-
-
-def of_both(matrix: sp.csr_array, values: NDArray[Any]) -> NDArray[Any]:
-    """A matrix (V, V) times each of two fields, shape (2V,)."""
-    return np.concatenate([matrix @ half for half in np.split(values, 2)])
 
 
 class PairSubproblem:
@@ -120,10 +105,10 @@ class PairSubproblem:
         unknowns = Blocks.of(every, limits, active)
         self._whole, self._unknowns = whole, unknowns
         own = unknowns.own
-        rest = whole.b - of_both(whole.L, unknowns.offset)
+        rest = whole.b - whole.L @ unknowns.offset
         left = ~own & (whole.compliance > 0.0)
         at = np.flatnonzero(left)
-        L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
+        L = sp.csr_array(whole.L[at] @ unknowns.expansion)
         moved = np.diff(L.indptr) > 0
         left[at] = ~moved
         alone = self._alone(whole, rest, left)
@@ -177,9 +162,9 @@ def _laplace(whole: PairRows, unknowns: Blocks) -> BlockSystem:
     free = np.tile(one.free, 2) & unknowns.own
     radii = np.tile(one.radii, 2)
     # rows of free entries next to entries that are not free
-    near = of_both(whole.neighbours, (~free).astype(np.int8)) > 0
+    near = whole.neighbours @ (~free).astype(np.int8) > 0
     at = np.flatnonzero(free & near)
-    L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
+    L = sp.csr_array(whole.L[at] @ unknowns.expansion)
     row = np.repeat(at, np.diff(L.indptr))
     inward = ~free[L.indices]
     across = ~inward & (row >= V) & (L.indices < V)

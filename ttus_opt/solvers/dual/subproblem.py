@@ -223,7 +223,9 @@ def reduced(
 
     sums, radii = _sums(laplace, blocks, own, pooled)
     at_fixed = moving & fixed[blocks.unknown]
-    inward = sp.csr_array(sums @ _of_columns(laplace.L, at_fixed) @ expansion)
+    to_fixed = sp.csr_array(laplace.L @ sp.diags_array(at_fixed.astype(float)))
+    to_fixed.eliminate_zeros()
+    inward = sp.csr_array(sums @ to_fixed @ expansion)
     inward.eliminate_zeros()
     coupling = inward, sp.csr_array(inward.T)
     grid, links = laplace.operator_grid, pooled & active.links
@@ -253,15 +255,6 @@ def _selection(rows: Mask, columns: IntArray) -> sp.csr_array:
     indptr = np.concatenate([[0], np.cumsum(rows)])
     entries = np.ones(indptr[-1]), columns[rows], indptr
     return sp.csr_array(entries, shape=(len(rows), len(rows)))
-
-
-def _of_columns(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
-    """The matrix with the entries of other columns set to zero."""
-    own = kept[matrix.indices]
-    indptr = np.concatenate([[0], np.cumsum(own)])[matrix.indptr]
-    return sp.csr_array(
-        (matrix.data[own], matrix.indices[own], indptr), shape=matrix.shape
-    )
 
 
 def _sums(

@@ -14,26 +14,18 @@ Algorithm in Convex Programming (1976).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.terms.penalties import Slope, Squares
+from ttus_opt.problem.terms.penalties import Penalty, Slope, Squares
 from ttus_opt.problem.terms.structure import LaplaceRows
 from ttus_opt.solvers.conjugate_gradients import inner_product
 
 #: σ over the weight of a smooth penalty; the difference to σ → ∞ is below rounding
 EXACT = 1e15
-
-
-class Law(Protocol):
-    """A penalty, or the indicator of limits, by its resolvent."""
-
-    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """As `ttus_opt.problem.terms.penalties.Penalty.resolvent`."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ class Between:
     upper: Array
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """The excess of v over step · [lower, upper]."""
+        """As `Penalty.resolvent`: the excess of v over step · [lower, upper]."""
         outside = (v < step * self.lower) | (v > step * self.upper)
         g = np.where(outside, v - np.clip(v, step * self.lower, step * self.upper), 0.0)
         return g, Slope(outside.astype(float))
@@ -77,7 +69,7 @@ class PenalisedRows:
         matrix: sp.csr_array,
         target: Array,
         weight: float,
-        law: Law,
+        law: Penalty | Between,
         exact: bool = False,
     ) -> None:
         self.name, self.matrix, self.target = name, matrix, target
