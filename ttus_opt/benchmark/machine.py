@@ -11,6 +11,7 @@ import platform
 import resource
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -61,6 +62,17 @@ def end_this_first() -> None:
     """Ask the system to end this process before others when memory runs out."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+def timed(work: Callable[[], object], count: int) -> list[float]:
+    """Wall time of every call of so many [s]."""
+    taken = []
+    for _ in range(count):
+        start = time.perf_counter()
+        made = work()
+        taken.append(time.perf_counter() - start)
+        del made  # its end is not timed
+    return taken
 
 
 #: Packages whose version affects a measurement

@@ -117,15 +117,6 @@ WARM_UP = 20.0
 NONZERO = 1e-6
 
 
-def label(formulation: str) -> str:
-    """A formulation's name without folder and suffix.
-
-    >>> label("folder/mine.py")
-    'mine'
-    """
-    return formulation.replace("\\", "/").rsplit("/", 1)[-1].split(".py")[0]
-
-
 @dataclass
 class _Solves:
     """First solution, last one with other values, and times of all repetitions [s]."""
@@ -237,8 +228,8 @@ def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:
         "iterations": solution.iterations,
     }
     if solution.verified_field is not None and solution.candidate is not None:
-        formulation, solver = label(spec.options["formulation"]), spec.options["solver"]
-        names = spec.case_name, formulation, solver
+        formulation = Path(spec.options["formulation"]).stem
+        names = spec.case_name, formulation, spec.options["solver"]
         row["field_file"] = f"{'-'.join(names)}-{spec.key[-12:]}.npy"
         np.save(begin.keep(f"{FIELDS}/{row['field_file']}"), solution.variables["p"])
         row["active_limits"] = active_limits(

@@ -247,10 +247,10 @@ def _export(suite: Suite, folder: Path) -> None:
     """Write the solvers' problems, each once."""
     from ttus_opt.benchmark.export import export_program
     from ttus_opt.benchmark.parts.base import SOLVERS
-    from ttus_opt.benchmark.solver_run import declared, label
+    from ttus_opt.benchmark.solver_run import declared
 
     runs = {
-        f"{spec.case_name}_{label(spec.options['formulation'])}": spec
+        f"{spec.case_name}_{Path(spec.options['formulation']).stem}": spec
         for spec in suite.plan
         if spec.part == SOLVERS
     }

@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 
 from tests.benchmark.parts.quick import TINY
-from ttus_opt.benchmark.parts import assembly
+from ttus_opt.benchmark import machine
 from ttus_opt.benchmark.parts.assembly import BOUNDARY, AssemblyPart, _measured, _timed
 from ttus_opt.benchmark.parts.base import SHELL_POINTS
 from ttus_opt.contact.rows import Sampling
@@ -16,7 +16,7 @@ from ttus_opt.contact.rows import Sampling
 def test_memory_is_that_of_the_first_call_and_seconds_the_median(monkeypatch):
     clock = iter([0.0, 9.0, 10.0, 12.0, 20.0, 21.0])  # 9, 2 and 1 s
     own = SimpleNamespace(perf_counter=clock.__next__)  # of no other thread
-    monkeypatch.setattr(assembly, "time", own)
+    monkeypatch.setattr(machine, "time", own)
     calls = []
 
     def make():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import statistics
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar, get_args
@@ -88,14 +87,9 @@ def _timed(make: Callable[[], object], repeats: int) -> Row:
     machine.trim()
     before = machine.resident_bytes()
     machine.reset_peak()
-    taken, peak = [], 0
-    for _ in range(repeats):
-        start = time.perf_counter()
-        made = make()
-        taken.append(time.perf_counter() - start)
-        del made
-        # later calls reuse freed pages
-        peak = peak or machine.peak_bytes()
+    taken = machine.timed(make, 1)
+    peak = machine.peak_bytes()  # later calls reuse freed pages
+    taken += machine.timed(make, repeats - 1)
     return {
         "seconds": statistics.median(taken),
         "peak_memory_bytes": peak,

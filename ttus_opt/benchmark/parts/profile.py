@@ -14,7 +14,7 @@ import cProfile
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import CodeType
 
@@ -22,7 +22,7 @@ import numpy as np
 
 import ttus_opt
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.machine import Progress
+from ttus_opt.benchmark.machine import Progress, timed
 from ttus_opt.benchmark.parts.base import Column, Part
 from ttus_opt.benchmark.row import MEASURED, WEIGHTS, Row, RunSpec
 from ttus_opt.benchmark.summary import seconds
@@ -83,14 +83,14 @@ def roofline(laplace: LaplaceSystem) -> Row:
     voxels = np.flatnonzero(laplace.free)
     one.b[one.places(voxels)] = b[voxels]
     source, target = np.ones(level // 8), np.empty(level // 8)
-    solving = _seconds(lambda: multigrid.solve(b, rtol=RTOL), SOLVES)
-    copying = _seconds(lambda: np.copyto(target, source), COPIES)
+    solving = timed(lambda: multigrid.solve(b, rtol=RTOL), SOLVES)
+    copying = timed(lambda: np.copyto(target, source), COPIES)
     return {
         "bytes_level": level,
         "bytes_cycle": cycle,
         "bytes_solve": cycles * (cycle + GRADIENTS * level // 2) + rounds * refinement,
         "cycles": cycles,
-        "seconds_cycle": statistics.median(_seconds(one.run, CYCLES)),
+        "seconds_cycle": statistics.median(timed(one.run, CYCLES)),
         "seconds_solve": statistics.median(solving),
         "bandwidth": 2.0 * source.nbytes / min(copying),
     }
@@ -124,15 +124,6 @@ def summary(row: Row) -> list[Block]:
         ),
         Table(header, body),
     ]
-
-
-def _seconds(work: Callable[[], object], count: int) -> list[float]:
-    taken = []
-    for _ in range(count):
-        start = time.perf_counter()
-        work()
-        taken.append(time.perf_counter() - start)
-    return taken
 
 
 #: Least fraction of the fit's time for a function to be listed [–]

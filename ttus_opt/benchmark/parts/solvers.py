@@ -32,7 +32,6 @@ from ttus_opt.benchmark.row import (
 from ttus_opt.benchmark.solver_run import (
     FIELDS,
     NONZERO,
-    label,
     measured,
     options_of,
     solver_of,
@@ -184,7 +183,7 @@ class SolversPart(Part):
         return {
             "key": spec.key,
             "case": case.name,
-            "formulation": label(spec.options["formulation"]),
+            "formulation": Path(spec.options["formulation"]).stem,
             "solver": spec.options["solver"],
             "status": status,
             "voxels": case.n_voxels,
