@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from ttus_opt.live.pacing import HEADER, NUMBERS, Pacing
-
-WINDOW, MOST = 4400, 125.0
+from ttus_opt.live.pacing import HEADER, MOST, NUMBERS, WINDOW, Pacing
 
 
 def exchange(delay, loss=0.0, seconds=5.0, size=120):
     """Both send whenever they may, every millisecond; (sent, bytes), arrived."""
-    rng, sides = np.random.default_rng(0), [Pacing(WINDOW, MOST) for _ in range(2)]
+    rng, sides = np.random.default_rng(0), [Pacing() for _ in range(2)]
     ways, sent, arrived = ([], []), ([], []), ([], [])
     for now in np.arange(0.0, seconds, 1e-3):
         for k, side in enumerate(sides):
@@ -47,7 +45,7 @@ def test_packets_arrive_whole():
 
 
 def test_numbers_begin_again():
-    here, there = Pacing(WINDOW, MOST), Pacing(WINDOW, MOST)
+    here, there = Pacing(), Pacing()
     for k in range(NUMBERS + 10):
         there.unwrap(0.01 * k, here.wrap(0.01 * k, b"x"))
     here.unwrap(0.01 * k + 0.3, there.wrap(0.0, b"y"))
@@ -55,7 +53,7 @@ def test_numbers_begin_again():
 
 
 def test_a_late_packet_takes_nothing_back():
-    here, there = Pacing(WINDOW, MOST), Pacing(WINDOW, MOST)
+    here, there = Pacing(), Pacing()
     first, second = here.wrap(0.0, b"a"), here.wrap(0.1, b"b")
     for packet in (second, first):
         there.unwrap(0.2, packet)
@@ -64,4 +62,4 @@ def test_a_late_packet_takes_nothing_back():
 
 
 def test_what_has_no_header_is_empty():
-    assert Pacing(WINDOW, MOST).unwrap(0.0, bytes(HEADER.size)) == b""
+    assert Pacing().unwrap(0.0, bytes(HEADER.size)) == b""

@@ -14,6 +14,11 @@ from ttus_opt.live.numbering import later
 HEADER = struct.Struct("<HH")
 NUMBERS = 2**16
 
+#: Most packets a second [1/s]: a session sends 50, and one more at a STOP; most bytes
+#: on their way [bytes]: a loss narrows aiortc's window to 4640 at least, and it does
+#: not grow while it is not full
+MOST, WINDOW = 125.0, 4400
+
 #: Most packets that wait for their echo: those of a second at 500 a second [–]
 AWAY = 512
 
@@ -26,9 +31,7 @@ class Pacing:
         round_trip: With the time that the other side waited [s]; 0 at first.
     """
 
-    def __init__(self, window: float, most: float) -> None:
-        """With so many bytes on their way, and packets a second, at most."""
-        self._window, self._most = window, most
+    def __init__(self) -> None:
         self.next = self.round_trip = 0.0
         self._number = self._heard = 0
         self._away: deque[tuple[int, float]] = deque(maxlen=AWAY)  # number, since
@@ -38,8 +41,8 @@ class Pacing:
         self._number = (self._number + 1) % NUMBERS
         self._away.append((self._number, now))
         packet = HEADER.pack(self._number, self._heard) + data
-        share = len(packet) / self._window
-        self.next = now + max(1.0 / self._most, share * self.round_trip)
+        share = len(packet) / WINDOW
+        self.next = now + max(1.0 / MOST, share * self.round_trip)
         return packet
 
     def unwrap(self, now: float, packet: bytes) -> bytes:

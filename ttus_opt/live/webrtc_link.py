@@ -32,13 +32,6 @@ from ttus_opt.live.session_stream import SessionStream
 #: Begin of an offer or answer on the stream; no packet begins like it
 SIGNAL = b"webrtc "
 
-#: Most packets a second [1/s]: a session sends 50 a second, and one more at a STOP
-MOST = 125.0
-
-#: Most bytes on their way [bytes]: a loss narrows aiortc's window to 4640 at least, and
-#: it does not grow while it is not full
-WINDOW = 4400
-
 #: Most packets that have arrived and were not fetched, and of the stream before the
 #: channel opens [–]
 ARRIVED, EARLY = 256, 16
@@ -86,7 +79,7 @@ class WebRTCLink:
         self._signals: deque[bytes] = deque()
         self._arrived: deque[bytes] = deque(maxlen=ARRIVED)
         self._early: deque[bytes] = deque(maxlen=EARLY)
-        self._pacing = Pacing(WINDOW, MOST)
+        self._pacing = Pacing()
         self._newest: bytes | None = None  # waits for the one before to leave
         self._timer: asyncio.TimerHandle | None = None
         self._offered, self._heard = 0, -math.inf
@@ -188,7 +181,7 @@ class WebRTCLink:
     async def _begin(self) -> Any:
         """A new connection in place of the one before, with its channel."""
         await self._drop()
-        self._pacing = Pacing(WINDOW, MOST)
+        self._pacing = Pacing()
         configuration = self._rtc.RTCConfiguration(iceServers=[])
         self._connection = self._rtc.RTCPeerConnection(configuration)
         self._channel = self._connection.createDataChannel(
