@@ -264,7 +264,7 @@ def setting_of(formulation: str, sampling: str, weights: str) -> Setting:
         (setting,) = compared((formulation,), 1.0)
     else:
         (setting,) = chosen((formulation,), weights)
-    return replace(setting, sampling=sampling)
+    return replace(setting, plan=replace(setting.plan, sampling=sampling))
 
 
 def main() -> None:
