@@ -49,21 +49,16 @@ def test_whatever_many_links_do(impairment):
     goes_well(impairment)
 
 
-def state_of(simulation, side):
-    return getattr(simulation, side).peer.safety.state
-
-
 def goes_well(impairment):
     simulation, last, stopped = session(impairment), None, [False, False]
     most = simulation.operator.peer.safety.limits.force
     for moment in simulation.run(3.0):
         assert np.isfinite(moment.felt).all()
         assert np.linalg.norm(moment.felt[:3]) <= most
-        for side, name in enumerate(("operator", "follower")):
-            stops = state_of(simulation, name) is State.STOP
-            assert stops or not stopped[side]  # latches
-            stopped[side] = stops
-        if last is not None and not stopped[0]:
+        for side, state in enumerate((moment.operator, moment.follower)):
+            assert not (stopped[side] and state is not State.STOP)  # latches
+            stopped[side] = state is State.STOP
+        if last is not None and moment.operator is not State.STOP:
             step = np.linalg.norm(moment.felt[:3] - last.felt[:3])
             assert step <= 0.5  # N in a millisecond, motion included
         last = moment
@@ -139,7 +134,7 @@ def deepest():
 def reaches(simulation, state, side, seconds=3.0):
     """Time at which a side reaches a state."""
     for moment in simulation.run(seconds):
-        if state_of(simulation, side) is state:
+        if getattr(moment, side) is state:
             return moment.time
     raise AssertionError(f"never {state.name}")
 
@@ -176,8 +171,8 @@ def test_the_button_stops_its_side_in_the_same_frame_and_the_other_a_way_later(s
     passes(simulation, 2.0)
     pressed = simulation.time
     getattr(simulation, side).stop()
-    simulation.step()
-    assert state_of(simulation, side) is State.STOP
+    own = simulation.step()
+    assert getattr(own, side) is State.STOP
     other = "follower" if side == "operator" else "operator"
     assert reaches(simulation, State.STOP, other) - pressed <= 0.05 + 0.021
     assert "button" in getattr(simulation, other).peer.safety.cause
@@ -237,8 +232,7 @@ def test_rearming_both_sides_at_zero_contact_goes_on():
         simulation.step()
     force = float(np.linalg.norm(simulation.sensed.wrench[:3]))
     simulation.operator.rearm(hand.rotation, hand.position)
-    simulation.step()
-    assert state_of(simulation, "operator") is State.HOLD
+    assert simulation.step().operator is State.HOLD
     simulation.follower.rearm(force)
     assert reaches(simulation, State.NORMAL, "operator", 0.5)
     assert reaches(simulation, State.NORMAL, "follower", 0.5)
@@ -251,7 +245,7 @@ def test_silence_stops_after_500_ms_and_not_before(seed):
     for moment in simulation.run(60.0):
         if moment.packets:
             heard = moment.time
-        if operator.peer.safety.state is State.STOP:
+        if moment.operator is State.STOP:
             break
         assert not operator.peer.met or moment.time - heard < 0.5
     cause = operator.peer.safety.cause

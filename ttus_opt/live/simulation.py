@@ -17,6 +17,7 @@ from ttus_opt.live.impairment import ImpairedLink, Impairment
 from ttus_opt.live.messages import Sample
 from ttus_opt.live.operator import Operator
 from ttus_opt.live.patient import Patient
+from ttus_opt.live.safety import State
 from ttus_opt.live.subject import Hand
 
 #: Steps of the operator's and the follower's loops [s]
@@ -36,6 +37,8 @@ class Moment:
         position: Its origin, patient frame, shape (3,) [m].
         packets: What the operator's side received.
         felt: Force, then torque on the hand, shape (6,) [N, N·m].
+        operator: State of the operator's side.
+        follower: State of the follower's side.
         sensed: What the probe measures now.
     """
 
@@ -44,6 +47,8 @@ class Moment:
     position: Array = field(repr=False)
     packets: tuple[bytes, ...] = field(repr=False)
     felt: Array = field(repr=False)
+    operator: State
+    follower: State
     sensed: Sample = field(repr=False)
 
 
@@ -99,7 +104,8 @@ class Simulation:
         felt = operator.feel(now, *pose).copy()
         hand.step(now, felt, HAPTIC)
         assert self.sensed is not None
-        return Moment(now, *pose, packets, felt, self.sensed)
+        states = operator.peer.safety.state, self.follower.peer.safety.state
+        return Moment(now, *pose, packets, felt, *states, self.sensed)
 
     def run(self, seconds: float) -> Iterator[Moment]:
         """So many seconds of frames."""
