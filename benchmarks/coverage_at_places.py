@@ -1,14 +1,16 @@
 """Coverage of the stated uncertainty at places that were not measured.
 
     python benchmarks/coverage_at_places.py phantom_stiff phantom_stiff_frictionless
+    python benchmarks/coverage_at_places.py phantom phantom_stiff --noise 1
 
 A folder holds a surface, recordings ``press_fit.csv`` and ``sweep_fit.csv``, and
 recordings with the true force, ``press_test_truth.csv``, ``sweep_test_truth.csv`` and
-``places_test_truth.csv``. The default model is fitted to the press alone, to the sweep
-alone and to both. Frames with a true force above 0.5 N are counted by their distance
-from the nearest fitted contact, and where they are deeper or lighter than everything
-fitted within 20 mm. The interval of 95 % is the one stated for the true force, along
-the rendered one.
+perhaps ``places_test_truth.csv``. The default model is fitted to the press alone, to
+the sweep alone and to both. Frames with a true force above 0.5 N are counted by their
+distance from the nearest fitted contact, and where they are deeper or lighter than
+everything fitted within 20 mm. The interval of 95 % is the one stated for the true
+force, along the rendered one. The last line is of all distances and depths of 20 frames
+or more.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ import ttus_opt as tt
 from ttus_opt.core.arrays import Array, Mask
 from ttus_opt.fitting.uncertainty.uncertainty_check import NORMAL
 from ttus_opt.fitting.weights.weight_choice import default_model
+from ttus_opt.phantom.recording import add_pose_noise
+from ttus_opt.probe.tracker_noise import TrackerNoise
 
 #: What is fitted
 FITTED = (("press",), ("sweep",), ("press", "sweep"))
@@ -35,8 +39,8 @@ JUDGED = ("press", "sweep", "places")
 DISTANCES = ((0.0, 0.02), (0.02, 0.05), (0.05, 0.1), (0.1, np.inf))
 
 #: Least true force [N], distance of the fitted frames that say what depth was measured
-#: [m], and fewest frames of a row
-LEAST_FORCE, NEAR, FEWEST = 0.5, 0.02, 6
+#: [m], and fewest frames of a row and of what the last line counts
+LEAST_FORCE, NEAR, FEWEST, ENOUGH = 0.5, 0.02, 6, 20
 
 COLUMNS = (
     *("fitted", "judged", "frames", "covered", "mean error [N]"),
@@ -71,16 +75,10 @@ class Judged:
         yield "deeper", self.deeper
         yield "lighter", self.lighter
 
-    def cells(self, frames: Mask) -> list[str]:
-        """Cells of a row of the table."""
+    def figures(self, frames: Mask) -> Array:
+        """Share of frames that are covered, mean error and mean stated [–, N, N]."""
         error, std = np.abs(self.error[frames]), self.std[frames]
-        return [
-            str(int(frames.sum())),
-            f"{100 * np.mean(error <= NORMAL * std):.0f} %",
-            f"{error.mean():.2f}",
-            f"{std.mean():.2f}",
-            f"{std.mean() / error.mean():.2f}",
-        ]
+        return np.array([np.mean(error <= NORMAL * std), error.mean(), std.mean()])
 
 
 def depths(surface: tt.Surface, shell: tt.PointShell, path: tt.Trajectory) -> Array:
@@ -125,11 +123,13 @@ class SceneOf:
     Attributes:
         probe: Description of the probe.
         shape: Voxels in r, θ and z [–].
+        noise: Of a tracker that reported the fitted poses [m]; 0 for exact ones.
         r_inner: Radius of the innermost layer [m].
     """
 
     probe: str
     shape: tuple[int, int, int]
+    noise: float = 0.0
     r_inner: float = 0.03
 
     def __call__(self, folder: Path, names: Sequence[str]) -> tt.Scene:
@@ -137,23 +137,30 @@ class SceneOf:
         surface = tt.Surface.load(folder / "surface.nc")
         voxmap = tt.Voxmap.from_surface(surface, shape=self.shape, r_inner=self.r_inner)
         read = [tt.read_trajectory(folder / f"{name}_fit.csv") for name in names]
+        if self.noise:
+            rng = np.random.default_rng(len(names))
+            noise = TrackerNoise(self.noise)
+            read = [add_pose_noise(exact, rng, noise) for exact in read]
         shell = tt.PointShell.from_spec(self.probe)
         return tt.Scene.assemble(voxmap, shell, tt.Trajectory.concatenate(read))
 
 
-def rows(folder: Path, scene_of: SceneOf) -> Iterator[str]:
-    """Rows of a folder's table."""
-    truths = [tt.read_trajectory(folder / f"{n}_test_truth.csv") for n in JUDGED]
-    for names in FITTED:
-        choice = default_model(scene_of(folder, names))
+def rows(folder: Path, scene_of: SceneOf) -> Iterator[tuple[list[str], int, Array]]:
+    """Fitted, judged and group of a row, its frames and figures."""
+    names = [n for n in JUDGED if (folder / f"{n}_test_truth.csv").exists()]
+    truths = [tt.read_trajectory(folder / f"{n}_test_truth.csv") for n in names]
+    for fitted in FITTED:
+        choice = default_model(scene_of(folder, fitted))
         solution = tt.fit(choice.scene, choice.formulation)
-        for name, found in zip(
-            JUDGED, judged(solution, choice.scene, truths), strict=True
-        ):
+        every = judged(solution, choice.scene, truths)
+        for name, found in zip(names, every, strict=True):
             for group, frames in found.groups():
-                if frames.sum() >= FEWEST:
-                    cells = [" + ".join(names), f"{name}, {group}"]
-                    yield f"| {' | '.join([*cells, *found.cells(frames)])} |"
+                if (count := int(frames.sum())) >= FEWEST:
+                    yield (
+                        [" + ".join(fitted), name, group],
+                        count,
+                        found.figures(frames),
+                    )
 
 
 def main() -> None:
@@ -164,15 +171,28 @@ def main() -> None:
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--probe", default="ellipsoid:0.030,0.0125,0.018")
     parser.add_argument("--shape", default="24,72,30")
+    parser.add_argument("--noise", type=float, default=0.0, help="a tracker's [mm]")
     options = parser.parse_args()
     warnings.simplefilter("ignore", tt.TtusWarning)
     n_r, n_theta, n_z = map(int, options.shape.split(","))
-    scene_of = SceneOf(options.probe, (n_r, n_theta, n_z))
+    scene_of = SceneOf(options.probe, (n_r, n_theta, n_z), 1e-3 * options.noise)
+    bands = []
     for folder in options.folders:
         print(f"{folder.name}\n\n| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
-        for row in rows(folder, scene_of):
-            print(row, flush=True)
+        for (fitted, name, group), count, figures in rows(folder, scene_of):
+            covered, error, std = figures
+            cells = [fitted, f"{name}, {group}", str(count), f"{100 * covered:.0f} %"]
+            cells += [f"{value:.2f}" for value in (error, std, std / error)]
+            print(f"| {' | '.join(cells)} |", flush=True)
+            if group != "all" and count >= ENOUGH:
+                bands.append(figures)
         print()
+    covered, error, std = np.transpose(bands)
+    print(
+        f"{len(bands)} bands, {100 * covered.mean():.1f} % covered, "
+        f"{np.sum(covered < 0.9)} below 90 %, stated / error "
+        f"{np.exp(np.log(std / error).mean()):.2f}"
+    )
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from tests.kit import InputError, refuses
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.recording import add_noise, add_pose_noise, record
+from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 
@@ -69,8 +70,8 @@ def still_path(n, step=0.05, wrench=()):
 
 @pytest.mark.parametrize("correlation", [0.0, 1.0])
 def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation):
-    path = still_path(40_000)
-    noisy = add_pose_noise(path, np.random.default_rng(3), correlation=correlation)
+    path, noise = still_path(40_000), TrackerNoise(correlation=correlation)
+    noisy = add_pose_noise(path, np.random.default_rng(3), noise)
     turn = Rotation.from_matrix(noisy.rotation).as_rotvec()
     for values, std in ((noisy.position, 0.5e-3), (turn, np.radians(0.5))):
         assert values.std(axis=0) == pytest.approx(np.full(3, std), rel=0.1)
@@ -79,10 +80,10 @@ def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation
         expected = np.exp(-0.05) if correlation else 0.0
         assert alike == pytest.approx(expected, abs=0.08)
     rng = np.random.default_rng(3)
-    short = add_pose_noise(still_path(20), rng, correlation=correlation)
+    short = add_pose_noise(still_path(20), rng, noise)
     assert noisy.position[:20] == pytest.approx(short.position)
 
 
 def test_refuses_a_negative_correlation_of_poses():
     with pytest.raises(InputError, match="correlation time must be finite"):
-        add_pose_noise(still_path(3), np.random.default_rng(0), correlation=-1.0)
+        TrackerNoise(correlation=-1.0)

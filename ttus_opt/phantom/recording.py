@@ -65,6 +65,10 @@ def record(
     return replace(poses, force=force, torque=torque)
 
 
+#: An ordinary tracker
+ORDINARY = TrackerNoise()
+
+
 def add_noise(trajectory: Trajectory, rng: np.random.Generator) -> Trajectory:
     """A copy with independent normal `FORCE_NOISE` and `TORQUE_NOISE`.
 
@@ -85,25 +89,17 @@ def add_noise(trajectory: Trajectory, rng: np.random.Generator) -> Trajectory:
 def add_pose_noise(
     trajectory: Trajectory,
     rng: np.random.Generator,
-    *,
-    correlation: float = TrackerNoise.correlation,
+    noise: TrackerNoise = ORDINARY,
 ) -> Trajectory:
-    """The trajectory as a tracker reports it, with stationary Gauss–Markov errors.
-
-    Those of `TrackerNoise` are added to the poses; the wrench remains that of the true
-    poses.
+    """The trajectory as a tracker reports it; the wrench remains that of true poses.
 
     Args:
         trajectory: One recording with even time steps.
         rng: Source of the noise.
-        correlation: Correlation time of the errors; 0 for independent frames [s].
-
-    Raises:
-        InputError: The correlation time is negative.
+        noise: How large its errors are, and how long they stay alike.
     """
-    noise = TrackerNoise(correlation=correlation)
     white = rng.standard_normal((len(trajectory), 6))
-    unit = _correlated(white, trajectory.time, correlation)
+    unit = _correlated(white, trajectory.time, noise.correlation)
     return noise.without(trajectory, -unit)
 
 
