@@ -12,14 +12,11 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm, SparseSourcesTerm
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
-
-
-def eq10(weight=0.1):
-    return Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, weight)], name="mine")
+EQ10 = Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, 0.1)], name="mine")
 
 
 def test_repr_is_the_mathematics_with_sizes_and_weights():
-    text = str(eq10().with_constraints(Sign(SCENE), HardBoundary(SCENE)))
+    text = str(EQ10.with_constraints(Sign(SCENE), HardBoundary(SCENE)))
     fixed = int(SCENE.voxmap.dirichlet.sum())
     assert text.splitlines() == [
         "mine: minimise over p in R^360",
@@ -39,7 +36,7 @@ def test_repr_of_a_search_and_of_more_variables():
 
 
 def test_plus_adds_a_term_and_leaves_the_first_alone():
-    first = eq10()
+    first = EQ10
     both = first + TorqueTerm(SCENE, 0.2) + SparseSourcesTerm(SCENE, 0.3)
     names = [term.name for term in both.terms]
     assert names == ["laplace", "force", "torque", "sparse_sources"]
@@ -48,7 +45,7 @@ def test_plus_adds_a_term_and_leaves_the_first_alone():
 
 
 def test_weights_change_without_reassembly():
-    first = eq10()
+    first = EQ10
     program = first.compile()
     second = first.with_weights(force=5.0)
     again = second.compile()
@@ -102,20 +99,20 @@ def test_combining_reaches_into_the_search_after_a_search():
 @pytest.mark.parametrize("limits", [(0.0, 0.0), (1.0, 0.0), (0.0, float("inf"))])
 def test_a_search_needs_a_range(limits):
     with pytest.raises(InputError, match="needs a range low < high"):
-        Search("mu", *limits, lambda value: eq10())
+        Search("mu", *limits, lambda value: EQ10)
 
 
 def test_what_cannot_be_a_formulation():
     refuses(InputError, "at least one term", Formulation, [])
-    refuses(InputError, "force appears twice", lambda: eq10() + ForceTerm(SCENE))
+    refuses(InputError, "force appears twice", lambda: EQ10 + ForceTerm(SCENE))
     with pytest.raises(InputError, match="sign appears twice"):
-        eq10().with_constraints(Sign(SCENE), Sign(SCENE))
+        EQ10.with_constraints(Sign(SCENE), Sign(SCENE))
     other = replace(SCENE)
-    refuses(InputError, "the same scene", lambda: eq10() + TorqueTerm(other))
+    refuses(InputError, "the same scene", lambda: EQ10 + TorqueTerm(other))
 
 
 def test_members_are_left_out_by_name():
-    both = eq10().with_constraints(Sign(SCENE))
+    both = EQ10.with_constraints(Sign(SCENE))
     left = both.without("force", "sign")
     assert [term.name for term in left.terms] == ["laplace"]
     assert not left.constraints

@@ -12,10 +12,7 @@ from ttus_opt.problem.terms.laplace import LaplaceTerm
 from ttus_opt.problem.terms.wrench import ForceTerm
 
 SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
-
-
-def eq10(weight=0.1):
-    return Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, weight)], name="mine")
+EQ10 = Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, 0.1)], name="mine")
 
 
 def test_by_name_by_path_and_as_it_is(tmp_path):
@@ -44,7 +41,7 @@ def test_unknown_names_and_options_say_what_there_is(tmp_path):
     refuses(InputError, r"no option 'lam'.*force_weight", load, "eq10", SCENE, lam=1.0)
     refuses(InputError, "not found", load, tmp_path / "none.py", SCENE)
     with pytest.raises(InputError, match="cannot be given to a finished formulation"):
-        load(eq10(), SCENE, force_weight=1.0)
+        load(EQ10, SCENE, force_weight=1.0)
 
 
 @pytest.mark.parametrize("word", ["nan", "much", ""])

@@ -34,12 +34,11 @@ class TwoVariables(Term):
         return AffineRows({"p": sp.csr_array(A), "s": sp.csr_array(B)}, np.ones(4))
 
 
-def eq10(scene=TINY):
-    return [LaplaceTerm(scene), ForceTerm(scene, 0.3), TorqueTerm(scene, 0.2)]
+EQ10 = [LaplaceTerm(TINY), ForceTerm(TINY, 0.3), TorqueTerm(TINY, 0.2)]
 
 
 def test_objective_is_the_sum_of_the_weighted_costs():
-    program = Program.build(TINY, eq10(), [])
+    program = Program.build(TINY, EQ10, [])
     p = RNG.normal(size=TINY.n_voxels)
     length = TINY.torque_length
     by_hand = {
@@ -53,7 +52,7 @@ def test_objective_is_the_sum_of_the_weighted_costs():
 
 
 def test_normal_equations_are_the_dense_ones():
-    program = Program.build(TINY, eq10(), [])
+    program = Program.build(TINY, EQ10, [])
     L, N, W = (M.toarray() for M in (TINY.L, TINY.N, TINY.W / TINY.torque_length))
     tau = TINY.tau / TINY.torque_length
     Q, d = program.normal_equations()
@@ -86,7 +85,7 @@ def lifted_value(form, x):
 def test_explicit_and_least_squares_forms_say_the_same():
     """Same objective up to the constant at any x, with u as the rows demand."""
     program = Program.build(
-        TINY, [*eq10(), TwoVariables(TINY)], [HardBoundary(TINY), Sign(TINY)]
+        TINY, [*EQ10, TwoVariables(TINY)], [HardBoundary(TINY), Sign(TINY)]
     )
     explicit, squares = explicit_qp(program), program.least_squares_qp()
     n, m = program.n_variables, squares.n_lifted
@@ -108,7 +107,7 @@ def test_explicit_and_least_squares_forms_say_the_same():
 
 
 def test_a_linear_penalty_goes_into_q_and_d():
-    plain = Program.build(TINY, eq10(), [])
+    plain = Program.build(TINY, EQ10, [])
     c = RNG.normal(size=TINY.n_voxels)
     row = sp.csr_array(c[None])
     slope = ProgramTerm("slope", 2.0, row, np.array([0.5]), Linear())
@@ -155,7 +154,7 @@ def test_the_box_is_the_tightest_of_all_bounds():
 
 
 def test_bent_penalties_have_no_quadratic_form():
-    program = Program.build(TINY, eq10(), [])
+    program = Program.build(TINY, EQ10, [])
     bent = replace(program.terms[1], penalty=Absolute())
     program = replace(program, terms=(program.terms[0], bent))
     assert not program.is_quadratic

@@ -63,8 +63,8 @@ def misread(t):
     return replace(t, rotation=Rotation.from_quat(q, scalar_first=True).as_matrix())
 
 
-def late(t, frames=4):
-    force, torque = (np.roll(values, frames, 0) for values in (t.force, t.torque))
+def late(t):
+    force, torque = (np.roll(values, 4, 0) for values in (t.force, t.torque))
     return replace(t, force=force, torque=torque)
 
 

@@ -369,10 +369,9 @@ def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use():
 NOISE = 0.02
 
 
-def unlike_places(viscous, shared):
+def unlike_places(shared):
     """Drag that is a part stronger or weaker at every place, and sensor noise."""
-    own = {"mu": 0.0, "viscous": 20.0} if viscous else {"mu": 0.3}
-    whole = dragged_scene("contact", shape=(8, 18, 9), n=90, **own)
+    whole = dragged_scene("contact", shape=(8, 18, 9), n=90)
     bare = dragged_scene("contact", shape=(8, 18, 9), n=90, mu=0.0)
     place, rng = whole.places, np.random.default_rng(11)
     part = 1.0 + shared * rng.standard_normal(int(place.max()) + 1)[place, None]
@@ -402,7 +401,7 @@ def jackknifed(found):
 
 @pytest.mark.slow
 def test_friction_varies_as_without_a_place():
-    scene = unlike_places(viscous=False, shared=0.3)
+    scene = unlike_places(shared=0.3)
     solution = tt.fit(scene, "coulomb_global", acts_at="contact", **WEIGHTS)
     declared = load("coulomb_global", scene, acts_at="contact", **WEIGHTS)
     at, h = solution.parameters["friction_coefficient"], 0.02
@@ -416,7 +415,7 @@ def test_friction_varies_as_without_a_place():
 
 
 def test_rows_are_those_in_contact_by_place():
-    scene = unlike_places(viscous=False, shared=0.0)
+    scene = unlike_places(shared=0.0)
     far = scene.trajectory.position.copy()
     far[10:14] *= [1.3, 1.3, 1.0]
     away = replace(scene.trajectory, position=far)

@@ -40,20 +40,16 @@ def declared(low=0.0, high=1.0, best=0.3, depth=1.0):
     return build(high).with_search(Search("value", low, high, build))
 
 
-def unsolved_where(monkeypatch, bad, objective):
+def unsolved_where(monkeypatch, low, high):
     """Fits in a range of values come back unsolved, with a tempting objective."""
     solve = tt.Fitter.solve
 
     def patched(self):
         solution = solve(self)
-        if bad[0] <= solution.parameters["value"] <= bad[1]:
-            return replace(
-                solution,
-                status=tt.Status.INACCURATE,
-                objective=objective,
-                verified_field=None,
-            )
-        return solution
+        if not low <= solution.parameters["value"] <= high:
+            return solution
+        told = {"status": tt.Status.INACCURATE, "objective": 0.0}
+        return replace(solution, verified_field=None, **told)
 
     monkeypatch.setattr(batch.Fitter, "solve", patched)
 
@@ -79,14 +75,14 @@ def test_the_vertex_is_found_and_its_error_told():
 
 def test_an_unsolved_fit_is_no_optimum(monkeypatch):
     """However small the objective is that it claims."""
-    unsolved_where(monkeypatch, (0.6, 1.0), 0.0)
+    unsolved_where(monkeypatch, 0.6, 1.0)
     solution = tt.fit(SILENT, declared(depth=100.0))
     assert solution.status is tt.Status.SOLVED
     assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-3)
 
 
 def test_no_fit_along_the_search_was_solved(monkeypatch):
-    unsolved_where(monkeypatch, (1e-9, 1.0), 0.0)  # all but the neutral value's
+    unsolved_where(monkeypatch, 1e-9, 1.0)  # all but the neutral value's
     solution = tt.fit(SILENT, declared(depth=100.0))
     assert solution.status is tt.Status.INACCURATE
     assert solution.detail.startswith(
@@ -97,7 +93,7 @@ def test_no_fit_along_the_search_was_solved(monkeypatch):
 
 def test_a_fit_beside_the_optimum_fails(monkeypatch):
     """The value stands, its standard error does not."""
-    unsolved_where(monkeypatch, (0.31, 0.33), 0.0)
+    unsolved_where(monkeypatch, 0.31, 0.33)
     solution = tt.fit(SILENT, declared(depth=100.0))
     assert solution.status is tt.Status.SOLVED
     assert solution.standard_errors == {}
@@ -206,7 +202,7 @@ def test_a_limit_that_is_not_neutral_is_no_value():
 @pytest.mark.parametrize("bad", [(2.0, 3.0), (0.75, 0.77), (0.75, 0.85)])
 def test_an_estimate_saves_the_search_where_the_minimum_is_beside_it(bad, monkeypatch):
     """Where a fit beside it is not solved, the whole range is searched."""
-    unsolved_where(monkeypatch, bad, 0.0)
+    unsolved_where(monkeypatch, *bad)
     searched, least = [], parameter_search._least
     monkeypatch.setattr(
         parameter_search,

@@ -13,9 +13,9 @@ from ttus_opt.fitting.recursion.low_rank_kernel import (
 TOLERANCE = 1e-9
 
 
-def gram(n, rank, rng, scale=1.0):
+def gram(n, rank, rng):
     """K of so low a rank."""
-    G = rng.normal(size=(n, rank)) * scale
+    G = rng.normal(size=(n, rank))
     return G @ G.T
 
 

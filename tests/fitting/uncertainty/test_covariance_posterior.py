@@ -140,8 +140,8 @@ def test_draws_agree_with_it():
     assert abs(np.median(found / std) - 1.0) < 0.02
 
 
-def opposite_presses(stiffer):
-    """The same presses on both sides of a torso, of which one is stiffer."""
+def opposite_presses():
+    """The same presses on both sides of a torso, of which one is twice as stiff."""
     surface = torso()
     voxmap = tt.Voxmap.from_surface(surface, shape=(9, 20, 10))
     rng, turn = np.random.default_rng(0), np.diag([-1.0, -1.0, 1.0])
@@ -150,7 +150,7 @@ def opposite_presses(stiffer):
     both = tt.Trajectory.concatenate([one, other])
     scene = tt.Scene.assemble(voxmap, ellipsoid(), both, inner=1.0)
     shape = voxmap.grid.shape
-    stiff = np.where(np.arange(shape[1]) < shape[1] // 2, stiffer, 1.0)
+    stiff = np.where(np.arange(shape[1]) < shape[1] // 2, 2.0, 1.0)
     depth = np.maximum(voxel_depths(voxmap), 0.0).reshape(shape)
     p = (60.0 * depth * stiff[:, None]).reshape(-1)
     force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, 0.02, both.position.shape)
@@ -164,7 +164,7 @@ def test_a_stiffer_place_is_uncertain_by_more_newtons():
 
     A field that varies by an amount, not by a factor, is uncertain alike on both sides.
     """
-    scene = opposite_presses(2.0)
+    scene = opposite_presses()
     solution = tt.fit(scene, "depth_map", **WEIGHTS)
     found = tt.uncertainty(solution, scene)
     voxels = sp.csr_array(sp.eye_array(scene.n_voxels))
@@ -200,7 +200,7 @@ def test_a_place_of_a_depth_map_is_never_exact(monkeypatch):
 
 def test_forces_without_torques_have_an_uncertainty_too():
     """A depth map of them has no torque rows; torques tell more."""
-    whole = opposite_presses(2.0)
+    whole = opposite_presses()
     bare = replace(whole.trajectory, torque=None)
     scene = tt.Scene.assemble(whole.voxmap, whole.shell, bare, inner=1.0)
     found = tt.uncertainty(tt.fit(scene, "depth_map", force_weight=30.0), scene)

@@ -75,17 +75,11 @@ def noise_of(found):
     return np.asarray(whole[np.ix_(order, order)] * np.outer(scale, scale))
 
 
-def dense_errors(C, found, weights=(FORCE, TORQUE)):
-    """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ.
-
-    Args:
-        C: Covariance of the field's prior.
-        found: Prior variance and noise.
-        weights: Of force and torque.
-    """
+def dense_errors(C, found):
+    """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ, C the covariance of the field's prior."""
     scene = found.scene
     D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
-    w = np.repeat(weights, len(D) // 2)
+    w = np.repeat((FORCE, TORQUE), len(D) // 2)
     G = C @ D.T @ np.linalg.inv(np.diag(1.0 / w) + D @ C @ D.T)
     left = np.eye(len(C)) - G @ D
     return np.asarray(found.variance * left @ C @ left.T + G @ noise_of(found) @ G.T)

@@ -66,7 +66,7 @@ def tube():
 EXPONENT = 1.5
 
 
-def pressed(depth, angles, step=0.05):
+def pressed(depth, angles):
     """A ball pressed straight in at several angles, a recording each."""
     along = np.repeat(angles, len(depth))
     r = 0.15 + 0.02 - np.tile(depth, len(angles))
@@ -75,7 +75,7 @@ def pressed(depth, angles, step=0.05):
     size = np.maximum(np.tile(depth, len(angles)) / 0.006, 0.0) ** EXPONENT
     force = 3.0 * size[:, None] * out
     poses = tt.Trajectory(
-        step * np.arange(len(r)),
+        0.05 * np.arange(len(r)),
         position,
         np.tile(np.eye(3), (len(r), 1, 1)),
         force,
