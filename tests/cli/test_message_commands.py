@@ -66,7 +66,7 @@ def test_a_damaged_message_leaves_nothing(run, output, message):
     content = bytearray(message.read_bytes())
     content[40] ^= 1
     message.write_bytes(content)
-    refused(run(f"decode {message} -o {output / 's.nc'}"), "checksum")
+    refused(run(f"decode {message} -o {output / 's.nc'}"), f"{message}: ", "checksum")
     assert [path.name for path in output.iterdir()] == ["surface.msg"]
 
 

@@ -179,14 +179,9 @@ def _session(file: Path) -> Found:
 
 
 def _message(file: Path, asked: Asked) -> Found:
-    from ttus_opt.core import io
-    from ttus_opt.message.envelope import LONGEST, NAMES, Reader
+    from ttus_opt.message.envelope import read_message
 
-    content = io.existing_file(file, "message", LONGEST).read_bytes()
-    try:
-        kind = NAMES[Reader(content).kind]
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
+    content, kind = read_message(file)
     lines = [f"{len(content):,} bytes, sound: see ttus-opt decode"]
     return Found(f"message: {kind}", lines, {"bytes": len(content)}, {})
 

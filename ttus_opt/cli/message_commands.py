@@ -9,7 +9,6 @@ import typer
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.core import io
-from ttus_opt.core.errors import FileError
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
@@ -42,12 +41,13 @@ def encode(
     """
     from ttus_opt.message.codec import decode as decoded
     from ttus_opt.message.codec import encode as encoded
+    from ttus_opt.message.envelope import read_message
 
     bases = base or []
     with Stages(3) as begin:
         begin("reading")
         what = _read(file)
-        before = [_bytes(path) for path in bases] or None
+        before = [read_message(path)[0] for path in bases] or None
         begin("encoding")
         message = encoded(what, max_error=max_error, base=before)
         begin("checking what will be decoded")
@@ -87,12 +87,13 @@ def decode(
         ttus-opt decode field.msg --base surface.msg -o field.nc
     """
     from ttus_opt.message.codec import decode as decoded
+    from ttus_opt.message.envelope import read_message
 
     bases = base or []
     with Stages(2) as begin:
         begin("decoding")
-        message = _bytes(file)
-        before = [_bytes(path) for path in bases] or None
+        message, _ = read_message(file)
+        before = [read_message(path)[0] for path in bases] or None
         what = decoded(message, base=before, max_voxels=max_voxels)
         begin("writing")
         what.save(output)
@@ -108,16 +109,6 @@ def _read(file: Path) -> Surface | PotentialField:
     if io.kind_of(file, "surface or field") == "field":
         return PotentialField.load(file)
     return Surface.load(file)
-
-
-def _bytes(file: Path) -> bytes:
-    """A message's bytes."""
-    from ttus_opt.message.envelope import LONGEST, MARK
-
-    content = io.existing_file(file, "message", LONGEST).read_bytes()
-    if not content.startswith(MARK):
-        raise FileError(f"{file} is not a message of ttus_opt: wrong file?")
-    return content
 
 
 def _size(what: Any) -> int:

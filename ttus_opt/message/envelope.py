@@ -14,13 +14,15 @@ from __future__ import annotations
 
 import struct
 import zlib
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.core import io
 from ttus_opt.core.arrays import IntArray
-from ttus_opt.core.errors import InputError
+from ttus_opt.core.errors import FileError, InputError
 from ttus_opt.core.optional import load
 
 MARK: Final = b"TTUM"
@@ -225,3 +227,18 @@ def _expanded(block: bytes, count: int) -> NDArray[np.int32]:
     if progress.n_processed != count or not progress.finished:
         raise InputError(DAMAGED)
     return numbers
+
+
+def read_message(path: Path) -> tuple[bytes, str]:
+    """A file's message, its envelope checked, and the name of its kind.
+
+    Raises:
+        FileError: It cannot be read, or is no sound message.
+    """
+    content = io.existing_file(path, "message", LONGEST).read_bytes()
+    if not content.startswith(MARK):
+        raise FileError(f"{path} is not a message of ttus_opt: wrong file?")
+    try:
+        return content, NAMES[Reader(content).kind]
+    except InputError as error:
+        raise FileError(f"{path}: {error}") from error
