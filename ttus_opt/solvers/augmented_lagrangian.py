@@ -151,20 +151,19 @@ class _Loaded(Prepared):
 
     def _first_point(self) -> Array:
         """The last solution, or the Laplace field, with the given values."""
-        problem = self._problem
-        if self._last is not None and len(self._last) == len(problem.fixed):
-            x = self._last.copy()
-        else:
-            x = np.zeros(len(problem.fixed))
-            program = problem.program
-            laplace = program.laplace
-            prior = program.laplace_term_of("p")
-            if laplace is not None:
-                b = np.where(problem.fixed, problem.values, 0.0)[program.variables["p"]]
-                if prior is not None and prior.matrix.shape[0] == len(b):
-                    b = np.where(problem.fixed[program.variables["p"]], b, prior.target)
-                x[program.variables["p"]] = laplace.solve(b, rtol=1e-10)
-        return np.where(problem.fixed, problem.values, x)
+        program, fixed, values = (
+            self._problem.program,
+            self._problem.fixed,
+            self._problem.values,
+        )
+        x = np.zeros(len(fixed)) if self._last is None else self._last
+        if self._last is None and program.laplace is not None:
+            p, prior = program.variables["p"], program.laplace_term_of("p")
+            b = values[p]
+            if prior is not None and prior.matrix.shape[0] == len(b):
+                b = np.where(fixed[p], b, prior.target)
+            x[p] = program.laplace.solve(b, rtol=1e-10)
+        return np.where(fixed, values, x)
 
 
 class AugmentedLagrangian(Solver):

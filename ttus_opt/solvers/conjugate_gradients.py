@@ -38,16 +38,6 @@ DEPENDENT = 1e-12
 DIVERGENCE = 1e6
 
 
-class Directions(Protocol):
-    """Conjugate directions and their images."""
-
-    def project(self, right_side: Array) -> tuple[Array, Array]:
-        """The best y along the directions, and its residual."""
-
-    def extend(self, direction: Array, rtol: float) -> bool:
-        """Make a direction conjugate and keep it; False if nothing is left of it."""
-
-
 @dataclass(frozen=True)
 class Run:
     """End of a run; the caller decides whether it is enough.
@@ -64,7 +54,7 @@ class Run:
 
 
 def conjugate_gradients(
-    directions: Directions,
+    directions: LastDirection | RecycledSubspace,
     right_side: Array,
     precondition: Callable[[Array], Array | None],
     enough: Callable[[Array, Array], bool],
@@ -137,7 +127,11 @@ class LastDirection:
         return part * direction, right_side - part * image
 
     def extend(self, direction: Array, rtol: float) -> bool:
-        """Replace it by a new one, conjugate to it where that adds a part of it."""
+        """Replace it by a new one, conjugate to it where that adds a part of it.
+
+        Returns:
+            False if nothing is left of it.
+        """
         if self._kept is not None:
             last, image, curvature = self._kept
             part = -self._pairing(image, direction) / curvature

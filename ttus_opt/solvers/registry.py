@@ -32,7 +32,10 @@ def solvers() -> dict[str, Solver]:
     """Every solver by name, installed or not, ours before another package's."""
     found: dict[str, Solver] = {}
     for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        found |= _of(_loaded(entry), f"entry point {entry.name} of {ENTRY_POINTS}")
+        owner = f"entry point {entry.name} of {ENTRY_POINTS}"
+        with user_errors(owner):
+            offered = entry.load()
+        found |= _of(offered, owner)
     for folder in (ttus_opt.solvers, ttus_opt.solvers.packages):
         for module in pkgutil.iter_modules(folder.__path__):
             loaded = importlib.import_module(f"{folder.__name__}.{module.name}")
@@ -100,11 +103,6 @@ def asked_for(solver: str | Path | Solver) -> Solver:
     if str(solver) not in known:
         raise unknown_name("solver", str(solver), known)
     return known[str(solver)]
-
-
-def _loaded(entry: importlib.metadata.EntryPoint) -> Any:
-    with user_errors(f"entry point {entry.name} of {ENTRY_POINTS}"):
-        return entry.load()
 
 
 def _of(offered: Any, owner: str) -> dict[str, Solver]:

@@ -7,6 +7,7 @@ import threading
 from tests.kit import refuses
 from tests.solvers.problems import program, term
 from ttus_opt.solvers.packages.package import PackageSolver, interruptible
+from ttus_opt.solvers.sizes import interior_point_seconds
 
 PLAIN = PackageSolver(
     "a", "", "a", ("rel", "gap"), ("abs",), "seconds", {"rho": 3}, 1e-10
@@ -28,8 +29,8 @@ def test_options_may_stand_within_another():
 
 def test_a_package_without_an_estimate_is_never_the_cheapest():
     small = program([term([[1.0]], [1.0])])
-    cheap = PackageSolver("b", "", "b", ("rel",), seconds=lambda program: 2.0)
-    assert cheap.cost(small) == 2.0 and cheap.estimates
+    cheap = PackageSolver("b", "", "b", ("rel",), effort=2.0)
+    assert cheap.cost(small) == 2.0 * interior_point_seconds(small) and cheap.estimates
     assert PLAIN.cost(small) == math.inf and not PLAIN.estimates
 
 

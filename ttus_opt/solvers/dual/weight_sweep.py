@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.gaussian.conditioned import ByImages
 from ttus_opt.solvers.base import is_late
+from ttus_opt.solvers.conjugate_gradients import norm
 from ttus_opt.solvers.dual import options
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, SchurPreconditioner
@@ -152,7 +153,7 @@ class WeightSweep:
             for z, probe in zip(
                 self._without(probes), probes[: most - begun], strict=False
             ):
-                recent.append(self._extend(self._without(z, begun), _size(probe)))
+                recent.append(self._extend(self._without(z, begun), norm(probe)))
                 if len(recent) >= PROBES and np.mean(recent[-PROBES:]) <= missing:
                     return True
         return len(self) >= len(root)
@@ -192,7 +193,7 @@ class WeightSweep:
                 of = self._approximate or self._system
                 precondition = SchurPreconditioner(of)
             wanted = root * precondition(y)
-            if not self._extend(self._without(wanted), _size(wanted)):
+            if not self._extend(self._without(wanted), norm(wanted)):
                 break
         p = self.base + self._combined(best)
         return SweepAnswer(p, len(self) - before, settled)
@@ -220,7 +221,7 @@ class WeightSweep:
         Returns:
             Their energy; 0 if there is nothing to add.
         """
-        if not (np.isfinite(z).all() and _size(z) > DEPENDENT * size):
+        if not (np.isfinite(z).all() and norm(z) > DEPENDENT * size):
             return 0.0
         response = self._response(z)
         image = self._system.rows @ response
@@ -254,7 +255,3 @@ class WeightSweep:
             part = c[start : start + BLOCK]
             out += part @ fields[: len(part)]
         return out
-
-
-def _size(z: Array) -> float:
-    return float(np.linalg.norm(z))

@@ -9,7 +9,6 @@ from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim
 from ttus_opt.solvers.packages.package import PackageLoaded, PackageSolver
-from ttus_opt.solvers.sizes import interior_point_seconds
 
 
 class _Loaded(PackageLoaded):
@@ -43,6 +42,10 @@ class CvxpySolver(PackageSolver):
     loaded = _Loaded
     nonquadratic = True
 
+    def cost(self, program: Program) -> float:
+        """Building the problem in cvxpy included."""
+        return 0.05 + super().cost(program)
+
 
 _CLAIMS = {
     "optimal": Claim.DONE,
@@ -53,11 +56,6 @@ _CLAIMS = {
 }
 
 
-def _cost(program: Program) -> float:
-    """Building the problem in cvxpy included [s]; no lambda, which is not pickled."""
-    return 0.05 + 1.1 * interior_point_seconds(program)
-
-
 SOLVERS = [
     CvxpySolver(
         "cvxpy_clarabel",
@@ -66,7 +64,7 @@ SOLVERS = [
         ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
         time_limit="time_limit",
         pip_name="cvxpy clarabel",
-        seconds=_cost,
+        effort=1.1,
     ),
     CvxpySolver(
         "cvxpy_scs",

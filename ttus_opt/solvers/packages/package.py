@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeVar
 
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.sizes import interior_point_seconds
 from ttus_opt.solvers.verified import Verified, seconds_left
 
 T = TypeVar("T")
@@ -42,7 +43,8 @@ class PackageSolver(Solver):
         margin: First tolerance over the requested one: one more iteration is often
             cheaper than a second solve [–].
         pip_name: How to install it; "" for its import name.
-        seconds: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out.
+        effort: Estimated time over `interior_point_seconds`; infinite to be left out
+            of ``solver="auto"`` [–].
     """
 
     name: str
@@ -56,7 +58,7 @@ class PackageSolver(Solver):
     within: str = ""
     margin: float = 0.1
     pip_name: str = ""
-    seconds: Callable[[Program], float] | None = None
+    effort: float = math.inf
 
     nonquadratic: ClassVar[bool] = False
 
@@ -73,11 +75,13 @@ class PackageSolver(Solver):
     @property
     def estimates(self) -> bool:
         """Whether there is an estimate."""
-        return self.seconds is not None
+        return self.effort < math.inf
 
     def cost(self, program: Program) -> float:
         """That estimate."""
-        return self.seconds(program) if self.seconds else math.inf
+        if not self.estimates:
+            return math.inf
+        return self.effort * interior_point_seconds(program)
 
     def options(self, eps: float, seconds: float | None) -> dict[str, Any]:
         """The package's options for a tolerance and a time limit.

@@ -20,7 +20,6 @@ from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim
 from ttus_opt.solvers.packages.package import PackageLoaded, PackageSolver
 from ttus_opt.solvers.packages.quadratic import OneSided, read_back
-from ttus_opt.solvers.sizes import interior_point_seconds
 
 
 class _Loaded(PackageLoaded):
@@ -140,11 +139,6 @@ def claim_from(words: str, found: bool) -> Claim:
 REGULARISATION = 1e-11
 
 
-def _piqp_cost(program: Program) -> float:
-    """As seconds; no lambda, which is not pickled."""
-    return 1.5 * interior_point_seconds(program)
-
-
 SOLVERS = [
     QpPackage(
         "clarabel",
@@ -152,7 +146,7 @@ SOLVERS = [
         "clarabel",
         ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
         time_limit="time_limit",
-        seconds=interior_point_seconds,
+        effort=1.0,
     ),
     QpPackage(
         "piqp",
@@ -160,7 +154,7 @@ SOLVERS = [
         "piqp",
         ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
         fixed={"check_duality_gap": True},
-        seconds=_piqp_cost,
+        effort=1.5,
     ),
     QpPackage(
         "proxqp",

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -27,36 +26,12 @@ from ttus_opt.problem.terms.penalties import Slope
 from ttus_opt.problem.verify.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request, is_late
 from ttus_opt.solvers.conjugate_gradients import inner_product, norm
+from ttus_opt.solvers.proximal.field_newton import FieldNewton
+from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 
-
-class NewtonSystem(Protocol):
-    """Solves for Newton steps.
-
-    Attributes:
-        rtol: Default relative residual of a step [–].
-    """
-
-    rtol: float
-
-    def step(
-        self,
-        gradient: Array,
-        multipliers: list[Array],
-        slopes: list[Slope],
-        rtol: float,
-        deadline: float | None,
-    ) -> tuple[Array, int]:
-        """The step from a gradient, and multipliers and slopes of all blocks.
-
-        Returns:
-            The step, and iterations spent.
-        """
-
-    def taken(self, length: float) -> None:
-        """Receive the length of the line search along the last step [–]."""
-
+NewtonSystem = LaplaceNewton | FieldNewton
 
 #: After a step length below this the next Newton step is cautious [–]
 SHORT = 0.3
