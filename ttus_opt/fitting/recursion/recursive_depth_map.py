@@ -143,6 +143,7 @@ class RecursiveDepthMap:
         *,
         deviation: float = DEVIATION,
         surface_length: float | None = None,
+        depth_length: float = DEPTH_LENGTH,
         memory: float = 600.0,
         start: DepthMapState | None = None,
     ) -> None:
@@ -155,6 +156,7 @@ class RecursiveDepthMap:
             deviation: σ [–].
             surface_length: ℓ along the skin [m]; by default the prior's, in units of
                 the probe.
+            depth_length: Length along the depth [m].
             memory: Time over which g fades [s]; ``math.inf`` for never.
             start: An earlier map with the same profile, which is then the prior's mean.
 
@@ -172,7 +174,7 @@ class RecursiveDepthMap:
         places = None if start is None else start.stiffness.shape[:2]
         self.shell, self.profile, self.deviation = shell, profile, deviation
         self.memory, self.sampling = memory, usual_sampling(shell)
-        self._lay(DepthLattice.over(voxmap, surface_length, DEPTH_LENGTH, places))
+        self._lay(DepthLattice.over(voxmap, surface_length, depth_length, places))
         self._law = np.array(
             [SCALE_DEVIATION, PRIOR["exponent"][1] * profile.exponents[0]]
         )
