@@ -234,12 +234,17 @@ class Fitter:
         self._taken_in = 0.0
 
     def __repr__(self) -> str:
-        return f"<Fitter by {self._backend.name} of {self._declared!r}>"
+        return f"<Fitter by {self.solver_name} of {self._declared!r}>"
 
     @property
     def solver(self) -> Solver:
         """The chosen solver."""
         return self._backend
+
+    @property
+    def solver_name(self) -> str:
+        """Its name."""
+        return self._backend.name
 
     def update(self, declared: Formulation) -> None:
         """Take other weights or data, keeping the solver's state."""
