@@ -128,7 +128,11 @@ MODELS = {
     "no depth error": held(depth_error=0.0),
     "depth error not in the fit": Model(late_in_fit=False),
     "only noise by evidence": held(
-        **{name: median for name, (median, _) in PRIOR.items() if name != "sensor_noise"}
+        **{
+            name: median
+            for name, (median, _) in PRIOR.items()
+            if name != "sensor_noise"
+        }
     ),
     "direction exact": Model(turn=0.0),
     "tangential, torque × 10": Model(turn=0.0, beside=10.0),
