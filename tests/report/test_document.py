@@ -44,6 +44,17 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
     assert "figures/a.png" not in page  # self-contained
 
 
+def test_names_of_files_change_no_structure_and_load_nothing(tmp_path):
+    """As HTML a cell, a line, a heading stays what it is, whatever it is called."""
+    odd = ["a|b", "# c", "- d", "1. e", "f\ng", "<script>h", "![i](http://j/k.png)"]
+    blocks = [Heading("1. e", 1), Items(odd), Table(odd, [odd]), *map(Text, odd)]
+    write_report(tmp_path, blocks)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for tag, count in {"h1": 1, "li": 7, "th": 7, "td": 7, "p": 7, "ul": 1}.items():
+        assert page.count(f"<{tag}>") == page.count(f"</{tag}>") == count, tag
+    assert "<script" not in page and "<img" not in page and "<ol>" not in page
+
+
 def test_markdown_of_a_list():
     assert str(Items(["a", "b"])) == "- a\n- b"
 

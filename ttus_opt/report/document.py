@@ -44,8 +44,7 @@ class Block:
 
     def html(self, folder: Path) -> str:
         """As HTML; pictures are read from ``folder`` and embedded."""
-        rendered: str = _markdown().render(str(self))
-        return rendered
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,10 @@ class Heading(Block):
     def __str__(self) -> str:
         return f"{'#' * self.level} {self.text}"
 
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        return f"<h{self.level}>{_inline(self.text)}</h{self.level}>"
+
 
 @dataclass(frozen=True)
 class Text(Block):
@@ -75,6 +78,10 @@ class Text(Block):
     def fitted(self, width: int) -> str:
         """As text in so many columns."""
         return fill(self.text, width)
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        return f"<p>{_inline(self.text)}</p>"
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,11 @@ class Items(Block):
             fill(f"- {line}", width, subsequent_indent="  ") for line in self.lines
         )
         return "\n".join(lines)
+
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        lines = "".join(f"<li>{_inline(line)}</li>" for line in self.lines)
+        return f"<ul>{lines}</ul>"
 
 
 @dataclass(frozen=True)
@@ -187,6 +199,14 @@ class Table(Block):
         """All columns but one."""
         return self._only([k for k, h in enumerate(self.header) if h != column])
 
+    def html(self, folder: Path) -> str:
+        """As HTML."""
+        lines = (
+            "".join(f"<{tag}>{_inline(cell)}</{tag}>" for cell in line)
+            for tag, line in (("th", self.header), *(("td", row) for row in self.rows))
+        )
+        return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+
 
 def _breakable(cell: str) -> list[str]:
     """Parts of a cell that stay on one line."""
@@ -220,7 +240,7 @@ class Picture(Block):
         return (
             f'<figure><img alt="{escape(self.caption)}" '
             f'src="data:image/png;base64,{data}">'
-            f"<figcaption>{_markdown().renderInline(self.caption)}</figcaption></figure>"
+            f"<figcaption>{_inline(self.caption)}</figcaption></figure>"
         )
 
     def save(self, folder: Path) -> None:
@@ -276,8 +296,14 @@ def write_report(folder: Path, blocks: Sequence[Block]) -> Path:
     return folder / "report.md"
 
 
+def _inline(words: str) -> str:
+    """Text with its markup as HTML; of a file's name nothing else has a meaning."""
+    rendered: str = _markdown().renderInline(words)
+    return rendered
+
+
 @functools.cache
 def _markdown() -> MarkdownIt:
     from markdown_it import MarkdownIt
 
-    return MarkdownIt("commonmark", {"html": False}).enable("table")
+    return MarkdownIt("commonmark", {"html": False}).disable("image")
