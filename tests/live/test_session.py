@@ -100,9 +100,14 @@ def test_a_clean_link_reaches_normal_and_the_model_learns(delay):
     assert view.round_trip == pytest.approx(2 * delay, abs=0.02)
     offset = simulation.operator.peer.quality.offset
     assert offset == pytest.approx(1234.5, abs=0.02)
-    assert view.felt_there is not None
-    there, measured = np.array(view.felt_there), view.measured.wrench[:3]
-    assert np.linalg.norm(there - measured) < 0.36
+    errors = []
+    for _ in range(8):  # a whole press
+        passes(simulation, 0.25)
+        view = simulation.operator.view(simulation.time)
+        there, measured = np.array(view.felt_there), view.measured.wrench[:3]
+        if np.linalg.norm(measured) > 2.0:
+            errors.append(np.linalg.norm(there - measured))
+    assert len(errors) > 1 and max(errors) < 0.1  # unlearned, 1.5 to 2.2 N
 
 
 @pytest.mark.slow
