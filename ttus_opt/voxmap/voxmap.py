@@ -173,6 +173,15 @@ class Voxmap:
         """The surface's radius on every spoke of the grid, (n_theta, n_z) [m]."""
         return self.surface.radius_at(self.grid.theta[:, None], self.grid.z)
 
+    @cached_property
+    def spoke_cosine(self) -> Array:
+        """Of the angle between every spoke and the surface's normal, as above [–]."""
+        theta, z = self.grid.theta[:, None], self.grid.z
+        turn, step, R = self.grid.theta_step, self.grid.z_step, self.surface.radius_at
+        around = (R(theta + turn, z) - R(theta - turn, z)) / (2.0 * turn)
+        along = (R(theta, z + step) - R(theta, z - step)) / (2.0 * step)
+        return np.asarray(1.0 / np.sqrt(1.0 + (around / R(theta, z)) ** 2 + along**2))
+
     @property
     def surface_place(self) -> Array:
         """(R − r_inner)/Δr on every spoke of the grid, (n_theta, n_z) [layers]."""

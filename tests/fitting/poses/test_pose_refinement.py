@@ -74,7 +74,7 @@ def examined(size=1.0, n=120):
     theta, z = np.meshgrid(scene.voxmap.grid.theta, scene.voxmap.grid.z, indexing="ij")
     vary = 1.0 + 0.3 * np.sin(theta / 0.25) * np.cos(z / 0.025)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0) / 0.01
-    p = 3.0 * depth**1.5 * np.broadcast_to(vary, SHAPE).ravel()
+    p = 6.0 * depth**1.5 * np.broadcast_to(vary, SHAPE).ravel()
     at = scene.voxmap, scene.shell, pose_refinement.SAMPLING
     force = PoseRows(*at).at(true.rotation, true.position) @ p
     force = force.reshape(-1, 3) + rng.normal(0.0, 0.03, (len(true), 3))

@@ -80,6 +80,9 @@ PRIOR = {
     "least_length": (0.5, 1.0),
 }
 
+#: What the model has wrong however exact the sensor
+LEAST = {"sensor_noise": SENSOR, "relative_noise": RELATIVE}
+
 #: Those in units of the probe's radius
 IN_RADII = {"surface_length", "least_length"}
 
@@ -211,8 +214,8 @@ def estimate_depth_map(
         values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
         for name in IN_RADII & values.keys():
             values[name] *= scene.shell.rms_radius
-        if "relative_noise" in values:
-            values["relative_noise"] = np.hypot(RELATIVE, values["relative_noise"])
+        for name in LEAST.keys() & values.keys():
+            values[name] = np.hypot(LEAST[name], values[name])
         for name in limits.keys() & values.keys():
             values[name] = np.clip(values[name], *limits[name])
         return Hyperparameters(**held, **{name: float(v) for name, v in values.items()})

@@ -87,10 +87,17 @@ def powers_of(depth: Array, exponents: tuple[float, ...]) -> Array:
     return np.asarray((depth[..., None] / REFERENCE_DEPTH) ** np.array(exponents))
 
 
+#: Power of the cosine between a spoke and the skin's normal, by which a depth along the
+#: spoke counts. 1 is the depth along the normal, which a probe feels; bodies are softer
+#: where their skin falls away to a side, beyond which there is nothing: the evidence of
+#: 15 of 16 recordings all over torsos and of three of six tissues is larger with 2
+SLOPED = 2
+
+
 def voxel_depths(voxmap: Voxmap) -> Array:
-    """Depth of every voxel below the surface along its spoke, (V,) [m]."""
-    depth = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
-    return np.asarray(depth.ravel())
+    """Depth of every voxel below the surface, as it counts, shape (V,) [m]."""
+    along = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
+    return np.asarray((along * voxmap.spoke_cosine**SLOPED).ravel())
 
 
 #: Least and largest relative standard deviation: forces do not resolve 0.1 %, and at a
