@@ -40,6 +40,10 @@ from ttus_opt.problem.terms.rows import replaced
 #: hundred cases [–]
 LEAST_GAIN = 6.6
 
+#: By how much evidence for drag of the whole patch must exceed that for drag of every
+#: point [–]: of a sweep alone both are nearly alike, and presses drag at every point
+FAVOURED = 2.0
+
 #: Where drag may act
 PLACES = ("points", "contact", "reference")
 
@@ -152,7 +156,11 @@ def estimate_dragged(
         mu = min(drag.friction_coefficient, largest)
         rows = scene.N - mu * drag.drag.rows.force
         found.append((drag, estimate_depth_map(scene, rows, **options)))
-    return max(found, key=lambda one: one[1].log_evidence)
+
+    def likely(one: tuple[DragEstimate, DepthMapEstimate]) -> float:
+        return one[1].log_evidence + FAVOURED * (one[0].acts_at == AT_POINTS)
+
+    return max(found, key=likely)
 
 
 def _estimates(
