@@ -101,3 +101,30 @@ def test_the_memory_estimate_is_told_before_anything_is_allocated():
     words = r"1,080,000 voxels takes about 0\.5 GiB"
     large = {"shape": (100, 180, 60), "memory_limit": 0.25 * 2**30}
     refuses(InputError, words, Voxmap.from_surface, cylinder(0.09), **large)
+
+
+@pytest.mark.parametrize("sector", [None, (0.4, 2.6)])
+def test_the_cosine_of_a_spoke_is_that_of_a_cylinder_off_the_axis_and_of_a_cone(sector):
+    """Errors decrease with the square of the step around; a cone's slope is exact."""
+    theta, z = (
+        np.linspace(0.0, 2.0 * np.pi, 1440, endpoint=False),
+        np.linspace(0, 0.3, 7),
+    )
+    off, a, slope = 0.03, 0.11, 0.3
+
+    def radius(theta):
+        return off * np.cos(theta) + np.sqrt(a**2 - (off * np.sin(theta)) ** 2)
+
+    offset = np.repeat(radius(theta)[:, None], len(z), axis=1)
+    cone = np.repeat(0.08 + slope * (z[None] - 0.1), len(theta), axis=0)
+    errors = []
+    for n in (30, 60):
+        shape, surface = (12, n, 7), Surface.from_radius(offset, z)
+        voxmap = Voxmap.from_surface(surface, shape=shape, sector=sector)
+        at = voxmap.grid.theta
+        exact = (radius(at) - off * np.cos(at)) / a
+        errors.append(np.abs(voxmap.spoke_cosine - exact[:, None]).max())
+    assert errors[0] < 4e-3 and errors[1] < 0.35 * errors[0]
+    along = Voxmap.from_surface(Surface.from_radius(cone, z), shape=shape)
+    inside = along.spoke_cosine[:, 1:-1]
+    np.testing.assert_allclose(inside, 1.0 / np.hypot(1.0, slope), atol=1e-12)

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.kit import InputError, refuses
 from ttus_opt.problem.terms.depth_profile import (
     DepthProfile,
     check_depth_map,
     depth_map_limits,
+    voxel_depths,
 )
 from ttus_opt.voxmap.grid import CylindricalGrid
 
@@ -31,6 +33,15 @@ def test_it_is_a_sum_of_powers_and_odd():
 )
 def test_bad_profiles_are_refused(exponents, coefficients, word):
     refuses(InputError, word, DepthProfile, exponents, coefficients)
+
+
+def test_a_depth_counts_by_the_square_of_the_cosine_of_the_slope():
+    z = np.linspace(0.0, 0.3, 7)
+    cone = np.repeat(0.08 + 0.3 * (z[None] - 0.1), 36, axis=0)
+    voxmap = tt.Voxmap.from_surface(tt.Surface.from_radius(cone, z), shape=(12, 36, 7))
+    along = (voxmap.spoke_radius - voxmap.grid.r[:, None, None])[:, :, 1:-1]
+    counted = voxel_depths(voxmap).reshape(12, 36, 7)[:, :, 1:-1]
+    np.testing.assert_allclose(counted, along / (1.0 + 0.3**2))
 
 
 GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.4, (11, 36, 21))

@@ -11,7 +11,8 @@ only lengths up to one are alike, that one is taken: the softest bristle.
 The Laplace field hardly tells drag of every point from that of the patch: what it has
 wrong of the forces is larger than what they differ by. Where its likelihoods are within
 the threshold at which drag itself is shown, the depth map's decide, of the same normal
-forces with each one's drag taken from the rows.
+forces with each one's drag taken from the rows; where these hardly differ, as of a
+sweep alone, it acts at every point.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ from ttus_opt.problem.terms.rows import replaced
 #: hundred cases [–]
 LEAST_GAIN = 6.6
 
-#: By how much evidence for drag of the whole patch must exceed that for drag of every
-#: point [–]: of a sweep alone both are nearly alike, and presses drag at every point
-FAVOURED = 2.0
+#: Log odds of drag at every point, before the evidence [–]: of a sweep alone that of the
+#: whole patch is nearly alike, but presses drag at every point too
+FAVOURED = 1.5
 
 #: Where drag may act
 PLACES = ("points", "contact", "reference")
