@@ -41,8 +41,8 @@ from ttus_opt.problem.terms.rows import replaced
 #: hundred cases [–]
 LEAST_GAIN = 6.6
 
-#: Log odds of drag at every point, before the evidence [–]: a sweep alone hardly tells it
-#: from drag of the whole patch, which presses lack
+#: Log odds of drag at every point, before the evidence [–]: a sweep alone hardly tells
+#: it from drag of the whole patch, which presses lack
 FAVOURED = 1.5
 
 #: Where drag may act
