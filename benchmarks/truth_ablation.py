@@ -17,15 +17,17 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.weights.weight_choice import likely_sampling
 from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.terms import depth_profile
 from ttus_opt.problem.terms.base import Term
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
 from ttus_opt.problem.terms.depth_map_estimate import (
+    LEAST,
     PRIOR,
     DepthMapEstimate,
     estimate_depth_map,
 )
 from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
-from ttus_opt.problem.terms.part_noise import TURN
+from ttus_opt.problem.terms.part_noise import SENSOR, TURN
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
 
@@ -45,6 +47,8 @@ class Model:
         drag: Whether drag is looked for; None for drag that is taken unasked.
         acts_at: Where drag acts.
         searched: Whether μ is the best of many fits, not the first estimate.
+        sloped: Power of a spoke's cosine by which its depths count [–].
+        least: Least error of a force at first touch [N].
     """
 
     held: Mapping[str, float] = field(default_factory=dict)
@@ -57,13 +61,22 @@ class Model:
     drag: bool | None = True
     acts_at: str = "auto"
     searched: bool = True
+    sloped: float = depth_profile.SLOPED
+    least: float = SENSOR
 
     def choice(self, scene: Scene) -> tuple[Scene, Formulation]:
         """The likeliest sampling, and what is to be fitted in it."""
-        with one_blas_thread():
-            sampling = self.sampling or likely_sampling(scene)
-        own = scene if scene.sampling == sampling else scene.resampled(sampling)
-        return own, self.built(own)
+        with (
+            mock.patch.object(depth_profile, "SLOPED", self.sloped),
+            mock.patch.dict(LEAST, {"sensor_noise": self.least}),
+        ):
+            with one_blas_thread():
+                sampling = self.sampling or likely_sampling(scene)
+            own = scene if scene.sampling == sampling else scene.resampled(sampling)
+            formulation = self.built(own)
+            for term in formulation.terms:
+                term.rows()  # while the power is set: the term's mean is computed once
+        return own, formulation
 
     def built(self, scene: Scene) -> Formulation:
         """The formulation in one sampling."""
@@ -115,6 +128,9 @@ MODELS = {
     "as it is": Model(),
     "exponent 1": held(exponent=1.0),
     "exponent 1.3": held(exponent=1.3),
+    "depth along the spoke": Model(sloped=0.0),
+    "depth along the normal": Model(sloped=1.0),
+    "first touch as exact as the sensor": Model(least=0.0),
     "law alone": held(deviation=1e-3),
     "deviation 0.4": held(deviation=0.4),
     "no variation with depth": held(depth_length=0.09),
