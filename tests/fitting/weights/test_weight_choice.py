@@ -152,7 +152,7 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
         for each in (found, "contact-size", "trilinear")
     }
     # forces of a field that is sampled by no size: nearly as likely, for ℓ₀'s prior
-    assert likely[found] > likely["trilinear"] - 2.0 > likely["contact-size"]
+    assert likely[found] > likely["trilinear"] - 1.0 > likely["contact-size"]
     assert f"shorter than {1e3 * least_length(found):.1f} mm" in choice.lines[-1]
     named = choice_of("auto", choice.scene, "depth_map")
     assert str(named.formulation) == str(choice.formulation)

@@ -23,6 +23,7 @@ from ttus_opt.contact.scene import Scene
 from ttus_opt.contact.standing import deepest
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import MistakeWarning, warn
+from ttus_opt.fitting.checks.late_touch import late_touch, tell_late_touch
 from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Share of the frames in air, those farthest from the skin, that surely touch nothing
@@ -109,7 +110,11 @@ def on_zero(scene: Scene) -> Scene:
     height = skin_offset(scene)
     if height is not None:
         _tell_offset(height, "The skin is moved there for this fit")
-        scene = scene.raised(height)
+        return scene.raised(height)
+    height = late_touch(scene)
+    if height is not None:
+        tell_late_touch(height)
+        return scene.raised(height)
     return scene
 
 
