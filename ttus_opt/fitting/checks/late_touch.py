@@ -46,7 +46,7 @@ def late_touch(scene: Scene) -> float | None:
         scene: A scene with measured forces.
 
     Returns:
-        The likeliest height; None where contacts are deep, or not surely above the skin.
+        The likeliest height; None where contacts are deep, or it is not surely above.
     """
     touching = np.flatnonzero(scene.touching)
     if not len(touching):
