@@ -1,4 +1,4 @@
-"""A ball pressed a few millimetres deep, by Hertz, on a skin found late by its touch."""
+"""A ball pressed a few millimetres deep, by Hertz, on a skin found late by touch."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Does the probe touch earlier than the skin says? Of contacts as shallow as that delay.
+"""Does a probe touch before it meets the skin? Of contacts of a few millimetres.
 
 Who finds the skin by first touch notices it late, by the force that a sensor tells from
 none: forces then do not begin at zero, but with that force, on the skin. Contacts of a
