@@ -57,7 +57,7 @@ def late_touch(scene: Scene) -> float | None:
     median = float(np.median(depth))
     if not 0.0 < median < SHALLOW:
         return None
-    step, evidence = STEP * median, []
+    step, evidence = STEP * median, list[float]()
     try:
         while len(evidence) <= MOST_STEPS:
             voxmap = scene.voxmap.raised(len(evidence) * step)
