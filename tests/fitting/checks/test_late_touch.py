@@ -42,8 +42,9 @@ def pressed(late, deepest=2.5e-3, seed=0):
 
 
 @pytest.mark.parametrize("late", [0.6e-3, 0.8e-3])
-def test_the_delay_is_found(late):
-    assert late_touch(pressed(late)) == pytest.approx(late, abs=0.2e-3)
+def test_the_skin_is_raised_towards_where_forces_begin(late):
+    """By three tenths of the median depth at most, 0.4 mm here."""
+    assert 0.3e-3 < late_touch(pressed(late)) < 0.4e-3
 
 
 @pytest.mark.parametrize("late", [0.0, 0.2e-3])
@@ -74,7 +75,7 @@ def test_nothing_is_told_where_nothing_touches_or_forces_pull():
 def test_it_ends_where_the_grid_does():
     """The highest skin that lies within it."""
     scene = pressed(0.8e-3)
-    low = replace(PLAN, r_outer=RADIUS + 0.5e-3)
+    low = replace(PLAN, r_outer=RADIUS + 0.3e-3)
     close = low.build(scene.voxmap.surface, SHELL, scene.trajectory)
     found = late_touch(close)
     assert found is not None and 0.0 < found < late_touch(scene)
