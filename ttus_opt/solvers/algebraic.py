@@ -102,9 +102,12 @@ class Algebraic(Solver):
         return ""
 
     def cost(self, program: Program) -> float:
-        """In proportion to the voxels."""
+        """In proportion to the voxels; more where a covariance is known.
+
+        Its inverse is conditioned like Δ² in three directions: 52 s for 51,840 voxels.
+        """
         s = Sizes.of(program)
-        return 0.1 + 4e-5 * s.voxels
+        return 0.1 + (4e-5 if program.known_prior is None else 1e-3) * s.voxels
 
 
 def _same(one: tuple[ProgramTerm, ...], other: tuple[ProgramTerm, ...]) -> bool:

@@ -178,12 +178,16 @@ class Covariance(Solver):
         return ""
 
     def cost(self, program: Program) -> float:
-        """A factor of the touched voxels' covariance, and solves on the grid."""
+        """Covariances of the touched voxels, and solves on the grid.
+
+        0.5 s for 902 touched of 345,600 voxels, 4.6 s for 5,905, 10 s for 10,036 of
+        604,800.
+        """
         prior = program.known_prior
         if prior is None:
             return math.inf
         n = float(len(_touched(program, prior)))
-        return 0.05 + 1e-5 * len(prior.target) + 4e-11 * n**3
+        return 0.05 + 1.5e-6 * len(prior.target) + 1e-7 * n**2
 
 
 def _touched(program: Program, prior: ProgramTerm) -> IntArray:

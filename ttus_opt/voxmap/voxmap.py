@@ -175,11 +175,16 @@ class Voxmap:
 
     @cached_property
     def spoke_cosine(self) -> Array:
-        """Of the angle between every spoke and the surface's normal, as above [–]."""
-        theta, z = self.grid.theta[:, None], self.grid.z
-        turn, step, R = self.grid.theta_step, self.grid.z_step, self.surface.radius_at
+        """Cosine between spoke and surface's normal on every spoke, as above [–]."""
+        theta, z, R = self.grid.theta[:, None], self.grid.z, self.surface.radius_at
+        turn, step, ends = (
+            self.grid.theta_step,
+            self.grid.z_step,
+            self.surface.z[[0, -1]],
+        )
         around = (R(theta + turn, z) - R(theta - turn, z)) / (2.0 * turn)
-        along = (R(theta, z + step) - R(theta, z - step)) / (2.0 * step)
+        low, high = np.clip(z - step, *ends), np.clip(z + step, *ends)
+        along = (R(theta, high) - R(theta, low)) / (high - low)
         return np.asarray(1.0 / np.sqrt(1.0 + (around / R(theta, z)) ** 2 + along**2))
 
     @property

@@ -10,6 +10,7 @@ import ttus_opt as tt
 from tests.kit import MistakeWarning, TtusWarning
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.fitting.checks.late_touch import late_touch
+from ttus_opt.fitting.checks.zero_check import on_zero
 from ttus_opt.fitting.weights.weight_choice import default_model
 
 BALL, RADIUS = 4e-3, 0.08
@@ -72,6 +73,17 @@ def test_nothing_is_told_where_nothing_touches_or_forces_pull():
     assert late_touch(air) is None
 
 
+@pytest.mark.parametrize("size", [None, 1e160])
+def test_without_forces_or_in_no_unit_the_skin_stays(size):
+    scene = pressed(0.6e-3)
+    at = scene.trajectory
+    force = None if size is None else size * at.force
+    plan = replace(PLAN, inner=1.0)
+    scene = plan.build(scene.voxmap.surface, SHELL, replace(at, force=force))
+    with np.errstate(over="raise"):
+        assert on_zero(scene) is scene
+
+
 def test_it_ends_where_the_grid_does():
     """The highest skin that lies within it."""
     scene = pressed(0.8e-3)
@@ -82,7 +94,7 @@ def test_it_ends_where_the_grid_does():
 
 
 def test_the_default_is_fitted_on_the_raised_skin():
-    """And says so; unseen presses err by less than half."""
+    """And says so; unseen presses err by less than 0.6 of what they did."""
     scene, unseen = pressed(0.6e-3), pressed(0.6e-3, seed=1).trajectory
     with pytest.warns(MistakeWarning, match=r"begin about 0\.\d+ mm above .* is moved"):
         moved = default_model(scene)

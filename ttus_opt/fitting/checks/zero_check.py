@@ -111,7 +111,7 @@ def on_zero(scene: Scene) -> Scene:
     if height is not None:
         _tell_offset(height, "The skin is moved there for this fit")
         return scene.raised(height)
-    height = late_touch(scene)
+    height = None if _force(scene) is None else late_touch(scene)
     if height is not None:
         tell_late_touch(height)
         return scene.raised(height)

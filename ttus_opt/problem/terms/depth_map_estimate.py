@@ -80,7 +80,7 @@ PRIOR = {
     "least_length": (0.5, 1.0),
 }
 
-#: What the model has wrong however exact the sensor
+#: What the model has wrong however exact the sensor, by name in `PRIOR` [N], [–]
 LEAST = {"sensor_noise": SENSOR, "relative_noise": RELATIVE}
 
 #: Those in units of the probe's radius

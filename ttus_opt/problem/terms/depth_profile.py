@@ -95,7 +95,10 @@ SLOPED = 2
 
 
 def voxel_depths(voxmap: Voxmap) -> Array:
-    """Depth of every voxel below the surface, as it counts, shape (V,) [m]."""
+    """Depth of every voxel below the surface, shape (V,) [m].
+
+    That along its spoke times the square of the spoke's cosine (`SLOPED`).
+    """
     along = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
     return np.asarray((along * voxmap.spoke_cosine**SLOPED).ravel())
 
