@@ -33,7 +33,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 SHALLOW = 5e-3
 
 #: Step of the height, and largest height, over that median [–]
-STEP, MOST_STEPS = 0.1, 3
+STEP, MOST_STEPS = 0.1, 6
 
 #: By how much the evidence must exceed that of the skin as it is [–]
 CERTAIN = 10.0
