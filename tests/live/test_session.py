@@ -382,7 +382,10 @@ def test_a_session_goes_on_when_the_32_bits_of_its_clocks_are_full():
 
 @pytest.mark.parametrize(
     ("hello", "said"),
-    [(Hello(3), "version 3"), (Hello(VERSION, units="mm"), "units mm")],
+    [
+        (Hello(VERSION + 1), f"version {VERSION + 1}"),
+        (Hello(VERSION, units="mm"), "units mm"),
+    ],
 )
 def test_another_version_or_unit_is_refused(hello, said):
     surface, _, content = parts()

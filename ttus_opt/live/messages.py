@@ -25,8 +25,9 @@ from ttus_opt.message.envelope import SURFACE, Reader
 from ttus_opt.probe.pose import from_quaternions, to_quaternions
 from ttus_opt.scan.surface import Surface
 
-#: 2: a model's law is of the sampling by contact size, in 1 of the trilinear one
-VERSION: Final = 2
+#: Of what a law means: since 3 depths count by the slope of the skin, since 2 it is
+#: sampled by contact size, in 1 trilinearly
+VERSION: Final = 3
 
 #: Longest datagram and longest message of the stream [bytes]: no fragments on any
 #: network; a surface of 720 x 600 radii
