@@ -142,7 +142,12 @@ EYE = np.tile(np.eye(3), (3, 1, 1))
         ({"time": np.zeros(0)}, "at least one frame"),
         ({"time": np.array([0.0, 0.1, 0.1])}, "increase .* 0.1 then 0.1 at frame 2"),
         ({"position": np.zeros((2, 3))}, r"position must have shape \(3, 3\)"),
-        ({"position": np.full((3, 3), np.nan)}, "not finite in 3 of 3"),
+        ({"position": np.full((3, 3), np.nan)}, "nan in frame 0: not fin.* in 3 of 3"),
+        ({"time": np.array([0.0, 1.0, np.inf])}, "inf in frame 2: .* in 1 of 3"),
+        *(
+            ({"force": EYE[0], name: -1e160 * EYE[0]}, f"{name} is 1e.160 .*ible unit")
+            for name in ("position", "force", "torque")
+        ),
         ({"rotation": 2 * EYE}, "frame 0: not a rotation"),
         ({"rotation": -EYE}, "not a rotation"),
         ({"torque": np.zeros((3, 3))}, "only torque"),

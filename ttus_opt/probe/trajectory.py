@@ -38,6 +38,10 @@ from ttus_opt.probe.trajectory_csv import raw_trajectory
 #: Largest rate that `thinned` accepts [Hz]
 HIGHEST = 1e9
 
+#: Least size of a number in no plausible unit, not in nanoseconds since 1970; beyond
+#: it, squares of squares overflow
+IMPLAUSIBLE = 1e20
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -69,9 +73,9 @@ class Trajectory:
         """Validate the trajectory.
 
         Raises:
-            InputError: No frames, shapes that disagree, values that are not finite,
-                times that do not increase, matrices that are not rotations, or
-                torques without forces.
+            InputError: No frames, shapes that disagree, values that are not finite or
+                in no plausible unit, times that do not increase, matrices that are not
+                rotations, or torques without forces.
         """
         n = len(self.time)
         if n == 0:
@@ -108,11 +112,14 @@ class Trajectory:
             if name != "segment":
                 object.__setattr__(self, name, real)
             expect_shape(value, shape, f"trajectory {name}")
-            bad = ~np.isfinite(value).reshape(n, -1).all(axis=1)
+            size = np.abs(value).reshape(n, -1).max(axis=1)
+            bad = ~(size < IMPLAUSIBLE)
             if bad.any():
+                first = int(bad.argmax())
                 raise InputError(
-                    f"trajectory {name} is not finite in {int(bad.sum())} of {n} "
-                    f"frames, the first is {int(bad.argmax())}: drop those frames"
+                    f"trajectory {name} is {size[first]:.3g} in frame {first}: not "
+                    f"finite or in no plausible unit in {bad.sum()} of {n} frames, "
+                    "drop those"
                 )
 
     def __len__(self) -> int:

@@ -11,7 +11,7 @@ from tests.kit import MistakeWarning, TtusWarning
 from ttus_opt.contact.scene import ScenePlan
 from ttus_opt.fitting.checks.late_touch import late_touch
 from ttus_opt.fitting.checks.zero_check import on_zero
-from ttus_opt.fitting.weights.weight_choice import default_model
+from ttus_opt.fitting.weights.weight_choice import choice_of, default_model
 
 BALL, RADIUS = 4e-3, 0.08
 SHELL = tt.PointShell.from_spec(f"sphere:{BALL}", n_points=200)
@@ -72,15 +72,11 @@ def test_nothing_is_told_where_nothing_touches_or_forces_pull():
     assert late_touch(air) is None
 
 
-@pytest.mark.parametrize("size", [None, 1e160])
-def test_without_forces_or_in_no_unit_the_skin_stays(size):
+def test_without_forces_the_skin_stays():
     scene = pressed(0.6e-3)
-    at = scene.trajectory
-    force = None if size is None else size * at.force
-    plan = replace(PLAN, inner=1.0)
-    scene = plan.build(scene.voxmap.surface, SHELL, replace(at, force=force))
-    with np.errstate(over="raise"):
-        assert on_zero(scene) is scene
+    plan, at = replace(PLAN, inner=1.0), replace(scene.trajectory, force=None)
+    scene = plan.build(scene.voxmap.surface, SHELL, at)
+    assert on_zero(scene) is scene
 
 
 def test_it_ends_where_the_grid_does():
@@ -108,3 +104,31 @@ def test_the_default_is_fitted_on_the_raised_skin():
     better = error(tt.fit(moved.scene, moved.formulation).field)
     worse = error(tt.fit(scene, "depth_map").field)
     assert better < 0.6 * worse
+
+
+@pytest.mark.parametrize("formulation", ["eq10", "depth_map"])
+def test_a_formulation_that_is_asked_for_is_told_and_keeps_the_skin(formulation):
+    scene = pressed(0.6e-3)
+    said = r"begin about 0\.\d+ mm above .* late\? A fit without a form"
+    with pytest.warns(MistakeWarning, match=said) as told:
+        assert choice_of("own", scene, formulation).scene is scene
+    assert len(told) == 1
+
+
+def test_a_bias_alone_is_told_of_a_sensor_that_was_not_zeroed():
+    """It too makes forces begin above the skin."""
+    scene = pressed(0.0)
+    air = scene.trajectory.select(slice(0, 20))
+    air = replace(
+        air,
+        time=air.time + 1e3,
+        position=1.04 * air.position,
+        force=0.0 * air.force,
+        segment=air.segment + 1,
+    )
+    both = tt.Trajectory.concatenate([scene.trajectory, air])
+    both = replace(both, force=both.force + np.array([0.0, 0.3, 0.0]))
+    biased = PLAN.build(scene.voxmap.surface, SHELL, both)
+    with pytest.warns(MistakeWarning, match="was it zeroed") as told:
+        choice_of("own", biased, "eq10")
+    assert len(told) == 1

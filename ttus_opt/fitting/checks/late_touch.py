@@ -43,13 +43,14 @@ def late_touch(scene: Scene) -> float | None:
     """Height above the skin where forces of shallow contacts begin [m].
 
     Args:
-        scene: A scene with measured forces.
+        scene: A scene.
 
     Returns:
-        The likeliest height; None where contacts are deep, or it is not surely above.
+        The likeliest height; None where contacts are deep, it is not surely above, or
+        no forces were measured.
     """
     touching = np.flatnonzero(scene.touching)
-    if not len(touching):
+    if not len(touching) or not scene.trajectory.has_wrench:
         return None
     own = scene.trajectory.select(touching)
     surface = scene.voxmap.surface
@@ -73,12 +74,12 @@ def late_touch(scene: Scene) -> float | None:
     return (len(evidence) - 1) * step if surely else None
 
 
-def tell_late_touch(height: float) -> None:
+def tell_late_touch(height: float, remedy: str) -> None:
     """Warn of forces that begin above the skin."""
     warn(
         f"forces begin about {1e3 * height:.2g} mm above the skin: was it found by "
-        "first touch, which is noticed late? The skin is moved there for this fit",
-        3,
+        f"first touch, which is noticed late? {remedy}",
+        4,
         MistakeWarning,
     )
 

@@ -61,9 +61,6 @@ SPREAD, STARTS = 4.0, np.arange(-14.0, 15.0, 2.0)
 #: Relative error of a force, by stiffness that varies [–], and least noise [N]
 VARIED, LEAST_NOISE = 0.3, 0.02
 
-#: Forces beyond this are in no unit of force [N]
-LARGEST_FORCE = 1e6
-
 #: Degrees of freedom of the errors, heavy tails [–]
 FREEDOM = 4.0
 
@@ -107,15 +104,8 @@ def on_zero(scene: Scene) -> Scene:
             torque=None if torque is None else torque - turn @ bias.torque,
         )
         scene = scene.measuring(zeroed)
-    height = skin_offset(scene)
-    if height is not None:
-        _tell_offset(height, "The skin is moved there for this fit")
-        return scene.raised(height)
-    height = None if _force(scene) is None else late_touch(scene)
-    if height is not None:
-        tell_late_touch(height)
-        return scene.raised(height)
-    return scene
+    height = _told_height(scene, "The skin is moved there for this fit")
+    return scene if height is None else scene.raised(height)
 
 
 def warn_of_zero(scene: Scene) -> None:
@@ -123,17 +113,29 @@ def warn_of_zero(scene: Scene) -> None:
 
     A fit without a formulation corrects them (`on_zero`).
     """
-    bias, height = sensor_bias(scene), skin_offset(scene)
-    if bias is not None:
+    bias = sensor_bias(scene)
+    if bias is not None:  # where forces begin, it hides
         _tell_bias(bias, "Take its bias off with ttus-opt compensate")
+    else:
+        _told_height(scene, "A fit without a formulation moves the skin there")
+
+
+def _told_height(scene: Scene, remedy: str) -> float | None:
+    """Height above the skin where forces begin, with a warning [m]; None for none."""
+    height = skin_offset(scene)
     if height is not None:
-        _tell_offset(height, "A fit without a formulation moves the skin there")
+        _tell_offset(height, remedy)
+        return height
+    height = late_touch(scene)
+    if height is not None:
+        tell_late_touch(height, remedy)
+    return height
 
 
 def sensor_bias(scene: Scene) -> SensorBias | None:
     """The bias of a sensor; None where it has none, or where nothing tells."""
     measured, air = scene.trajectory, np.flatnonzero(~scene.touching)
-    if _force(scene) is None or not len(air):
+    if not measured.has_wrench or not len(air):
         return None
     air = air[:: -(-len(air) // MOST_FRAMES)]
     depth, _ = _deepest(scene, air)
@@ -168,7 +170,7 @@ def skin_offset(scene: Scene) -> float | None:
         The height; None where it is not surely more than `LEAST_OFFSET`, the
         recordings do not show where forces begin, or the sensor was not zeroed.
     """
-    measured = _force(scene)
+    measured = scene.trajectory.force
     if measured is None or sensor_bias(scene) is not None:
         return None
     count = len(scene.trajectory)
@@ -198,15 +200,9 @@ def _tell_offset(height: float, remedy: str) -> None:
     warn(
         f"forces begin {1e3 * abs(height):.1f} mm {side} the skin: are the recordings "
         f"registered with the scan, and the probe's shape right? {remedy}",
-        3,
+        4,
         MistakeWarning,
     )
-
-
-def _force(scene: Scene) -> Array | None:
-    """Measured forces, shape (T, 3) [N]; None where there are none, or in no unit."""
-    force = scene.trajectory.force
-    return None if force is None or np.abs(force).max() > LARGEST_FORCE else force
 
 
 def _deepest(scene: Scene, frames: IntArray) -> tuple[Array, Array]:
