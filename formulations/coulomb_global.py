@@ -21,11 +21,13 @@ stiff, this improves its magnitudes. Torque rows worsen force directions by abou
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
+from functools import partial
+
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.problem.friction_search import with_friction_search
+from ttus_opt.problem.friction_search import with_drag, with_friction_search
 from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_drag
 from ttus_opt.problem.terms.laplace import LaplaceTerm
@@ -45,21 +47,23 @@ def build(
 ) -> Formulation:
     """λ_f, λ_τ [–], ℓ [m], range of μ, where drag acts, v₀ [m/s], as `eq10` [rad]."""
     check_coefficient(largest_friction)
-    noise, length = PartNoise.of_direction(scene, direction_error), torque_length
+    noise = PartNoise.of_direction(scene, direction_error)
     guess = estimate_drag(scene, acts_at, deadband)
-    prior = LaplaceTerm(scene)
+    force = ForceTerm(scene, force_weight, noise=noise)
+    torque = TorqueTerm(scene, torque_weight, torque_length, noise=noise)
+    declared = Formulation(terms=[LaplaceTerm(scene), force, torque])
     fitted = scene.parameters.keys() - scene.not_identified.keys()
     fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0
-
-    def given(drag: GlobalCoulomb) -> Formulation:
-        force = ForceTerm(scene, force_weight, noise=noise, drag=drag)
-        torque = TorqueTerm(scene, torque_weight, length, noise=noise, drag=drag)
-
-        def scaled(s: float) -> Formulation:
-            return Formulation(terms=[prior.with_factor(s), force, torque])
-
-        scale = Search(BOUNDARY_SCALE, 0.5, 2.0, scaled, neutral=1.0)
-        terms = [prior, force, torque]
-        return Formulation(terms=terms, search=scale if fits_scale else None)
-
+    given = partial(_searching_scale if fits_scale else with_drag, declared)
     return with_friction_search(guess, given, largest_friction)
+
+
+def _searching_scale(declared: Formulation, drag: GlobalCoulomb) -> Formulation:
+    dragged = with_drag(declared, drag)
+    scaled = partial(_scaled, dragged)
+    return dragged.with_search(Search(BOUNDARY_SCALE, 0.5, 2.0, scaled, neutral=1.0))
+
+
+def _scaled(dragged: Formulation, s: float) -> Formulation:
+    prior = LaplaceTerm(dragged.scene).with_factor(s)
+    return Formulation(terms=[prior, *dragged.terms[1:]])

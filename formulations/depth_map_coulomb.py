@@ -12,13 +12,14 @@ first estimate of μ. F p is drag of every point of the probe, or of the whole p
 Source: as `depth_map`, with Coulomb's law.
 """
 
+from functools import partial
+
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.contact.scene import Scene
 from ttus_opt.problem.constraints.signs import check_coefficient
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.friction_search import with_friction_search
+from ttus_opt.problem.friction_search import with_drag, with_friction_search
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.drag import GlobalCoulomb
 from ttus_opt.problem.terms.drag_estimate import estimate_dragged
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
@@ -41,11 +42,8 @@ def build(
     usual = noise.level**-2
     weight = usual if force_weight is None else force_weight
     turning = usual if torque_weight is None else torque_weight
-    prior = DepthMapTerm.of(scene, found)
-
-    def given(drag: GlobalCoulomb) -> Formulation:
-        force = ForceTerm(scene, weight, noise=noise, drag=drag)
-        torque = TorqueTerm(scene, turning, torque_length, noise=noise, drag=drag)
-        return Formulation(terms=[prior, force, torque])
-
+    force = ForceTerm(scene, weight, noise=noise)
+    torque = TorqueTerm(scene, turning, torque_length, noise=noise)
+    declared = Formulation(terms=[DepthMapTerm.of(scene, found), force, torque])
+    given = partial(with_drag, declared)
     return with_friction_search(guess, given, largest_friction, likely=True)

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,12 @@ import pytest
 
 import formulations
 from tests.kit import InputError, refuses, small_scene
+from ttus_opt.contact.scene import Scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import available, load
 
 SCENE = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
+FITTED = Scene.assemble(SCENE.voxmap, SCENE.shell, SCENE.trajectory, inner="fit")
 NAMES = [info.name for info in available()]
 EXPECTED = {
     "anisotropic": ("anisotropic", "force", "torque"),
@@ -141,3 +144,16 @@ def test_torques_alone_have_a_prior(name, own):
     nothing = fit(SCENE, name, force_weight=0.0, torque_weight=0.0)
     laplace_field = SCENE.laplace.solve(SCENE.b)
     np.testing.assert_allclose(nothing.field.values.ravel(), laplace_field, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_formulation_goes_to_another_process(name):
+    """With its searches, those within them too, and what was changed of it."""
+    last = load(name, FITTED).terms[-1].name
+    declared = load(name, FITTED).with_weights(**{last: 0.5})
+    twins = pickle.loads(pickle.dumps(declared)), declared
+    while declared.search is not None:
+        twins = tuple(one.search.build(0.7) for one in twins)
+        declared = twins[1]
+    assert str(twins[0]) == str(declared)
+    np.testing.assert_array_equal(*(t.terms[-1].assembled.target for t in twins))

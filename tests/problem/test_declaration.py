@@ -1,5 +1,6 @@
 """Formulations: declaring and combining them, and what cannot be one."""
 
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -118,3 +119,14 @@ def test_members_are_left_out_by_name():
     assert not left.constraints
     with pytest.raises(InputError, match=r"no term or constraint 'sing'.*mean sign"):
         both.without("sing")
+
+
+def test_every_change_of_a_search_is_pickled():
+    rows = SparseSourcesTerm(SCENE, 0.3)
+    changed = load("coulomb_global", SCENE) + rows
+    changed = changed.with_constraints(Sign(SCENE)).with_neutral({"none": "of it"})
+    copied = pickle.loads(pickle.dumps(changed.without("torque")))
+    built = copied.search.build(0.5)
+    assert built.terms[1].drag.coefficient == 0.5
+    named = [one.name for one in (*built.terms, *built.constraints)]
+    assert named == ["laplace", "force", "sparse_sources", "sign"]

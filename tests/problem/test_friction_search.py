@@ -1,6 +1,8 @@
 """The presliding length of recordings, made by an ODE of the bristle."""
 
+import pickle
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,11 +12,17 @@ from scipy.ndimage import gaussian_filter1d
 
 import ttus_opt as tt
 from tests.drags import SHELL, SURFACE, VOXMAP, pushing
+from tests.kit import dragged_scene
 from ttus_opt.contact.friction import FRICTION, PRESLIDING, Sliding
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.contact.scene import Scene
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.friction_search import with_drag, with_friction_search
+from ttus_opt.problem.terms.drag_estimate import estimate_drag
+from ttus_opt.problem.terms.laplace import LaplaceTerm
+from ttus_opt.problem.terms.wrench import ForceTerm
 
 MU, LENGTH, NOISE = 0.3, 1e-3, 0.05
 
@@ -83,6 +91,20 @@ def misfits(scene, solution):
     fields, poses = (held, replace(held, parameters=fading)), scene.trajectory
     felt = (wrenches_along(each, SHELL, poses).force for each in fields)
     return [np.sqrt(np.mean((force - scene.f.reshape(-1, 3)) ** 2)) for force in felt]
+
+
+def test_it_goes_to_another_process_with_its_length():
+    scene = dragged_scene("contact")
+    found = estimate_drag(scene, "contact")
+    guess = replace(
+        found, drag=replace(found.drag, presliding=LENGTH, no_presliding="")
+    )
+    bare = Formulation([LaplaceTerm(scene), ForceTerm(scene, 0.1)])
+    declared = with_friction_search(guess, partial(with_drag, bare), 1.0)
+    copied = pickle.loads(pickle.dumps(declared)).search.build(0.2)
+    assert copied.search.likely == LENGTH
+    drag = copied.search.build(2e-3).terms[1].drag
+    assert (drag.coefficient, drag.presliding) == (0.2, 2e-3)
 
 
 @pytest.mark.slow

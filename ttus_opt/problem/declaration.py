@@ -6,6 +6,8 @@ import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from operator import methodcaller
 from typing import Protocol
 
 import numpy as np
@@ -80,8 +82,16 @@ class Search:
 
     def then(self, change: Callable[[Formulation], Formulation]) -> Search:
         """The same search over changed formulations."""
-        build = self.build
-        return replace(self, build=lambda value: change(build(value)))
+        return replace(self, build=partial(_changed, self.build, change))
+
+
+def _changed(
+    build: Callable[[float], Formulation],
+    change: Callable[[Formulation], Formulation],
+    value: float,
+) -> Formulation:
+    """By name instead of within `Search.then`, which could not be pickled."""
+    return change(build(value))
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
@@ -139,7 +149,7 @@ class Formulation:
         if not (isinstance(term, Term) or hasattr(term, "over")):
             return NotImplemented
         return self._changed(
-            (*self.terms, term), self.constraints, lambda built: built + term
+            (*self.terms, term), self.constraints, methodcaller("__add__", term)
         )
 
     def with_constraints(self, *constraints: Constraint) -> Formulation:
@@ -147,7 +157,7 @@ class Formulation:
         return self._changed(
             self.terms,
             (*self.constraints, *constraints),
-            lambda built: built.with_constraints(*constraints),
+            methodcaller("with_constraints", *constraints),
         )
 
     def with_weights(self, **weights: float) -> Formulation:
@@ -163,7 +173,7 @@ class Formulation:
         return self._changed(
             (t.with_weight(weights.get(t.name, t.weight)) for t in self.terms),
             self.constraints,
-            lambda built: built.with_weights(**weights),
+            methodcaller("with_weights", **weights),
         )
 
     def named(self, name: str) -> Formulation:
@@ -262,7 +272,7 @@ class Formulation:
         return self._changed(
             [t for t in self.terms if t.name not in names],
             [c for c in self.constraints if c.name not in names],
-            lambda built: built.without(*names),
+            methodcaller("without", *names),
         )
 
     def to_cvxpy(self) -> CvxpyProgram:
@@ -285,7 +295,7 @@ class Formulation:
         terms = [term.with_neutral(names) for term in self.terms]
         left = {name for term in terms for name in term.assembled.blocks}
         kept = [c for c in self.constraints if _concerns(c, left)]
-        return self._changed(terms, kept, lambda built: built.with_neutral(names))
+        return self._changed(terms, kept, methodcaller("with_neutral", tuple(names)))
 
     def __repr__(self) -> str:
         """Its members in one line; `str` gives the mathematics."""
