@@ -77,7 +77,10 @@ def test_numbers_beyond_any_unit():
     """Damaged ones overflow in arithmetic, which is nobody's warning."""
     raw = recording()
     raw.position[7:9] = 1e300
+    raw.force[9:] = 1e300
     told = diagnosis(raw)
+    assert told.force == pytest.approx(3.0**0.5 * 1e300)
+    assert "1.732e+300 N in the median" in told.units[0]
     assert (
         "x -0.050 to 1e+300" in told.lines()[1] and "1e+300 m is not" in told.faults[0]
     )

@@ -201,8 +201,13 @@ def _turned(quaternion: Array) -> float:
     return float((turns * turns[0].inv()).magnitude().max())
 
 
+def _sizes(vectors: Array) -> Array:
+    """Lengths of the rows, shape (T,); squares may overflow."""
+    return np.asarray(np.hypot.reduce(vectors, axis=1))
+
+
 def _largest(values: Array) -> float:
-    return float(np.linalg.norm(values, axis=1).max())
+    return float(_sizes(values).max())
 
 
 def _jumps(sound: RawRecording) -> int:
@@ -237,7 +242,7 @@ def _doubts(sound: RawRecording, steps: Array) -> list[str]:
     if len(steps) and (step := float(np.median(steps))) > SLOW:
         doubts.append(f"rows are {step:.4g} s apart, so t is likely in ms: t=NAME[ms]")
     if sound.position is not None:
-        size = float(np.median(np.linalg.norm(sound.position, axis=1)))
+        size = float(np.median(_sizes(sound.position)))
         if size > MOST_POSITION:
             unit, other = ("mm", "") if size > MOST_IN_CM else ("cm", " (or mm)")
             doubts.append(
@@ -245,7 +250,7 @@ def _doubts(sound: RawRecording, steps: Array) -> list[str]:
                 f"{unit}{other}: px=NAME[{unit}]"
             )
     if sound.force is not None:
-        strength = np.linalg.norm(sound.force, axis=1)
+        strength = _sizes(sound.force)
         if np.median(strength) > MOST_FORCE:
             doubts.append(
                 f"forces are {np.median(strength):.4g} N in the median, so they are "
@@ -253,7 +258,7 @@ def _doubts(sound: RawRecording, steps: Array) -> list[str]:
             )
         pressed = strength > LEAST_FORCE
         if sound.torque is not None and pressed.any():
-            arm = np.linalg.norm(sound.torque[pressed], axis=1) / strength[pressed]
+            arm = _sizes(sound.torque[pressed]) / strength[pressed]
             if (lever := float(np.median(arm))) > LONGEST_LEVER:
                 doubts.append(
                     f"torque over force is a lever of {lever:.3g} m in the median, so "

@@ -44,6 +44,9 @@ FRAMES = 120
 #: Another convention is reported if its S is below this share of the recordings' own
 CLEARLY = 0.7
 
+#: Fewer frames agree with some convention by chance [–]
+FEWEST = 4
+
 #: Torques this many times too large are in N mm
 WRONG_UNIT = 100.0
 
@@ -258,6 +261,8 @@ def likely_mistake(
 ) -> tuple[float, Mistake | None]:
     """S as read, and a convention that agrees clearly better; None without one.
 
+    None of fewer than `FEWEST` frames too.
+
     Args:
         scene: A scene with measured forces; its boundary values do not matter.
         written: As in `check_recordings`.
@@ -270,6 +275,8 @@ def likely_mistake(
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
     before, torque_ratio = agreement(scene, prior, scene.trajectory.select(chosen))
+    if len(chosen) < FEWEST:
+        return before, None
     bound = CLEARLY * before
     best: Mistake | None = None
     for what, mends, cause, reread in readings:
