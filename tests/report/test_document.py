@@ -2,6 +2,7 @@ import base64
 
 import matplotlib.image
 import pytest
+from markdown_it import MarkdownIt
 
 from ttus_opt.report.document import (
     Heading,
@@ -45,7 +46,7 @@ def test_both_forms_hold_the_same_and_the_page_its_pictures(tmp_path):
 
 
 def test_names_of_files_change_no_structure_and_load_nothing(tmp_path):
-    """As HTML a cell, a line, a heading stays what it is, whatever it is called."""
+    """A cell stays what it is whatever it is called, as HTML a line, a heading too."""
     odd = ["a|b", "# c", "- d", "1. e", "f\ng", "<script>h", "![i](http://j/k.png)"]
     blocks = [Heading("1. e", 1), Items(odd), Table(odd, [odd]), *map(Text, odd)]
     write_report(tmp_path, blocks)
@@ -53,6 +54,9 @@ def test_names_of_files_change_no_structure_and_load_nothing(tmp_path):
     for tag, count in {"h1": 1, "li": 7, "th": 7, "td": 7, "p": 7, "ul": 1}.items():
         assert page.count(f"<{tag}>") == page.count(f"</{tag}>") == count, tag
     assert "<script" not in page and "<img" not in page and "<ol>" not in page
+    page = MarkdownIt("commonmark").enable("table").render(str(blocks[2]))
+    assert page.count("<th>") == page.count("<td>") == 7
+    assert "<td>a|b</td>" in page and "<td>f g</td>" in page
 
 
 def test_markdown_of_a_list():

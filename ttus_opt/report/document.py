@@ -123,7 +123,10 @@ class Table(Block):
         return bool(self.rows)
 
     def __str__(self) -> str:
-        lines = [list(self.header), *map(list, self.rows)]
+        lines = [
+            [cell.replace("|", r"\|").replace("\n", " ") for cell in line]
+            for line in (self.header, *self.rows)
+        ]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.header))]
         text = [
             f"| {' | '.join(c.ljust(w) for c, w in zip(line, widths, strict=True))} |"
