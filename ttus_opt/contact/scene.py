@@ -53,7 +53,7 @@ LARGEST_BOUNDARY = 1e9
 FORCES = "forces (columns fx, fy, fz)"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Matrices and measurements of one fit.
 

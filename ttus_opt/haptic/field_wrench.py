@@ -65,7 +65,7 @@ Limit = Literal["", "force", "torque", "end"]
 DragSource = Literal["none", "given", "estimated", "left out"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Wrench:
     """Force and torque on the probe in one pose.
 

@@ -57,7 +57,7 @@ MOST_POINTS = 1_000_000
 OPEN_SHARE = 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointShell:
     """Surface points of a probe.
 

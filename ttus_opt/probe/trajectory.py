@@ -43,7 +43,7 @@ HIGHEST = 1e9
 IMPLAUSIBLE = 1e20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses and wrenches at T times.
 

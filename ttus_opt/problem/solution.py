@@ -103,7 +103,7 @@ class NoSolutionError(TtusError, RuntimeError):
         self.solution = solution
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Result of a fit.
 

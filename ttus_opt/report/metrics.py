@@ -106,7 +106,7 @@ class Errors:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """Measured and rendered wrenches of a trajectory.
 

@@ -22,7 +22,7 @@ from ttus_opt.scan.frame_estimate import estimate_frame
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Axis:
     """The patient frame: x_scan = rotation · x_patient + origin.
 

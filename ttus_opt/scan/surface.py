@@ -31,7 +31,7 @@ LARGEST = 10.0
 SEEN_AROUND = 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """Radius of the patient's surface on a regular (θ, z) grid.
 

@@ -46,7 +46,7 @@ LARGEST = 1e4
 DRAWS = "uncertainty_draws"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PotentialField:
     """A potential field p, positive inside the patient.
 

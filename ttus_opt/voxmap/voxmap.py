@@ -51,7 +51,7 @@ INSIDE, SURFACE, OUTSIDE = 1, 0, -1
 Boundary = Literal["subvoxel", "staircase"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Voxmap:
     """A grid laid over a surface.
 

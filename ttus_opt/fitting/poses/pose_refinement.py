@@ -65,7 +65,7 @@ LEAST_GAIN = 3.0
 DOUBTFUL = 4.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RefinedPoses:
     """Recordings with the estimated errors of their poses taken off.
 

@@ -27,7 +27,7 @@ from ttus_opt.voxmap.field import PotentialField
 COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Innovation:
     """Difference between one measurement and its prediction.
 

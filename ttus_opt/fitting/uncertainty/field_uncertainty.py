@@ -71,7 +71,7 @@ LEAST_VARIANCE = 1e-12
 COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Uncertainty:
     """The errors of one fit.
 

@@ -54,7 +54,7 @@ COUNT = 5
 LEAST_FORCE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NextPresses:
     """Suggested presses, and the uncertainty of a press everywhere on the skin.
 

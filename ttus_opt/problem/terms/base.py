@@ -30,7 +30,7 @@ from ttus_opt.problem.terms.rows import (
 from ttus_opt.problem.terms.structure import check_structure
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fitted:
     """A parameter that a convex fit finds among its variables.
 

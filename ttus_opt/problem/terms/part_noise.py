@@ -60,7 +60,7 @@ ALIKE = 0.05
 EARLIER = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartNoise:
     """Errors of the parts of every measured wrench, over their level.
 

@@ -20,7 +20,7 @@ from ttus_opt.core.arrays import Array
 from ttus_opt.core.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Slope:
     """Derivative of a resolvent g with respect to v, ∂g = factor (I − n nᵀ) ∂v.
 

@@ -22,7 +22,7 @@ from ttus_opt.problem.terms.structure import Tags
 _Member = TypeVar("_Member")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AffineRows:
     """Named rows r = Σ_k M_k x_k - t over the variables x_k they touch.
 
@@ -37,7 +37,7 @@ class AffineRows:
     tags: Tags = frozenset()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearRows:
     """Rows lower ≤ Σ_k M_k x_k ≤ upper.
 
@@ -54,7 +54,7 @@ class LinearRows:
     tags: Tags = frozenset()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ConeRows:
     """Rows s = Σ_k M_k x_k + h in second-order cones, s₀ ≥ ‖(s₁, …)‖ each.
 
@@ -69,7 +69,7 @@ class ConeRows:
     sizes: tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bounds:
     """Bounds lower ≤ x_k ≤ upper on one whole variable.
 
