@@ -134,7 +134,11 @@ def test_rows_columns_and_products_agree_with_dense_algebra():
     )
     np.testing.assert_allclose(columns.of_rows(few), few @ dense[:, voxels], rtol=1e-7)
     size = np.abs(dense).max()
-    assert np.abs(columns.among - dense[np.ix_(voxels, voxels)]).max() < 1e-9 * size
+    among = dense[np.ix_(voxels, voxels)]
+    assert np.abs(columns.among - among).max() < 1e-9 * size
+    assert np.abs(columns.among_some([3, 1]) - among[:, [3, 1]]).max() < 1e-9 * size
+    assert np.abs(columns.variance - np.diag(among)).max() < 1e-9 * size
+    assert np.abs(columns.among_times(some) - among @ some).max() < 1e-8 * size
     assert np.abs(columns.times(some) - dense[:, voxels] @ some).max() < 1e-8 * size
     every = np.cos(np.arange(V))
     assert np.abs(covariance.times(every) - dense @ every).max() < 1e-7 * size

@@ -7,6 +7,7 @@ among rows of a field, and draws fields.
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -126,3 +127,40 @@ def pivoted_root(matrix: Array, least: float) -> tuple[Array, IntArray]:
     root = np.empty((len(matrix), rank))
     root[order - 1] = np.tril(factor[:, :rank])
     return root, order[:rank].astype(np.int64) - 1
+
+
+#: Pivots sought at once [–], and part of the largest variance left that one must have:
+#: 3 % more pivots than one at a time
+PIVOTS, PART = 256, 0.1
+
+
+def partial_root(
+    variance: Array, columns: Callable[[IntArray], Array], neglected: float
+) -> Array:
+    """F with F Fᵀ nearly a matrix that is not formed, positive semidefinite.
+
+    As `square_root`, with the memory of F: Cholesky's decomposition with blocks of
+    pivots, those of the largest variances left.
+
+    Args:
+        variance: Its diagonal, shape (n,).
+        columns: Gives some of its columns, shape (n, k).
+        neglected: Part of the largest diagonal entry that may be left, positive.
+    """
+    left, least = variance.copy(), neglected * float(variance.max(initial=0.0))
+    root, rank = np.empty((0, len(left))), 0
+    while left.max(initial=0.0) > least:
+        some = np.argsort(left)[-PIVOTS:]
+        rest = columns(some) - root[:rank].T @ root[:rank, some]
+        enough = max(least, PART * float(left.max()))
+        left[some] = np.diag(rest[some])  # not what is left by rounding
+        own, pivots = pivoted_root(rest[some], enough)
+        more = scipy.linalg.solve_triangular(own[pivots], rest[:, pivots].T, lower=True)
+        if rank + len(pivots) > len(root):
+            room = np.empty((max(PIVOTS, rank), len(left)))
+            root = np.concatenate([root, room])
+        root[rank : rank + len(pivots)] = more
+        rank += len(pivots)
+        left -= np.einsum("ij,ij->j", more, more)
+        left[some[pivots]] = 0.0
+    return root[:rank].T
