@@ -137,7 +137,25 @@ def test_auto_prefers_it_to_algebraic_as_long_as_it_takes_a_program(
     assert here < there and touched < covariance.LARGEST
 
 
-def test_it_refuses_what_would_not_fit_in_memory(monkeypatch):
+@pytest.mark.parametrize("solver", ["covariance", "auto"])
+def test_it_refuses_what_would_not_fit_in_memory(solver, monkeypatch):
+    """Nor does "auto" take one that would run for hours at tens of GiB."""
     monkeypatch.setattr(covariance, "LARGEST", 10)
-    with pytest.raises(InputError, match="touch 10 voxels at most"):
-        fit(scene(), declared(), solver="covariance")
+    with pytest.raises(InputError, match=r"touch 10 voxels at most.*a coarser grid"):
+        fit(scene(), declared(), solver=solver)
+
+
+def test_auto_takes_another_where_size_is_not_why_it_is_refused(monkeypatch):
+    monkeypatch.setattr(covariance, "LARGEST", 10)
+    signed = Formulation(terms=declared().terms, constraints=[Sign(scene())])
+    assert fit(scene(), signed).solver != "covariance"
+    assert fit(scene(), "eq10").solver != "covariance"
+
+
+def test_algebraic_says_that_it_is_not_for_many_voxels_of_a_depth_map(monkeypatch):
+    fit(scene(), declared(), solver="algebraic")
+    monkeypatch.setattr(algebraic, "MOST_KNOWN", 600)
+    with pytest.raises(
+        InputError, match=r"600 voxels at most.*are 672: use covariance"
+    ):
+        fit(scene(), declared(), solver="algebraic")

@@ -12,6 +12,7 @@ docs/method/formulations.md, Depth map.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -151,17 +152,18 @@ class MaternFactor:
         """(RᵀR)⁻¹ values, shape (n, k)."""
         out = np.empty(values.shape)
         with one_blas_thread():
-            for first in range(0, values.shape[1], RIGHT_SIDES):
-                some = slice(first, first + RIGHT_SIDES)
+            for some in _few_columns(values):
                 inner = self.volumes[:, None] * self._solved.solve(values[:, some])
                 out[:, some] = self._solved.solve(inner)
         return out / self.tau**2
 
     def draw(self, white: Array) -> Array:
         """Fields R⁻¹ w from white noise w, shape (n, k)."""
-        return np.asarray(
-            self._solved.solve(np.sqrt(self.volumes)[:, None] * white) / self.tau
-        )
+        out, root = np.empty(white.shape), np.sqrt(self.volumes)[:, None] / self.tau
+        with one_blas_thread():
+            for some in _few_columns(white):
+                out[:, some] = self._solved.solve(root * white[:, some])
+        return out
 
 
 @dataclass(frozen=True)
@@ -363,20 +365,28 @@ class VoxelColumns:
 
     def of_rows(self, rows: sp.csr_array) -> Array:
         """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
-        voxels, column = np.unique(rows.indices, return_inverse=True)
-        scale = self.covariance.scale
-        cov = self.radial[self.covariance.layers(voxels.astype(np.int64))][
-            :, self.layer
-        ]
-        cov *= self.surface[voxels % len(self.surface)][:, self.spoke]
-        cov *= scale[voxels][:, None] * self.scale
-        few = (rows.shape[0], len(voxels))
-        return np.asarray(sp.csr_array((rows.data, column, rows.indptr), few) @ cov)
+        touched = rows.indices.astype(np.int64)
+        layers, layer = np.unique(self.covariance.layers(touched), return_inverse=True)
+        row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+        at = row * len(layers) + layer, touched % len(self.surface)
+        parts = rows.data * self.covariance.scale[touched], at
+        by_layer = sp.csr_array(
+            parts, shape=(rows.shape[0] * len(layers), len(self.surface))
+        )
+        g = np.asarray(by_layer @ self.surface)
+        g = self.radial[layers].T @ g.reshape(rows.shape[0], len(layers), -1)
+        return np.asarray(self.scale * g[:, self.layer, self.spoke])
 
     def times(self, values: Array) -> Array:
         """The columns times values of shape (n,), shape (V,)."""
-        g = (self.radial @ self._spread(values) @ self.surface.T).ravel()
+        g = (self.radial @ (self._spread(values) @ self.surface.T)).ravel()
         return np.asarray(self.covariance.scale * g[self.covariance.turned])
+
+
+def _few_columns(values: Array) -> Iterator[slice]:
+    """As many columns at once as are solved for at once."""
+    for first in range(0, values.shape[1], RIGHT_SIDES):
+        yield slice(first, first + RIGHT_SIDES)
 
 
 def kronecker(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:

@@ -193,6 +193,13 @@ class Solver:
                 return f"it takes no constraint {constraint.name}"
         return ""
 
+    def excess(self, program: Program) -> str:
+        """Why a program is too large for it, which others would take hours for.
+
+        Then "auto" says so instead of taking another; empty when it is not.
+        """
+        return ""
+
     @property
     def estimates(self) -> bool:
         """Whether "auto" considers it: whether it overrides `cost`."""

@@ -161,6 +161,10 @@ class Covariance(Solver):
 
     def refusal(self, program: Program) -> str:
         """Takes a prior of known covariance, squares of few rows, bounds beside p."""
+        return self._structural(program) or self.excess(program)
+
+    def _structural(self, program: Program) -> str:
+        """Why it cannot take a program of any size."""
         if base := super().refusal(program):
             return base
         prior = program.known_prior
@@ -171,13 +175,21 @@ class Covariance(Solver):
             return "it takes no bounds of the field"
         if program.constraints:
             return "it takes no constraints but bounds of parameters"
-        touched = len(_touched(program, prior))
-        if touched > LARGEST:
-            return (
-                f"it takes rows that touch {LARGEST:,} voxels at most, these touch "
-                f"{touched:,}"
-            )
         return ""
+
+    def excess(self, program: Program) -> str:
+        """As of `Solver`: too many voxels that measured rows touch."""
+        prior = program.known_prior
+        if prior is None or self._structural(program):
+            return ""
+        touched = len(_touched(program, prior))
+        if touched <= LARGEST:
+            return ""
+        return (
+            f"it takes rows that touch {LARGEST:,} voxels at most, these touch "
+            f"{touched:,}: choose a coarser grid (fewer voxels in r, θ and z) or fit "
+            "fewer recordings"
+        )
 
     def cost(self, program: Program) -> float:
         """Covariances of the touched voxels, and solves on the grid.

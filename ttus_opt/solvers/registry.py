@@ -66,9 +66,18 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
 
 
 def _preferred(program: Program) -> list[Solver]:
-    """Solvers that take a program and estimate its cost, the cheapest first."""
+    """Solvers that take a program and estimate its cost, the cheapest first.
+
+    Raises:
+        InputError: There is none, or the program is too large for all (`excess`).
+    """
     costs: list[tuple[float, Solver]] = []
     for known in solvers().values():
+        if known.installed and (why := known.excess(program)):
+            raise InputError(
+                f"solver {known.name} alone takes such a problem in less than hours, "
+                f"and {why}"
+            )
         if known.installed and not known.refusal(program):
             with user_errors(f"solver {known.name}"):
                 costs.append((known.cost(program), known))

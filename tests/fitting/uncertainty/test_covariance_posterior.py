@@ -19,8 +19,10 @@ from tests.fitting.uncertainty.test_field_uncertainty import (
 )
 from tests.fitting.uncertainty.test_field_uncertainty import exact as laplace
 from tests.kit import ellipsoid, presses, torso
+from ttus_opt.fitting.uncertainty import covariance_posterior
 from ttus_opt.fitting.uncertainty.covariance_posterior import FACTORS
 from ttus_opt.fitting.uncertainty.wrench_noise import LEAST_SHARE, MeasuredWrenches
+from ttus_opt.gaussian.matern import VoxelColumns
 from ttus_opt.problem.terms.depth_profile import voxel_depths
 
 pytestmark = pytest.mark.filterwarnings(KEPT_SHARE)
@@ -116,6 +118,29 @@ def test_covariance_is_that_of_dense_algebra():
         block = expected[t, :, t]
         size = np.sqrt(np.outer(np.diag(block), np.diag(block)))
         np.testing.assert_allclose(stated[t] / size, block / size, atol=1e-5)
+
+
+def test_a_root_of_the_rows_is_as_good_as_one_of_the_voxels(monkeypatch):
+    """That of all touched voxels does not fit in memory on fine grids."""
+    scene = scene_of(LEAST)
+    among = exact()._posterior
+    monkeypatch.setattr(covariance_posterior, "DENSE", 10)
+    monkeypatch.setattr(covariance_posterior, "AT_ONCE", 7)
+    monkeypatch.setattr(VoxelColumns, "among", property(lambda _: pytest.fail("n × n")))
+    found = tt.uncertainty(fitted(), scene)
+    K = among.images.T @ among.images
+    images = found._posterior.images
+    assert abs(images.T @ images - K).max() < 1e-10 * K.max()
+    assert len(images) <= min(K.shape)
+    stated, known = found.std(unseen()), exact().std(unseen())
+    size = abs(known.covariance).max()
+    np.testing.assert_allclose(
+        stated.covariance, known.covariance, rtol=1e-8, atol=1e-9 * size
+    )
+    assert found.noise.as_dict() == pytest.approx(exact().noise.as_dict(), rel=1e-6)
+    np.testing.assert_allclose(
+        found.draws(4).values, exact().draws(4).values, rtol=1e-4, atol=1e-6
+    )
 
 
 @pytest.mark.slow

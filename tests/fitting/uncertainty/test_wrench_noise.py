@@ -59,10 +59,11 @@ def recorded(n, n_places, k=5):
     return MeasuredWrenches(images, told + errors, wrench, place, np.arange(6))
 
 
+@pytest.mark.parametrize("k", [5, 60])  # fewer fields than measurements, or more
 @pytest.mark.parametrize("noise", [NOISE, replace(NOISE, usual_force=6.0)])
-def test_density_is_that_of_dense_algebra(noise):
-    given = recorded(9, 3)
-    K = given.images.reshape(5, -1)
+def test_density_is_that_of_dense_algebra(noise, k):
+    given = recorded(9, 3, k)
+    K = given.images.reshape(k, -1)
     covariance = dense(noise, given.wrench, given.place) + 0.7 * K.T @ K
     expected = scipy.stats.multivariate_normal(cov=covariance).logpdf(
         given.misfit.reshape(-1)
@@ -173,9 +174,10 @@ def test_frames_are_thinned_evenly_to_the_most(monkeypatch):
         np.testing.assert_array_equal(few.place, given.place[list(frames)])
 
 
-def test_fields_that_frames_do_not_tell_apart_are_left_out():
+@pytest.mark.parametrize("fields", [40, 80])  # fewer than measurements, or more
+def test_fields_that_frames_do_not_tell_apart_are_left_out(fields):
     given, rng = recorded(9, 12, 3), np.random.default_rng(3)
-    alike = rng.normal(size=(40, len(given.images))) / 6.0
+    alike = rng.normal(size=(fields, len(given.images))) / 6.0
     many = replace(given, images=np.tensordot(alike, given.images, axes=1))
     few = many.condensed(2.0)
     assert len(few.images) == len(given.images) < len(many.images)

@@ -25,8 +25,9 @@ from scipy.sparse.linalg import splu
 
 from ttus_opt.contact.places import places
 from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
-from ttus_opt.core.arrays import Array
+from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.uncertainty.contact_spread import told_variance
 from ttus_opt.fitting.uncertainty.covariance_posterior import (
     CovariancePosterior,
@@ -44,6 +45,7 @@ from ttus_opt.fitting.uncertainty.wrench_noise import (
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
+    evenly,
 )
 from ttus_opt.fitting.uncertainty.wrench_uncertainty import WrenchUncertainty
 from ttus_opt.probe.trajectory import Trajectory
@@ -66,6 +68,9 @@ DEPTH = 0.03
 
 #: Least median of the prior variance, for exact data [–]
 LEAST_VARIANCE = 1e-12
+
+#: Images solved for at once, which the cache holds [–]
+AT_ONCE = 16
 
 #: Components of a wrench by measured term
 COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
@@ -135,8 +140,10 @@ class Uncertainty:
         Always from draws.
         """
         draws, _ = self._posterior.draw(DRAWS)
-        std = np.sqrt(np.mean(draws.astype(np.float64) ** 2, axis=0))
-        return np.asarray(self.scene.voxmap.grid.unflatten(std))
+        variance = np.zeros(draws.shape[1])
+        for draw in draws:  # one at a time in double precision
+            variance += draw.astype(np.float64) ** 2 / len(draws)
+        return np.asarray(self.scene.voxmap.grid.unflatten(np.sqrt(variance)))
 
     def draws(self, count: int = DRAWS, depth: float = DEPTH) -> PosteriorDraws:
         """Random draws of the error near the skin.
@@ -285,30 +292,36 @@ def _errors(
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
     given, inverse = posterior.measured, splu(mixed)
 
-    def unmixed(rows: Array) -> Array:
-        """Weighted rows, (…, k), as wrenches by frame, (…, n, h)."""
-        whole = np.zeros((mixed.shape[0], *rows.shape[:-1]))
-        whole[informative] = rows.T
-        return np.asarray(inverse.solve(whole).T[..., at])
+    def unmixed(rows: Array, at: IntArray) -> Array:
+        """Weighted rows, (k, rows), as wrenches of some frames, (k, n, h)."""
+        out = np.empty((len(rows), *at.shape))
+        with one_blas_thread():
+            for few in (slice(i, i + AT_ONCE) for i in range(0, len(rows), AT_ONCE)):
+                whole = np.zeros((mixed.shape[0], len(rows[few])))
+                whole[informative] = rows[few].T
+                out[few] = inverse.solve(whole).T[:, at]
+        return out
 
     usual = np.nan
     if mean is not None:  # root mean square of the forces
         usual = float(np.sqrt(np.mean(np.sum(wrench[touching, :3] ** 2, axis=1))))
     seen = MeasuredWrenches(
-        unmixed(posterior.images),
-        unmixed(given.data),
+        np.zeros((0, *at.shape)),
+        unmixed(given.data[None], at)[0],
         wrench[touching],
         places(scene.presses[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
         usual,
     )
+    images = unmixed(posterior.images, at[evenly(len(at))])
+    few = replace(seen.thinned(), images=images)
     likeliest = given.square / len(given.data)
     likeliest = max(likeliest, LEAST_VARIANCE)
     if mean is None:
-        variance, noise = seen.estimate(likeliest)
+        variance, noise = few.estimate(likeliest)
     else:
         known = told_variance(scene, mean)
-        variance, noise = seen.estimate(likeliest, known, mean.shared_error)
+        variance, noise = few.estimate(likeliest, known, mean.shared_error)
         share = max(noise.place_share, LEAST_SHARE)
         noise = replace(noise, place_share=share)
     weights = sp.csr_array(sp.csr_array(mixed)[informative])

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError, warn
-from ttus_opt.gaussian.conditioned import ByImages
+from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.posterior_mode import posterior_mode
 
 #: Priors of the noise: median, and standard deviation of the logarithm
@@ -192,7 +192,7 @@ class MeasuredWrenches:
 
     def thinned(self) -> MeasuredWrenches:
         """At most `MOST_FRAMES` evenly spaced frames."""
-        at = slice(None, None, -(-len(self.place) // MOST_FRAMES))
+        at = evenly(len(self.place))
         return replace(
             self,
             images=self.images[:, at],
@@ -209,6 +209,8 @@ class MeasuredWrenches:
         """
         size = np.array([PRIORS["force" if c < 3 else "torque"][0] for c in self.parts])
         seen = (self.images / size).reshape(len(self.images), -1)
+        if len(seen) > seen.shape[1]:
+            seen = np.linalg.qr(seen, mode="r")
         _, lengths, directions = np.linalg.svd(seen, full_matrices=False)
         kept = np.sqrt(variance) * lengths > NEGLECTED
         fewer = lengths[kept, None] * directions[kept]
@@ -234,7 +236,7 @@ class MeasuredWrenches:
         white = np.ascontiguousarray(white.reshape(-1, len(columns)).T)
         size = 0.5 * self.misfit.size * math.log(2.0 * math.pi)
         size += float(np.log(np.einsum("nii->ni", lower)).sum())
-        return ByImages.of(white[:-1], white[-1]).log_density - size
+        return conditioned(white[:-1], white[-1]).log_density - size
 
     def estimate(
         self,
@@ -327,6 +329,11 @@ class MeasuredWrenches:
 
     def _shared(self, noise: WrenchNoise) -> Array:
         return noise.shared(self.wrench)[:, self.parts]
+
+
+def evenly(count: int) -> slice:
+    """At most `MOST_FRAMES` evenly spaced of some frames."""
+    return slice(None, None, -(-count // MOST_FRAMES))
 
 
 def _placed(values: Array, at: IntArray, columns: IntArray, n: int) -> sp.csr_array:
