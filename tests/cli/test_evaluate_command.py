@@ -21,6 +21,11 @@ FOUND = Calibration(
 )
 
 
+def test_a_share_that_rounds_to_nothing_has_no_sign():
+    (line,) = RecordingLine("a.csv", 100, -0.001).lines
+    assert line == "a.csv: its presses lose 0 % of their work to hysteresis"
+
+
 def test_all_that_is_known_is_said():
     line = RecordingLine("a.csv", 100, 0.123, FOUND)
     lost, uncertainty, ranks, deeper = line.lines

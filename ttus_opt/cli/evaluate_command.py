@@ -69,7 +69,7 @@ class RecordingLine:
         lines = []
         if not math.isnan(self.hysteresis_share):
             lines.append(
-                f"{self.name}: its presses lose {100 * self.hysteresis_share:.0f} % "
+                f"{self.name}: its presses lose {100 * self.hysteresis_share:z.0f} % "
                 "of their work to hysteresis"
             )
         if self.refused:
