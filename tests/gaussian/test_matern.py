@@ -120,7 +120,20 @@ def test_kronecker_is_that_of_scipy():
         assert found.has_canonical_format
 
 
-def test_rows_columns_and_products_agree_with_dense_algebra():
+def test_columns_solved_for_in_several_goes_are_those_of_one(monkeypatch):
+    factor = MaternFactor.along_line(20, 0.004, 0.02)
+    white = np.random.default_rng(0).normal(size=(20, 7))
+    times, drawn = factor.covariance_times(white), factor.draw(white)
+    np.testing.assert_allclose(factor.rows @ drawn, white, atol=1e-9)
+    for entries in (5, 60):  # one at a time, and three
+        monkeypatch.setattr(matern_module, "ENTRIES", entries)
+        np.testing.assert_allclose(factor.covariance_times(white), times, rtol=1e-12)
+        np.testing.assert_allclose(factor.draw(white), drawn, rtol=1e-12)
+
+
+@pytest.mark.parametrize("entries", [1, 460_800])
+def test_rows_columns_and_products_agree_with_dense_algebra(entries, monkeypatch):
+    monkeypatch.setattr(matern_module, "ENTRIES", entries)
     voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
     V = voxmap.grid.n_voxels
     scale = np.random.default_rng(0).uniform(0.5, 2.0, V)

@@ -28,9 +28,10 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: Columns of the surface's covariance computed at once
 AT_ONCE = 256
 
-#: Columns solved for at once by one thread, which the cache holds: of 28,800 nodes a
-#: column takes 0.7 ms, with more at once or more threads of a BLAS 2 to 40 ms [–]
-RIGHT_SIDES = 16
+#: Entries of the columns solved for at once by one thread, which the cache holds: of
+#: 28,800 nodes a column takes 0.7 ms, with more at once or more threads of a BLAS 2 to
+#: 40 ms [–]
+ENTRIES = 460_800
 
 #: Eigenvalue below which, relative to the largest, a radial mode is rounding [–]
 LEAST_EIGENVALUE = 1e-10
@@ -385,8 +386,9 @@ class VoxelColumns:
 
 def _few_columns(values: Array) -> Iterator[slice]:
     """As many columns at once as are solved for at once."""
-    for first in range(0, values.shape[1], RIGHT_SIDES):
-        yield slice(first, first + RIGHT_SIDES)
+    step = max(ENTRIES // len(values), 1)
+    for first in range(0, values.shape[1], step):
+        yield slice(first, first + step)
 
 
 def kronecker(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
