@@ -2,20 +2,22 @@
 
     python benchmarks/truth.py --phantoms ../shared/data --tissue palpation
     python benchmarks/truth.py --cases patients --patients experiment-results
+    python benchmarks/truth.py --cases torsos --torsos torsos --shape 24 72 30
     python benchmarks/truth.py --output truth.md --picture truth.png
     python benchmarks/truth.py --cases bundled --models eq10 comparators rivals
     python benchmarks/truth.py --phantoms ../shared/data --ablate --shape 24 72 30
     python benchmarks/truth.py --cases tissue --tissue palpation --patch 48 42 38
 
 Cases: the independent phantoms (fitted to `*_fit`, judged on `*_test_truth` without
-noise, and reversed), real tissue as `palpation.py` prepares it, a folder per recording,
-the patients of `ttus-opt experiment`, whose poses have a tracker's noise, and the
-bundled example. A score is the mean of ||f| - |f̂|| [N] over frames above 0.5 N,
-of tissue over the rows in scored.txt; the share of them that is off by more than 7 %
-and 0.36 N is kept too. Models: default, as `tt.fit(scene, weights="auto")`; a
-formulation, or formulation@sampling; c:comparator; r:rival; or a group of these. With
-``--ablate`` they are the default with one part off or changed (`truth_ablation.py`).
-A result is kept in a file per case, and computed again when data, shape or code change.
+noise, and reversed), others as `torsos.py` draws them, real tissue as `palpation.py`
+prepares it, a folder per recording, the patients of `ttus-opt experiment`, whose poses
+have a tracker's noise, and the bundled example. A score is the mean of ||f| - |f̂||
+[N] over frames above 0.5 N, of tissue over the rows in scored.txt; the share of them
+that is off by more than 7 % and 0.36 N is kept too. Models: default, as
+`tt.fit(scene, weights="auto")`; a formulation, or formulation@sampling; c:comparator;
+r:rival; or a group of these. With ``--ablate`` they are the default with one part off
+or changed (`truth_ablation.py`). A result is kept in a file per case, and computed
+again when data, shape or code change.
 """
 
 from __future__ import annotations
@@ -233,10 +235,11 @@ class Case:
     @cached_property
     def shell(self) -> tt.PointShell:
         """The probe."""
-        if self.kind != "tissue":
-            return tt.PointShell.from_spec(example.PROBE)
-        spec = (self.folder / "probe.txt").read_text().strip()
-        return tt.PointShell.from_spec(spec, n_points=400)
+        own = self.folder / "probe.txt"
+        spec = own.read_text().strip() if own.is_file() else example.PROBE
+        if self.kind == "tissue":
+            return tt.PointShell.from_spec(spec, n_points=400)
+        return tt.PointShell.from_spec(spec)
 
     @cached_property
     def surface(self) -> tt.Surface:
@@ -334,9 +337,19 @@ class Case:
 
 Shape = tuple[int, int, int]
 
+#: Recordings of a torso: fitted, and judged by their true force
+TORSO = ("press_fit.csv", "sweep_fit.csv")
+JUDGED = {name: f"{name}_test_truth.csv" for name in ("press", "sweep", "places")}
+
+
+def of_torso(folder: Path, shape: Shape) -> Case:
+    """The case of a folder that `torsos.py` has written."""
+    return Case(folder.name, folder, TORSO, JUDGED, "torsos", shape)
+
 
 def cases(
     phantoms: Path | None,
+    torsos: Path | None,
     tissue: Path | None,
     patients: Path | None,
     shape: Shape | None,
@@ -362,6 +375,11 @@ def cases(
             judged = {n: file for n, file in files.items() if (folder / file).is_file()}
             fitted = f"press_{use}.csv", f"sweep_{use}.csv"
             found.append(Case(name + suffix, folder, fitted, judged, "phantoms", torso))
+    drawn = sorted(p.parent for p in torsos.glob("*/probe.txt")) if torsos else []
+    if not drawn:
+        reason = f"no */probe.txt in {torsos}" if torsos else "give --torsos"
+        skipped.append(f"torsos: {reason}")
+    found += [of_torso(folder, torso) for folder in drawn]
     folders = sorted(p.parent for p in tissue.glob("*/scored.txt")) if tissue else []
     if not folders:
         reason = f"no */scored.txt in {tissue}" if tissue else "give --tissue"
@@ -418,10 +436,11 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     }
     add = parser.add_argument
     add("--phantoms", type=Path, help="folder of the four phantoms")
+    add("--torsos", type=Path, help="folder that torsos.py has written")
     add("--tissue", type=Path, help="folder that palpation.py has written")
     add("--patients", type=Path, help="results of ttus-opt experiment")
     add("--results", type=Path, default=Path("truth"), help="kept in this folder")
-    add("--cases", nargs="+", help="names, or bundled, phantoms, tissue, patients")
+    add("--cases", nargs="+", help="names, or bundled, phantoms, torsos, …")
     add("--models", nargs="+", default=list(members)[:3], help="beside the default")
     add("--ablate", action="store_true", help="as --models ablation")
     add("--shape", nargs=3, type=int, help="voxels of a torso, not of tissue")
@@ -439,7 +458,7 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
             parser.error(f"no model {name}: take {', '.join([*members, *known])}")
     asked.models = list(dict.fromkeys(["default", *models]))
     shape = tuple(asked.shape) if asked.shape else None
-    data = asked.phantoms, asked.tissue, asked.patients
+    data = asked.phantoms, asked.torsos, asked.tissue, asked.patients
     asked.found, asked.skipped = cases(*data, shape, tuple(asked.patch))
     named = dict.fromkeys(w for case in asked.found for w in (case.name, case.kind))
     wanted = set(asked.cases or named)

@@ -123,7 +123,7 @@ def test_a_table_of_the_bundled_example_is_kept_and_continued(truth, tmp_path, c
     assert ratio == errors["default"] / errors["r:linear_spring"] < 1.0
     # another shape is another result, and one with another stamp is computed again
     stamp = rows["default"]["stamp"]
-    assert truth.cases(None, None, None, (12, 24, 14))[0][0].stamp() != stamp
+    assert truth.cases(None, None, None, None, (12, 24, 14))[0][0].stamp() != stamp
     file = kept / "example.json"
     file.write_text(file.read_text().replace(stamp, "old", 1))
     truth.main([*asked, "--models", "r:linear_spring"])
@@ -204,7 +204,7 @@ def test_what_is_not_there_is_told(truth, given, said, capsys):
 
 
 def test_missing_folders_are_skipped_with_a_reason(truth, tmp_path):
-    found, skipped = truth.cases(tmp_path, None, None, None)
+    found, skipped = truth.cases(tmp_path, None, None, None, None)
     assert [case.name for case in found] == ["example", "example_drag"]
     assert skipped[0] == f"phantom: no {tmp_path}/phantom/surface.nc"
     assert skipped[-2:] == ["tissue: give --tissue", "patients: give --patients"]
