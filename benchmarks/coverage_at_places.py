@@ -72,7 +72,7 @@ class Judged:
         distance: From the nearest fitted contact, shape (k,) [m].
         deeper: Deeper than all fitted contacts within 20 mm, shape (k,).
         lighter: Less deep than all of them, shape (k,).
-        drawn: Errors drawn from the stated covariance, shape (k, DRAWS) [N].
+        drawn: Errors drawn from the stated covariance, shape (k, draws) [N].
     """
 
     error: Array
@@ -95,7 +95,7 @@ class Judged:
         """Share of frames that are covered, mean error and mean stated [–, N, N].
 
         Returns:
-            Shape (3, 1 + DRAWS): of the errors, and of every draw of them.
+            Shape (3, 1 + draws): of the errors, and of every draw of them.
         """
         error = np.abs(np.column_stack([self.error, self.drawn])[frames])
         std = self.std[frames, None]
@@ -136,13 +136,24 @@ def drawn_errors(
 
 
 def judged(
-    solution: tt.Solution, scene: tt.Scene, truths: Sequence[tt.Trajectory], rng: Rng
+    solution: tt.Solution,
+    scene: tt.Scene,
+    truths: Sequence[tt.Trajectory],
+    rng: Rng | None = None,
 ) -> Iterator[Judged]:
-    """Errors and stated deviations of a fit along recordings with true forces."""
+    """Errors and stated deviations of a fit along recordings with true forces.
+
+    Args:
+        solution: The fit.
+        scene: What was fitted.
+        truths: The recordings.
+        rng: Draws errors from what is stated; None draws none.
+    """
     stated, shell = tt.uncertainty(solution, scene), scene.shell
-    draws, order = stated.draws(DRAWS, DEPTH), rng.permutation(DRAWS)
-    # every fit's are of the same random numbers: in another order they are independent
-    draws = replace(draws, values=draws.values[order], sizes=draws.sizes[order])
+    if rng is not None:
+        draws, order = stated.draws(DRAWS, DEPTH), rng.permutation(DRAWS)
+        # every fit's are of the same random numbers: in another order independent
+        draws = replace(draws, values=draws.values[order], sizes=draws.sizes[order])
     surface, touching = scene.voxmap.surface, scene.rows.contact_points > 0
     fitted = scene.trajectory.select(touching)
     known = depths(surface, shell, fitted)
@@ -153,9 +164,10 @@ def judged(
         along = force / np.maximum(size, np.finfo(float).tiny)[:, None]
         cov = stated.std(truth).covariance[:, :3, :3]
         std = np.sqrt(np.einsum("ti,tij,tj->t", along, cov, along))
-        drawn = np.einsum(
-            "ti,tik->tk", along, drawn_errors(stated, scene, truth, draws, rng)
-        )
+        drawn = np.zeros((len(truth), 0))
+        if rng is not None:
+            errors = drawn_errors(stated, scene, truth, draws, rng)
+            drawn = np.einsum("ti,tik->tk", along, errors)
         away = np.linalg.norm(truth.position[:, None] - fitted.position, axis=2)
         own = depths(surface, shell, truth)
         near = away < NEAR
@@ -251,7 +263,7 @@ def summary(bands: Array) -> str:
     """What all bands have, and what chance gives: mean, and 90 % of the draws.
 
     Args:
-        bands: `Judged.figures` of every band, shape (n, 3, 1 + DRAWS).
+        bands: `Judged.figures` of every band, shape (n, 3, 1 + draws).
     """
     covered, error, std = np.moveaxis(bands, 1, 0)
     ratio = std / error
