@@ -3,17 +3,19 @@
     python benchmarks/coverage_at_places.py phantom_stiff phantom_stiff_frictionless
     python benchmarks/coverage_at_places.py phantom phantom_stiff --noise 1
 
-A folder holds a surface, recordings ``press_fit.csv`` and ``sweep_fit.csv``, and
-recordings with the true force, ``press_test_truth.csv``, ``sweep_test_truth.csv`` and
-perhaps ``places_test_truth.csv``, and the probe in ``probe.txt`` if it is not the
-bundled one, as `torsos.py` writes them. The default model is fitted to the press alone,
-to the sweep alone and to both. Frames with a true force above 0.5 N are counted by
-their distance from the nearest fitted contact, and where they are deeper or lighter
-than everything fitted within 20 mm. The interval of 95 % is the one stated for the true
-force, along the rendered one. The last lines are of all distances and depths of 20
-frames or more. Errors at one place are alike, so that of few places some bands are
-missed by the best statement: what chance gives is told from errors that are drawn from
-the stated covariance itself, with its correlation between frames.
+A folder holds a surface, recordings ``press_fit.csv`` and ``sweep_fit.csv``,
+recordings of exact poses with the true force, ``press_test_truth.csv``,
+``sweep_test_truth.csv`` and perhaps ``places_test_truth.csv`` (patients of the
+experiment ``press_test_true.csv``, ``sweep_test_true.csv``), and the probe in
+``probe.txt`` if it is not the bundled one, as `torsos.py` writes them. The default
+model is fitted to the press alone, to the sweep alone and to both. Frames with a true
+force above 0.5 N are counted by their distance from the nearest fitted contact, and
+where they are deeper or lighter than everything fitted within 20 mm. The interval of
+95 % is the one stated for the true force, along the rendered one. The last lines are of
+all distances and depths of 20 frames or more. Errors at one place are alike, so that of
+few places some bands are missed by the best statement: what chance gives is told from
+errors that are drawn from the stated covariance itself, with its correlation between
+frames.
 """
 
 from __future__ import annotations
@@ -216,8 +218,9 @@ def rows(
     folder: Path, scene_of: SceneOf, rng: Rng
 ) -> Iterator[tuple[list[str], int, Array]]:
     """Fitted, judged and group of a row, its frames and figures."""
-    names = [n for n in JUDGED if (folder / f"{n}_test_truth.csv").exists()]
-    truths = [tt.read_trajectory(folder / f"{n}_test_truth.csv") for n in names]
+    files = [next(folder.glob(f"{n}_test_tru*.csv"), None) for n in JUDGED]
+    names = [n for n, file in zip(JUDGED, files, strict=True) if file]
+    truths = [tt.read_trajectory(file) for file in files if file]
     for fitted in FITTED:
         choice = default_model(scene_of(folder, fitted))
         solution = tt.fit(choice.scene, choice.formulation)
