@@ -22,6 +22,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.problem.members import ProgramTerm, nonempty_columns
 from ttus_opt.problem.program import Program
 
@@ -98,10 +99,11 @@ def compressed_rows(matrix: sp.csr_array, target: Array) -> tuple[sp.csr_array, 
     order = _by_place(rows)
     rows, target = sp.csr_array(rows[order]), target[order]
     while True:
-        parts = [
-            _decomposed(rows[start : start + BLOCK], target[start : start + BLOCK])
-            for start in range(0, rows.shape[0], BLOCK)
-        ]
+        with one_blas_thread():  # on a busy machine others take a hundred times longer
+            parts = [
+                _decomposed(rows[start : start + BLOCK], target[start : start + BLOCK])
+                for start in range(0, rows.shape[0], BLOCK)
+            ]
         before = rows.shape[0]
         rows = sp.csr_array(sp.vstack([part for part, _ in parts], format="csr"))
         target = np.concatenate([part for _, part in parts])
