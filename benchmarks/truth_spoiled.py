@@ -21,7 +21,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from coverage_at_places import judged
+from coverage_at_places import depths, judged
 from scipy.ndimage import gaussian_filter
 from tqdm import tqdm
 from truth import JUDGED, TORSO, Case
@@ -39,81 +39,93 @@ MODELS = (
 )
 
 Recordings = list[tt.Trajectory]
-Spoil = Callable[[tt.Surface, Recordings], tuple[tt.Surface, Recordings]]
+Given = tuple[tt.Surface, Recordings]
+
+
+@dataclass(frozen=True)
+class Torso:
+    """A torso as it is: skin, probe and recordings, and what draws errors of it."""
+
+    skin: tt.Surface
+    shell: tt.PointShell
+    read: Recordings
+    rng: np.random.Generator
+
+
+Spoil = Callable[[Torso], Given]
 
 
 def raised(metres: float) -> Spoil:
     """A skin that is everywhere too high by this much [m]."""
-    return lambda skin, read: (moved(skin, np.full(skin.radius.shape, metres)), read)
+    return lambda one: (moved(one.skin, np.array(metres)), one.read)
 
 
 def moved(skin: tt.Surface, by: Array) -> tt.Surface:
-    """The skin with another radius, by (n_theta, n_z) [m]."""
+    """The skin with another radius, by (n_theta, n_z) or () [m]."""
     return tt.Surface.from_radius(skin.radius + by, skin.z, axis=skin.axis)
 
 
-def bumps(skin: tt.Surface, read: Recordings) -> tuple[tt.Surface, Recordings]:
+def bumps(one: Torso) -> Given:
     """A skin with bumps of 2 mm that are 2 to 3 cm wide."""
-    noise = np.random.default_rng(0).standard_normal(skin.radius.shape)
+    noise = one.rng.standard_normal(one.skin.radius.shape)
     smooth = gaussian_filter(noise, 1.5, mode=("wrap", "nearest"))
-    return moved(skin, 2e-3 * smooth / smooth.std()), read
+    return moved(one.skin, 2e-3 * smooth / smooth.std()), one.read
 
 
 def each(change: Callable[[tt.Trajectory], tt.Trajectory]) -> Spoil:
     """The same change of every recording."""
-    return lambda skin, read: (skin, [change(one) for one in read])
+    return lambda one: (one.skin, [change(own) for own in one.read])
 
 
-def off_zero(one: tt.Trajectory) -> tt.Trajectory:
+def off_zero(own: tt.Trajectory) -> tt.Trajectory:
     """0.3 N that the sensor shows in air, the same in the patient's axes."""
-    assert one.force is not None
-    return replace(one, force=one.force + 0.3 / np.sqrt(3.0))
+    assert own.force is not None
+    return replace(own, force=own.force + 0.3 / np.sqrt(3.0))
 
 
 def tracked(metres: float) -> Spoil:
     """Poses with a tracker's errors [m], alike for a second."""
+    noise = TrackerNoise(metres)
+    return lambda one: (
+        *(one.skin, [add_pose_noise(own, one.rng, noise) for own in one.read]),
+    )
 
-    def noisy(one: tt.Trajectory) -> tt.Trajectory:
-        return add_pose_noise(one, np.random.default_rng(0), TrackerNoise(metres))
 
-    return each(noisy)
-
-
-def only(which: Callable[[tt.Trajectory], Mask]) -> Spoil:
+def only(which: Callable[[Torso, tt.Trajectory], Mask]) -> Spoil:
     """Some frames, of the recordings that have any."""
 
-    def kept(skin: tt.Surface, read: Recordings) -> tuple[tt.Surface, Recordings]:
-        masks = [which(one) for one in read]
-        return skin, [o.select(m) for o, m in zip(read, masks, strict=True) if m.any()]
+    def kept(one: Torso) -> Given:
+        masks = [which(one, own) for own in one.read]
+        pairs = zip(one.read, masks, strict=True)
+        return one.skin, [own.select(mask) for own, mask in pairs if mask.any()]
 
     return kept
 
 
-def light(one: tt.Trajectory) -> Mask:
-    """Whether a frame's force is at most a tenth of the largest, in the air too."""
-    assert one.force is not None
-    size = np.linalg.norm(one.force, axis=1)
-    return np.asarray(size < 0.1 * size.max())
+def light(one: Torso, own: tt.Trajectory) -> Mask:
+    """Whether the probe is at most 3 mm deep."""
+    return np.asarray(depths(one.skin, one.shell, own) < 3e-3)
 
 
 #: What is wrong, by name
 SPOILS: dict[str, Spoil] = {
-    "nothing": each(lambda one: one),
+    "nothing": each(lambda own: own),
     "a skin 3 mm too low": raised(-3e-3),
     "a skin 3 mm too high": raised(3e-3),
     "a skin with bumps of 2 mm": bumps,
     "a sensor 0.3 N off zero": each(off_zero),
+    "a tracker's noise of 0.3 mm": tracked(0.3e-3),
     "a tracker's noise of 0.7 mm": tracked(0.7e-3),
     "a tracker's noise of 1.5 mm": tracked(1.5e-3),
-    "presses alone": lambda skin, read: (skin, read[:1]),
-    "a sweep alone": lambda skin, read: (skin, read[1:]),
-    "three presses alone": lambda skin, read: only(lambda one: one.time < 6.0)(
-        skin, read[:1]
+    "presses alone": lambda one: (one.skin, one.read[:1]),
+    "a sweep alone": lambda one: (one.skin, one.read[1:]),
+    "three presses alone": lambda one: (
+        *(one.skin, [one.read[0].select(one.read[0].time < 6.0)]),
     ),
-    "light contacts alone": only(light),
-    "the left side alone": only(lambda one: one.position[:, 0] > 0.0),
-    "5 Hz": each(lambda one: one.select(slice(None, None, 4))),
-    "forces alone": each(lambda one: replace(one, torque=None)),
+    "contacts of 3 mm alone": only(light),
+    "the left side alone": only(lambda _, own: own.position[:, 0] > 0.0),
+    "5 Hz": each(lambda own: own.select(slice(None, None, 4))),
+    "forces alone": each(lambda own: replace(own, torque=None)),
 }
 
 
@@ -124,10 +136,12 @@ class Spoiled(Case):
     wrong: str = "nothing"
 
     @cached_property
-    def _spoiled(self) -> tuple[tt.Surface, Recordings]:
-        exact = [tt.read_trajectory(self.folder / name) for name in self.fitted]
+    def _spoiled(self) -> Given:
+        read = [tt.read_trajectory(self.folder / name) for name in self.fitted]
         skin = tt.Surface.load(self.folder / "surface.nc")
-        return SPOILS[self.wrong](skin, exact)
+        number = int("".join(filter(str.isdigit, self.name)) or 0)
+        rng = np.random.default_rng(number)
+        return SPOILS[self.wrong](Torso(skin, self.shell, read, rng))
 
     @property
     def surface(self) -> tt.Surface:

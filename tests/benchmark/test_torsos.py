@@ -74,16 +74,14 @@ def test_presses_are_as_deep_and_as_far_aside_as_is_said(scripts):
     assert np.all(np.ptp(handling.across.reshape(50, 40), axis=1) == 0.0)
 
 
-def force(one):
-    return np.linalg.norm(one.force, axis=1)
-
-
 def test_what_is_wrong_is_what_is_said(scripts, recordings):
-    spoils = scripts["truth_spoiled"].SPOILS
+    script = scripts["truth_spoiled"]
     skin, read = recordings
+    shell = tt.PointShell.from_spec(example.PROBE)
 
     def spoiled(name):
-        other, own = spoils[name](skin, read)
+        torso = script.Torso(skin, shell, read, np.random.default_rng(0))
+        other, own = script.SPOILS[name](torso)
         return other.radius - skin.radius, own
 
     moved, same = spoiled("nothing")
@@ -105,8 +103,10 @@ def test_what_is_wrong_is_what_is_said(scripts, recordings):
     assert spoiled("presses alone")[1] == read[:1]
     assert spoiled("a sweep alone")[1] == read[1:]
     assert spoiled("three presses alone")[1][0].time.max() < 6.0
-    (pressed,) = spoiled("light contacts alone")[1]  # the sweep has none
-    assert 0.0 < force(pressed).max() < 0.1 * force(read[0]).max()
+    depths = scripts["coverage_at_places"].depths
+    (pressed,) = spoiled("contacts of 3 mm alone")[1]  # the sweep is deeper
+    deepest = depths(skin, shell, pressed).max()
+    assert 0.002 < deepest < 0.003 < 0.01 < depths(skin, shell, read[0]).max()
     assert all(
         (one.position[:, 0] > 0.0).all() for one in spoiled("the left side alone")[1]
     )
