@@ -8,7 +8,9 @@ import time
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+import ttus_opt as tt
 from tests.kit import refuses
+from ttus_opt import example
 from ttus_opt.core.threads import (
     in_parts,
     one_blas_thread,
@@ -16,6 +18,9 @@ from ttus_opt.core.threads import (
     side_by_side,
     usable_cores,
 )
+from ttus_opt.fitting.uncertainty import covariance_posterior, posterior
+from ttus_opt.problem import compression
+from ttus_opt.solvers import covariance
 
 
 def test_results_stand_in_the_order_of_the_things():
@@ -143,3 +148,41 @@ def test_a_function_that_fails_restores_them():
     for _ in range(2):
         refuses(ZeroDivisionError, "", fail)
         assert threads() == {2}
+
+
+@pytest.mark.filterwarnings("ignore:the recordings tell hardly more than one place")
+def test_a_fit_its_uncertainty_and_many_rows_are_done_by_one(monkeypatch):
+    """By two that wait for each other on a busy machine they took 2 to 100 times."""
+    surface = tt.Surface.load(example.path("surface.nc"))
+    path = tt.read_trajectory(example.path("press_fit.csv"))
+    voxmap = tt.Voxmap.from_surface(surface, shape=(10, 24, 12), r_inner=0.05)
+    scene = tt.Scene.assemble(voxmap, tt.PointShell.from_spec(example.PROBE), path)
+    seen = {}
+
+    def watched(module, name):
+        original = getattr(module, name)
+
+        def watching(*given, **named):
+            seen.setdefault((module.__name__, name), set()).update(threads())
+            return original(*given, **named)
+
+        monkeypatch.setattr(module, name, watching)
+
+    for module, name in (
+        (compression, "_decomposed"),
+        (covariance, "conditioned"),
+        (covariance, "to_residual"),
+        (covariance_posterior, "conditioned"),
+        (posterior.Posterior, "draw"),
+        (posterior.Posterior, "covariance"),
+    ):
+        watched(module, name)
+    compression.compressed_rows(scene.N, scene.f)
+    solution = tt.fit(scene, "depth_map", solver="covariance")
+    stated = tt.uncertainty(solution, scene)
+    stated.std(path)
+    stated.draws(2)
+    stated.potential_std()
+    assert len(seen) == 6
+    assert all(one == {1} for one in seen.values()), seen
+    assert threads() == {2}

@@ -25,6 +25,7 @@ import scipy.optimize
 import scipy.sparse as sp
 
 from ttus_opt.core.arrays import Array, IntArray
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.gaussian.conditioned import conditioned
 from ttus_opt.gaussian.matern import VoxelColumns
 from ttus_opt.gaussian.prior import partial_root
@@ -54,6 +55,7 @@ class _Loaded(Prepared):
     _columns: VoxelColumns
     _tag: KnownCovariance | None = None
 
+    @one_blas_thread()
     def update(self, program: Program) -> None:
         """Take other data; the covariance is kept while voxels and prior stay."""
         prior = program.known_prior
@@ -112,6 +114,7 @@ class _Loaded(Prepared):
         self._factorise()
         return self._inverse(right_side)
 
+    @one_blas_thread()
     def solve(self) -> Candidate:
         """The unknowns beside the field, the multipliers, the field."""
         misfit = self._target - self._rows @ self._mean

@@ -28,6 +28,7 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.threads import one_blas_thread
+from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.uncertainty.contact_spread import told_variance
 from ttus_opt.fitting.uncertainty.covariance_posterior import (
     CovariancePosterior,
@@ -108,6 +109,7 @@ class Uncertainty:
         at = self.potential, self.scene.shell, trajectory
         return WrenchUncertainty.of(*at, self.covariance, self.noise)
 
+    @one_blas_thread()
     def covariance(
         self, rows: sp.csr_array, height: int = 1, sized: Array | None = None
     ) -> Array:
@@ -134,6 +136,7 @@ class Uncertainty:
             return self._draws.covariance(rows, height, sized)
         return self._posterior.covariance(rows, height, sized)
 
+    @one_blas_thread()
     def potential_std(self) -> Array:
         """Standard deviation of the field, shape (n_r, n_θ, n_z) [unit of the field].
 
@@ -145,6 +148,7 @@ class Uncertainty:
             variance += draw.astype(np.float64) ** 2 / len(draws)
         return np.asarray(self.scene.voxmap.grid.unflatten(np.sqrt(variance)))
 
+    @one_blas_thread()
     def draws(self, count: int = DRAWS, depth: float = DEPTH) -> PosteriorDraws:
         """Random draws of the error near the skin.
 
@@ -224,21 +228,22 @@ def uncertainty(
     voxels = skin_voxels(scene.voxmap, depth) if near else None
     potential = solution.field
     posterior: LaplacePosterior | CovariancePosterior
-    if known:
-        values = potential.values.reshape(-1)
-        posterior = CovariancePosterior.of(prior, measured, values)
-    else:
-        scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
-            solution.not_identified
-        )
-        posterior = LaplacePosterior.of(DualData.of(program), scale, voxels)
-    mean = None if known is None else known.mean
-    estimated = _errors(scene, potential, prior, measured, posterior, mean)
-    variance, noise, errors = estimated
-    posterior = posterior.with_errors(errors)
-    draws = None
-    if voxels is not None and method == "samples":
-        draws = PosteriorDraws(*posterior.draw(DRAWS, voxels), voxels, depth)
+    with one_blas_thread():  # others wait for each other on a busy machine
+        if known:
+            values = potential.values.reshape(-1)
+            posterior = CovariancePosterior.of(prior, measured, values)
+        else:
+            scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
+                solution.not_identified
+            )
+            posterior = LaplacePosterior.of(DualData.of(program), scale, voxels)
+        mean = None if known is None else known.mean
+        estimated = _errors(scene, potential, prior, measured, posterior, mean)
+        variance, noise, errors = estimated
+        posterior = posterior.with_errors(errors)
+        draws = None
+        if voxels is not None and method == "samples":
+            draws = PosteriorDraws(*posterior.draw(DRAWS, voxels), voxels, depth)
     return Uncertainty(scene, potential, method, variance, noise, posterior, draws)
 
 

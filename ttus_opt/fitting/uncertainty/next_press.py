@@ -148,9 +148,14 @@ def next_press(
         spacing: Distance between nodes [m].
 
     Raises:
-        InputError: Numbers that are not positive, a region without skin that was seen
-            and lies in the grid, or presses deeper than draws are kept.
+        InputError: No uncertainty, numbers that are not positive, a region without skin
+            that was seen and lies in the grid, or presses deeper than draws are kept.
     """
+    if not isinstance(uncertainty, Uncertainty):
+        raise InputError(
+            "next_press needs the Uncertainty of ttus_opt.uncertainty, got a "
+            f"{type(uncertainty).__name__}"
+        )
     scene = uncertainty.scene
     depth = usual_depth(scene) if depth is None else depth
     expect_positive(depth, "depth", "m")
