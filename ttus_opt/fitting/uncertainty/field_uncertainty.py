@@ -28,7 +28,6 @@ from ttus_opt.contact.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.core.arrays import Array, IntArray
 from ttus_opt.core.errors import InputError
 from ttus_opt.core.threads import one_blas_thread
-from ttus_opt.core.threads import one_blas_thread
 from ttus_opt.fitting.uncertainty.contact_spread import told_variance
 from ttus_opt.fitting.uncertainty.covariance_posterior import (
     CovariancePosterior,
@@ -300,11 +299,10 @@ def _errors(
     def unmixed(rows: Array, at: IntArray) -> Array:
         """Weighted rows, (k, rows), as wrenches of some frames, (k, n, h)."""
         out = np.empty((len(rows), *at.shape))
-        with one_blas_thread():
-            for few in (slice(i, i + AT_ONCE) for i in range(0, len(rows), AT_ONCE)):
-                whole = np.zeros((mixed.shape[0], len(rows[few])))
-                whole[informative] = rows[few].T
-                out[few] = inverse.solve(whole).T[:, at]
+        for few in (slice(i, i + AT_ONCE) for i in range(0, len(rows), AT_ONCE)):
+            whole = np.zeros((mixed.shape[0], len(rows[few])))
+            whole[informative] = rows[few].T
+            out[few] = inverse.solve(whole).T[:, at]
         return out
 
     usual = np.nan
