@@ -26,7 +26,7 @@ from ttus_opt.problem.terms.depth_map_estimate import (
     DepthMapEstimate,
     estimate_depth_map,
 )
-from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
+from ttus_opt.problem.terms.drag_estimate import estimate_dragged
 from ttus_opt.problem.terms.part_noise import SENSOR, TURN
 from ttus_opt.problem.terms.wrench import ForceTerm, TorqueTerm
 
@@ -71,16 +71,17 @@ class Model:
             mock.patch.dict(LEAST, {"sensor_noise": self.least}),
         ):
             with one_blas_thread():
-                sampling = self.sampling or likely_sampling(scene)
+                likely, dragged = likely_sampling(scene)
+            sampling = self.sampling or likely
             own = scene if scene.sampling == sampling else scene.resampled(sampling)
-            formulation = self.built(own)
+            formulation = self.built(own, dragged)
             for term in formulation.terms:
                 term.rows()  # while the power is set: the term's mean is computed once
         return own, formulation
 
-    def built(self, scene: Scene) -> Formulation:
-        """The formulation in one sampling."""
-        shown = self.drag is None or (self.drag and estimate_drag(scene).is_shown)
+    def built(self, scene: Scene, dragged: bool) -> Formulation:
+        """The formulation in one sampling, with drag where the recordings show it."""
+        shown = self.drag is None or (self.drag and dragged)
         guess, _ = estimate_dragged(scene, self.acts_at)
         mu = min(guess.friction_coefficient, 1.0) if shown else 0.0
         rows = sp.csr_array(scene.N - mu * guess.drag.rows.force)

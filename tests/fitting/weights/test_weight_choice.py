@@ -169,26 +169,28 @@ def test_the_default_is_a_depth_map_in_the_likeliest_sampling():
 
 
 def test_where_drag_acts_is_found_and_given_options_come_first(monkeypatch):
-    """It is looked for in the sampling that is likely with it."""
+    """It is looked for in trilinear sampling, with the length of the contact's size."""
     looked, asked = [], []
-    estimate, load = weight_choice.estimate_drag, weight_choice.load
+    estimate, load = weight_choice.estimate_shown, weight_choice.load
 
     def noted(name, scene, **options):
         asked.append((name, scene.sampling, options))
         return load(name, scene, **options)
 
-    monkeypatch.setattr(
-        weight_choice,
-        "estimate_drag",
-        lambda scene: looked.append(scene) or estimate(scene),
-    )
+    def looking(scene, **options):
+        drag, found = estimate(scene, **options)
+        looked.append((scene.sampling, sized(found.least_length)))
+        assert drag is not None
+        return drag, found
+
+    monkeypatch.setattr(weight_choice, "estimate_shown", looking)
     monkeypatch.setattr(weight_choice, "load", noted)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)
         weight_choice.default_model(dragged_scene("contact"))
         weight_choice.default_model(dragged_scene("contact"), {"acts_at": "reference"})
-    assert [scene.sampling for scene in looked[::2]] == ["trilinear"] * 2
-    sampling = looked[1].sampling
+    (at, sampling), again = looked
+    assert at == "trilinear" and (at, sampling) == again
     assert sampling.startswith("contact-size:")
     assert asked == [
         ("depth_map_coulomb", sampling, given)
@@ -211,7 +213,7 @@ def test_the_sampling_is_that_of_drag_where_the_depth_map_has_it():
         for where in ("points", "contact")
     }
     assert at["points"] != at["contact"]
-    assert weight_choice.likely_sampling(scene) == at["contact"]
+    assert weight_choice.likely_sampling(scene) == (at["contact"], True)
 
 
 def test_forces_that_no_depth_map_explains_leave_eq10():

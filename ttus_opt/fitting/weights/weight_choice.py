@@ -30,12 +30,8 @@ from ttus_opt.fitting.weights.tuning import tune
 from ttus_opt.fitting.weights.tuning_result import Tuning
 from ttus_opt.problem.formulation import DEFAULT, Formulation, load, option_defaults
 from ttus_opt.problem.terms.depth_map import DepthMapTerm
-from ttus_opt.problem.terms.depth_map_estimate import (
-    PRIOR,
-    UnusableForcesError,
-    estimate_depth_map,
-)
-from ttus_opt.problem.terms.drag_estimate import estimate_drag, estimate_dragged
+from ttus_opt.problem.terms.depth_map_estimate import PRIOR, UnusableForcesError
+from ttus_opt.problem.terms.drag_estimate import estimate_shown
 from ttus_opt.problem.terms.part_noise import TURN
 from ttus_opt.problem.terms.wrench import ForceTerm
 from ttus_opt.voxmap.sampling import least_length, sized
@@ -260,11 +256,10 @@ def default_model(
     scene = on_zero(scene)
     try:
         with one_blas_thread():  # for matrices of a few hundred rows
-            if sampling is None:
-                told("sampling")
-                sampling = likely_sampling(scene, given)
+            told("sampling and drag")
+            likely, dragged = likely_sampling(scene, given)
+            sampling, name = sampling or likely, DEPTH_MAPS[dragged]
             place = scene if scene.sampling == sampling else scene.resampled(sampling)
-            name = DEPTH_MAPS[estimate_drag(place).is_shown]
             told(f"{name}, {sampling} sampling")
             declared = load(name, place, **given)
     except UnusableForcesError as error:
@@ -272,12 +267,15 @@ def default_model(
     return WeightChoice(place, declared, reasons=described(declared))
 
 
-def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> str:
-    """The most likely sampling of a depth map, `contact-size` with its length ℓ₀.
+def likely_sampling(
+    scene: Scene, options: Mapping[str, Any] | None = None
+) -> tuple[str, bool]:
+    """The most likely sampling of a depth map, and whether drag acts.
 
-    The stiffness per area of tissue that is deep relative to the probe decreases with
-    the length of the contact, that of a thin layer does not. ℓ₀ is estimated with the
-    other hyperparameters, and drag where it acts.
+    The sampling is `contact-size` with its length ℓ₀: the stiffness per area of tissue
+    that is deep relative to the probe decreases with the length of the contact, that of
+    a thin layer does not. ℓ₀ is estimated with the other hyperparameters, and drag
+    where it acts.
 
     Args:
         scene: Patient, probe and measurements.
@@ -290,11 +288,8 @@ def likely_sampling(scene: Scene, options: Mapping[str, Any] | None = None) -> s
         scene = scene.resampled("trilinear")
     held: dict[str, Any] = {name: (options or {}).get(name) for name in PRIOR}
     held["resampled"] = True
-    if estimate_drag(scene).is_shown:
-        _, found = estimate_dragged(scene, **held)
-    else:
-        found = estimate_depth_map(scene, **held)
-    return sized(found.least_length)
+    drag, found = estimate_shown(scene, **held)
+    return sized(found.least_length), drag is not None
 
 
 def described(model: Formulation) -> tuple[str, ...]:
