@@ -128,7 +128,9 @@ def drawn_errors(
     rows = wrench_rows(stated.potential, scene.shell, path)
     wrench = rendered(stated.potential, rows)
     sized = slopes_along(stated.potential, scene.shell, path)[:, None] * wrench
-    near, _ = kept_rows(rows, draws.voxels, 6)
+    near, missing = kept_rows(rows, draws.voxels, 6)
+    if missing.any():
+        raise ValueError(f"frames reach deeper than draws are kept, {draws.depth} m")
     field = near @ draws.values.T + np.outer(sized.ravel(), draws.sizes)
     own = stated.noise.shared(wrench)[:, :3]
     place = tt.Scene.assemble(scene.voxmap, scene.shell, path).places

@@ -136,12 +136,12 @@ def write(folder: Path, number: int) -> Drawn:
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     torso.surface(120, 31).save(part / "surface.nc")
-    spec = ",".join(f"{axis:g}" for axis in probe.semi_axes)
-    (part / "probe.txt").write_text(f"ellipsoid:{spec}\n")
     for name, handling in handlings.items():
         true = record(patch, probe, handling.poses(torso, probe), drag=drag)
         true.save(part / f"{name}_truth.csv")
         add_noise(true, rng).save(part / f"{name}.csv")
+    spec = ",".join(f"{axis:g}" for axis in probe.semi_axes)
+    (part / "probe.txt").write_text(f"ellipsoid:{spec}\n")  # by which it is found
     part.rename(folder)
     return drawn
 
@@ -154,6 +154,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--count", type=int, default=12)
     asked = parser.parse_args()
+    if asked.first < 0 or asked.count < 1:
+        parser.error("numbers begin at 0, and there is at least one torso")
     numbers = range(asked.first, asked.first + asked.count)
     for number in tqdm(numbers, desc="torsos", unit="torso"):
         folder = asked.folder / f"torso{number:03d}"

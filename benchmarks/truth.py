@@ -392,9 +392,8 @@ def cases(
     if not noisy:
         reason = f"no */surface.nc in {patients}" if patients else "give --patients"
         skipped.append(f"patients: {reason}")
-    fitted = "press_fit.csv", "sweep_fit.csv"
     judged = {n: f"{n}_test_true.csv" for n in ("press", "sweep")}
-    found += [Case(p.name, p, fitted, judged, "patients", torso) for p in noisy]
+    found += [Case(p.name, p, TORSO, judged, "patients", torso) for p in noisy]
     return found, skipped
 
 

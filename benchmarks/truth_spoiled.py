@@ -172,8 +172,9 @@ class Spoiled(Case):
         for model in models:
             try:
                 told, _ = self.forces(model)
-            except tt.TtusError:
-                continue  # it refuses such recordings
+            except tt.TtusError as error:
+                tqdm.write(f"{self.name}, {self.wrong}: {model} refuses: {error}")
+                continue
             for name, force in told.items():
                 out[name][model] = self.error(name, force)
         return out
