@@ -42,11 +42,11 @@ from ttus_opt.problem.terms.rows import replaced
 #: hundred cases [–]
 LEAST_GAIN = 6.6
 
-#: Gain above which the depth map is asked too, and by how much its log evidence must
-#: grow: of few presses it tells drag by 31 to 91 where the Laplace field gains 1.4 to
-#: 5.9; of 46 sets without drag that gains 0.1 at most, of six pieces of tissue up to
-#: 5.0, where the log evidence falls [–]
-SUSPECTED, EVIDENT = 1.0, 10.0
+#: Gain above which the depth map is asked too, which saves its estimates, and by how
+#: much its log evidence must grow: of one to ten presses with drag by 9 to 91, where
+#: the Laplace field gains 0.5 to 5.9; of 46 sets without drag that gains 0.1 at most,
+#: of six pieces of tissue up to 5.0, where the log evidence falls [–]
+SUSPECTED, EVIDENT = 0.5, 10.0
 
 #: Log odds of drag at every point, before the evidence [–]: a sweep alone hardly tells
 #: it from drag of the whole patch, which presses lack
